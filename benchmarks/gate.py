@@ -1,0 +1,147 @@
+"""Compare a run with the committed baseline. What is missing, crashed, not a number or unknown fails."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from benchmarks.metric import Metric
+from scenes import atomic
+from scenes.errors import UserError
+
+SCHEMA_VERSION = 1
+
+Verdict = Literal["same", "better", "WORSE", "MISSING", "NOT A NUMBER", "UNKNOWN", "CRASHED"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """The verdict on one metric (or on one case that crashed)."""
+
+    key: str
+    verdict: Verdict
+    baseline: float | None
+    value: float | None
+    unit: str
+    note: str = ""
+
+    @property
+    def passes(self) -> bool:
+        """Whether the gate lets this through."""
+        return self.verdict in ("same", "better")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """The committed numbers of an earlier run."""
+
+    path: Path
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+
+
+def compare(metrics: Sequence[Metric], baseline: Baseline, *, crashed: Mapping[str, str] | None = None) -> list[Finding]:
+    """Judge every metric of a run, every metric of the baseline that the run lacks, and every crashed case.
+
+    Parameters
+    ----------
+    crashed
+        What went wrong, by case; each is a failure whatever the baseline holds.
+    """
+    findings = [
+        Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")
+        for case, why in (crashed or {}).items()
+    ]
+    seen: set[str] = set()
+    for metric in metrics:
+        findings.append(_judge(metric, baseline, repeated=metric.key in seen))
+        seen.add(metric.key)
+    findings += [
+        Finding(key=key, verdict="MISSING", baseline=before, value=None, unit=baseline.units[key], note="not measured")
+        for key, before in baseline.values.items()
+        if key not in seen
+    ]
+    if not findings:
+        findings.append(Finding(key="(all)", verdict="MISSING", baseline=None, value=None, unit="", note="the run measured nothing"))
+    return findings
+
+
+def _judge(metric: Metric, baseline: Baseline, *, repeated: bool) -> Finding:
+    before = baseline.values.get(metric.key)
+    verdict: Verdict
+    note = ""
+    if not metric.measured:
+        verdict = "NOT A NUMBER"
+    elif repeated:
+        verdict, note = "UNKNOWN", "measured twice under one key"
+    elif before is None:
+        verdict, note = "UNKNOWN", f"not in {baseline.path.name}; --update-baseline records it"
+    elif not math.isfinite(before) or baseline.units[metric.key] != metric.unit:
+        verdict, note = "UNKNOWN", f"{baseline.path.name} holds {before} in {baseline.units[metric.key]}"
+    else:
+        worse, tolerance = metric.worse_by(before), metric.tolerance(before)
+        verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"
+        note = f"by {worse:.4g}, {tolerance:.4g} allowed" if verdict == "WORSE" else ""
+    return Finding(key=metric.key, verdict=verdict, baseline=before, value=metric.value, unit=metric.unit, note=note)
+
+
+def passes(findings: Sequence[Finding]) -> bool:
+    """Return whether a run may pass."""
+    return bool(findings) and all(finding.passes for finding in findings)
+
+
+def table(findings: Sequence[Finding]) -> str:
+    """Return the findings as text: what fails, then what got better, then a count."""
+    shown = sorted((f for f in findings if f.verdict != "same"), key=lambda f: (f.passes, f.key))
+    width = max((len(f.key) for f in shown), default=0)
+    lines = []
+    for f in shown:
+        change = f"{_number(f.baseline):>10} -> {_number(f.value):>10} {f.unit:<4}"
+        lines.append(f"{f.verdict:<12}  {f.key:<{width}}  {change} {f.note}".rstrip())
+    failed = sum(not f.passes for f in findings)
+    better = sum(f.verdict == "better" for f in findings)
+    verdict = "the gate is shut" if failed or not findings else "the gate is open"
+    same = len(findings) - failed - better
+    return "\n".join([*lines, f"{len(findings)} numbers: {failed} failed, {better} better, {same} as before: {verdict}"])
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.5g}"
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Return a committed baseline; UserError where it is missing or damaged."""
+    if not path.is_file():
+        raise UserError(f"{path} does not exist; run once with --update-baseline and commit it.")
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        version = stored["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise UserError(f"{path} has schema_version {version}, this program reads {SCHEMA_VERSION}; update the baseline.")
+        metrics = stored["metrics"]
+        values = {str(key): float(entry["value"]) for key, entry in metrics.items()}
+        units = {str(key): str(entry["unit"]) for key, entry in metrics.items()}
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"{path} is damaged ({error!r}); run with --update-baseline.") from None
+    return Baseline(path=path, values=values, units=units)
+
+
+def write_baseline(path: Path, metrics: Sequence[Metric], *, about: Mapping[str, Any]) -> None:
+    """Record a run as the new baseline.
+
+    Raises
+    ------
+    UserError
+        If a metric is not a number: such a run must not become the measure of others.
+    """
+    failed = [metric.key for metric in metrics if not metric.measured]
+    if failed or not metrics:
+        raise UserError(f"{path} is left as it was: {failed[0] if failed else 'every metric'} was not measured.")
+    stored = {
+        "schema_version": SCHEMA_VERSION,
+        "about": dict(about),
+        "metrics": {m.key: {"value": float(f"{m.value:.6g}"), "unit": m.unit} for m in sorted(metrics, key=lambda m: m.key)},
+    }
+    atomic.write_json(path, stored)

@@ -1,0 +1,1 @@
+"""Reconstruction: a dataset of pictures becomes poses, silhouettes, a shape, its volume and a score."""

@@ -1,0 +1,271 @@
+"""Octree carving through the refraction: mark and refine over a set of leaves (T3.4.4), in Dr.Jit.
+
+The water is cut into nodes. A node is *empty* when one view that sees all of it finds its whole footprint outside the silhouette,
+*full* when all views that see it find its footprint inside, and is cut into eight otherwise, down to the finest size. A view that
+does not see a node (or sees it twice, or whose picture says nothing there) neither carves it nor counts for it; nodes that too few
+views see are *blind*: reported, and not part of the shape.
+
+A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and no tree is
+kept; the thesis's dictionary becomes sorted keys (`Leaves.find`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from recon import projection
+from recon.projection import ViewBank
+from recon.silhouettes import UPSAMPLING
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+UNSEEN_PX = 1000.0
+"""Value of a distance map where its picture says nothing."""
+_COARSEST_MM = 4.6
+_BLIND_MM = 2.5
+_CHUNK = 1 << 21
+
+
+@dataclass(frozen=True)
+class DistanceMaps:
+    """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
+
+    values: Any
+    """mi.Float, (V, 2 H, 2 W) flattened."""
+    image_wh: tuple[int, int]
+
+    @staticmethod
+    def of(maps: NDArray[np.float32]) -> DistanceMaps:
+        """Put maps (V, 2 H, 2 W) on the device."""
+        return DistanceMaps(mi.Float(maps.ravel()), (maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING))
+
+    def at(self, view: Any, px: Any, active: Any) -> Any:
+        """Interpolate bilinearly at pixels (mi.Vector2f)."""
+        width, height = self.image_wh[0] * UPSAMPLING, self.image_wh[1] * UPSAMPLING
+        u = dr.clip((px.x + 0.5) * UPSAMPLING - 0.5, 0.0, width - 1.001)
+        v = dr.clip((px.y + 0.5) * UPSAMPLING - 0.5, 0.0, height - 1.001)
+        u_0, v_0 = mi.UInt32(u), mi.UInt32(v)
+        fu, fv = u - mi.Float(u_0), v - mi.Float(v_0)
+        at = (view * height + v_0) * width + u_0
+        d00, d01, d10, d11 = (dr.gather(mi.Float, self.values, at + step, active) for step in (0, 1, width, width + 1))
+        return (1 - fv) * ((1 - fu) * d00 + fu * d01) + fv * ((1 - fu) * d10 + fu * d11)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cubic lattice of the finest nodes: node (i, j, k) covers origin + size * [i, i + 1] and so on."""
+
+    origin_mm: Array
+    size_mm: float
+    levels: int
+    """How often the coarsest nodes are halved."""
+    coarse_shape: tuple[int, int, int]
+
+    @staticmethod
+    def over(low_mm: Array, high_mm: Array, size_mm: float) -> Grid:
+        """Cover a box with a lattice whose planes x = 0 and y = 0 are node faces."""
+        levels = max(0, int(np.floor(np.log2(_COARSEST_MM / size_mm))))
+        coarse = size_mm * 2**levels
+        first = np.floor(np.asarray(low_mm) / coarse)
+        shape = np.maximum(np.ceil(np.asarray(high_mm) / coarse) - first, 1).astype(int)
+        return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Occupied leaves of different sizes, all in units of the grid's finest nodes."""
+
+    grid: Grid
+    index: Index
+    """(N, 3) lowest corner."""
+    size: Index
+    """(N,) edge length, a power of two."""
+    occupancy: NDArray[np.float32]
+    """(N,) fraction inside the shape."""
+    occupancy_low: NDArray[np.float32]
+    occupancy_high: NDArray[np.float32]
+    """(N,) the same with every outline moved in and out by the outline's uncertainty."""
+    blind_mm3: float
+    """Volume that too few views see."""
+
+    def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
+        """Return the summed volume."""
+        cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
+        return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
+
+
+def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
+    """Return a bound of the distance in pixels from a cube's centre to any of its points, curvature included."""
+    reach = mi.Float(0.0)
+    for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        du = p.du.x + sy * p.du.y + sz * p.du.z
+        dv = p.dv.x + sy * p.dv.y + sz * p.dv.z
+        reach = dr.maximum(reach, du * du + dv * dv)
+    linear = dr.sqrt(reach) * half_mm
+    return linear * (1.0 + 0.03 * half_mm) + 0.02
+
+
+def _look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any) -> tuple[projection.Projected, Any, Any]:
+    """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
+    p = projection.project(bank, view, point, active)
+    width, height = maps.image_wh
+    in_picture = (p.px.x > -0.5) & (p.px.x < width - 0.5) & (p.px.y > -0.5) & (p.px.y < height - 0.5)
+    seen = p.seen & in_picture
+    distance = maps.at(view, p.px, seen)
+    return p, distance, seen & (distance < 0.5 * UNSEEN_PX)
+
+
+def _mark(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px: Any, ignore_blindness: bool) -> tuple[Any, Any, Any]:
+    """Look at nodes from every view: whether empty, whether partly outside, and how many views see the centre."""
+
+    def body(view: Any, empty: Any, partial: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
+        p, distance, seen = _look(bank, maps, view, point, ~empty)
+        reach = _footprint_px(p, half_mm)
+        outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
+        if ignore_blindness:
+            outside |= ~seen
+        partial |= seen & (distance < reach + slack_px)
+        return view + 1, empty | outside, partial, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+    state = (mi.UInt32(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0))
+    _, empty, partial, votes = dr.while_loop(state, lambda view, empty, *_: (view < bank.count) & ~empty, body)
+    return empty, partial, votes
+
+
+def _depth(bank: ViewBank, maps: DistanceMaps, point: Any, ignore_blindness: bool) -> tuple[Any, Any, Any]:
+    """Return the signed distance in mm of points to the hull (least over the views that see them), px per mm, and the votes."""
+
+    def body(view: Any, depth: Any, scale: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
+        p, distance, seen = _look(bank, maps, view, point, mi.Bool(True))
+        px_per_mm = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+        here = dr.select(seen, distance / px_per_mm, -1e3 if ignore_blindness else 1e3)
+        scale = dr.select(here < depth, px_per_mm, scale)
+        return view + 1, dr.minimum(depth, here), scale, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+    state = (mi.UInt32(0), mi.Float(1e3), mi.Float(1.0), mi.UInt32(0))
+    _, depth, scale, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    return depth, scale, votes
+
+
+def carve(
+    bank: ViewBank,
+    maps: DistanceMaps,
+    grid: Grid,
+    *,
+    radius_mm: float,
+    min_votes: int,
+    slack_px: float = 0.3,
+    ignore_blindness: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Leaves:
+    """Carve the hull of the silhouettes out of the water.
+
+    Parameters
+    ----------
+    radius_mm : nodes whose centre lies farther from the axis are left out (the water's radius).
+    min_votes : views that must see a node for it to count as part of the shape.
+    slack_px : outline uncertainty; moves the outlines in and out for `Leaves.occupancy_low` and ``occupancy_high``.
+    ignore_blindness : the thesis's way: a view that does not see a node carves it.
+    progress : called with (level, levels + 1).
+    """
+    shape = grid.coarse_shape
+    i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in shape), indexing="ij"))
+    full_index: list[Index] = []
+    full_size: list[Index] = []
+    blind_mm3 = 0.0
+    nodes = [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    for level in range(grid.levels + 1):
+        if progress:
+            progress(level, grid.levels + 1)
+        units = 2 ** (grid.levels - level)
+        edge_mm = grid.size_mm * units
+        kept: list[list[Any]] = []
+        total = dr.width(nodes[0])
+        for begin in range(0, total, _CHUNK):
+            part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
+            point = _centres(grid, part, edge_mm)
+            inside = dr.square(point.x) + dr.square(point.y) < dr.square(radius_mm + 0.87 * edge_mm)
+            part = _compress(part, inside)
+            if dr.width(part[0]) == 0:
+                continue
+            point = _centres(grid, part, edge_mm)
+            empty, partial, votes = _mark(
+                bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
+            )
+            blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
+            full = ~empty & ~blind & ~partial & (votes >= min_votes)
+            split = ~empty & ~blind & ~full
+            dr.eval(blind, full, split)
+            blind_mm3 += float(dr.count(blind)[0]) * edge_mm**3
+            chosen = np.stack([np.array(a) for a in _compress(part, full)], axis=1).astype(np.int32)
+            full_index.append(chosen * units)
+            full_size.append(np.full(len(chosen), units, np.int32))
+            kept.append(_compress(part, split))
+        nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
+        if dr.width(nodes[0]) == 0:
+            break
+        if level < grid.levels:
+            nodes = _children(nodes)
+    index, occupancy = _measure(bank, maps, grid, nodes, radius_mm, min_votes, slack_px, ignore_blindness)
+    ones = np.ones(sum(len(part) for part in full_size), np.float32)
+    return Leaves(
+        grid=grid,
+        index=np.concatenate([*full_index, index]),
+        size=np.concatenate([*full_size, np.ones(len(index), np.int32)]),
+        occupancy=np.concatenate([ones, occupancy[0]]),
+        occupancy_low=np.concatenate([ones, occupancy[1]]),
+        occupancy_high=np.concatenate([ones, occupancy[2]]),
+        blind_mm3=blind_mm3,
+    )
+
+
+def _centres(grid: Grid, nodes: list[Any], edge_mm: float) -> Any:
+    """Return the centres of nodes of one size."""
+    edge = dr.opaque(mi.Float, edge_mm)
+    return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + float(grid.origin_mm[a]) for a in range(3)))
+
+
+def _compress(arrays: list[Any], mask: Any) -> list[Any]:
+    """Keep the entries of a mask."""
+    chosen = dr.compress(mask)
+    return [dr.gather(type(a), a, chosen) for a in arrays]
+
+
+def _children(nodes: list[Any]) -> list[Any]:
+    """Cut nodes into eight, children of one node side by side."""
+    count = dr.width(nodes[0])
+    lane = dr.arange(mi.UInt32, 8 * count)
+    parent, child = lane >> 3, lane & 7
+    bits = [(child >> 2) & 1, (child >> 1) & 1, child & 1]
+    found = [2 * dr.gather(mi.Int32, nodes[a], parent) + mi.Int32(bits[a]) for a in range(3)]
+    dr.eval(found)
+    return found
+
+
+def _measure(
+    bank: ViewBank, maps: DistanceMaps, grid: Grid, nodes: list[Any], radius_mm: float, min_votes: int, slack_px: float, ignore_blindness: bool
+) -> tuple[Index, NDArray[np.float32]]:
+    """Measure the occupancy of the finest undecided nodes: (N, 3) indices and (3, N) fractions (best, low, high)."""
+    indices, fractions = [np.zeros((0, 3), np.int32)], [np.zeros((3, 0), np.float32)]
+    total = dr.width(nodes[0])
+    for begin in range(0, total, _CHUNK):
+        part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
+        point = _centres(grid, part, grid.size_mm)
+        depth, scale, votes = _depth(bank, maps, point, ignore_blindness)
+        known = (votes >= min_votes) & (dr.square(point.x) + dr.square(point.y) < radius_mm**2)
+        slack_mm = slack_px / scale
+        best, low, high = (dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0) for move in (0.0, -slack_mm, slack_mm))
+        keep = known & (high > 0)
+        dr.eval(keep, best, low, high)
+        chosen = _compress([*part, best, low, high], keep)
+        indices.append(np.stack([np.array(a) for a in chosen[:3]], axis=1).astype(np.int32))
+        fractions.append(np.stack([np.array(a) for a in chosen[3:]]).astype(np.float32))
+    return np.concatenate(indices), np.concatenate(fractions, axis=1)

@@ -1,0 +1,178 @@
+"""Find the markers of the strip in a picture: OpenCV names them, `recon.marker_fit` measures their corners."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.marker_fit import fit_marker
+from scenes.errors import UserError
+from scenes.frames import Array
+from scenes.model import MarkerStrip
+
+Bytes = NDArray[np.uint8]
+
+LONGEST_PX = 2100
+"""Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+FEW = 6
+"""With fewer markers than this the search goes on with another tone curve."""
+OTHER_DICTIONARIES = (
+    "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Markers:
+    """Markers of the strip that one picture shows."""
+
+    ids: NDArray[np.int64]
+    """(M,) ascending."""
+    corners_px: Array
+    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from outside."""
+    covariance_px2: Array | None = None
+    """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
+    blurred: int = 0
+    """Markers that were named, but whose corners could not be measured, and which are left out."""
+    diagnosis: str | None = None
+    """Why there are no markers, when there are none."""
+
+
+def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
+    """Return OpenCV's dictionary of a strip.
+
+    Raises
+    ------
+    UserError
+        When OpenCV has no such dictionary, or it has too few markers.
+    """
+    name = f"DICT_{strip.dictionary}"
+    if not hasattr(cv2.aruco, name):
+        raise UserError(f"strip.dictionary: {strip.dictionary!r} is not one of OpenCV's ArUco dictionaries, use for example APRILTAG_36h11")
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
+    if last >= size:
+        raise UserError(f"strip: its last marker has the id {last}, but {strip.dictionary} ends at {size - 1}: use fewer or a lower first_id")
+    return dictionary
+
+
+def detect_markers(image: NDArray[np.uint8] | NDArray[np.uint16], strip: MarkerStrip) -> Markers:
+    """Find a strip's markers in a picture and measure their corners.
+
+    Parameters
+    ----------
+    image : (H, W) grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
+    strip : the strip that is looked for; markers of other ids are ignored.
+
+    Returns
+    -------
+    Markers
+        Ids, corners and their covariance; where nothing is found, a diagnosis instead.
+
+    Raises
+    ------
+    UserError
+        When OpenCV does not know the strip's dictionary.
+    """
+    dictionary = dictionary_of(strip)
+    ids, corners_px, foreign = _search(image, dictionary, strip)
+    found: list[int] = []
+    corners: list[Array] = []
+    covariances: list[Array] = []
+    side = dictionary.markerSize + 2
+    for marker_id, start_px in zip(ids, corners_px, strict=True):
+        white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
+        fit = fit_marker(image, white, start_px)
+        if fit is not None:
+            found.append(int(marker_id))
+            corners.append(fit.corners_px)
+            covariances.append(fit.covariance_px2)
+    if not found:
+        return Markers(
+            ids=np.zeros(0, np.int64),
+            corners_px=np.zeros((0, 4, 2)),
+            blurred=len(ids),
+            diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
+        )
+    return Markers(
+        ids=np.array(found), corners_px=np.stack(corners), covariance_px2=np.stack(covariances), blurred=len(ids) - len(found)
+    )
+
+
+def _search(
+    image: NDArray[np.uint8] | NDArray[np.uint16], dictionary: cv2.aruco.Dictionary, strip: MarkerStrip
+) -> tuple[NDArray[np.int64], Array, list[int]]:
+    """Return ids (M,) of the strip, rough corners (M, 4, 2) in the full picture, and the ids that are not the strip's."""
+    small: NDArray[np.generic] = image
+    shrink = 1
+    while max(image.shape) / shrink > LONGEST_PX:
+        shrink *= 2
+    if shrink > 1:
+        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
+    scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
+    detector = _detector(dictionary)
+    own: dict[int, Array] = {}
+    foreign: set[int] = set()
+    for tone in (_linear, _root, _equalised):
+        corners, ids, _ = detector.detectMarkers(tone(small))
+        for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
+            if 0 <= marker_id - strip.first_id < strip.rows * strip.columns:
+                own.setdefault(marker_id, (np.asarray(four, np.float64).reshape(4, 2) + 0.5) * scale - 0.5)
+            else:
+                foreign.add(marker_id)
+        if len(own) >= FEW:
+            break
+    chosen = sorted(own)
+    return np.array(chosen, np.int64), np.array([own[k] for k in chosen]).reshape(-1, 4, 2), sorted(foreign)
+
+
+def _detector(dictionary: cv2.aruco.Dictionary) -> cv2.aruco.ArucoDetector:
+    """Return a detector for markers that are small, blurred and foreshortened (tried on pictures of the strip: 18-20 of 26 found)."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMin = 7
+    parameters.adaptiveThreshWinSizeMax = 37
+    parameters.adaptiveThreshWinSizeStep = 10
+    parameters.perspectiveRemovePixelPerCell = 8
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
+
+
+def _linear(image: NDArray[np.generic]) -> Bytes:
+    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    top = max(float(np.percentile(image, 99.5)), 1.0)
+    return np.asarray(np.clip(image.astype(np.float32) * (255.0 / top), 0.0, 255.0), np.uint8)
+
+
+def _root(image: NDArray[np.generic]) -> Bytes:
+    """Scale to 8 bits by a square root, which lifts a strip much darker than the backlight."""
+    return np.asarray(np.sqrt(_linear(image).astype(np.float32) * 255.0) if image.dtype == np.uint8 else _root16(image), np.uint8)
+
+
+def _root16(image: NDArray[np.generic]) -> NDArray[np.float32]:
+    low, top = np.percentile(image, [0.5, 99.5])
+    return 255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))
+
+
+def _equalised(image: NDArray[np.generic]) -> Bytes:
+    """Equalise the local contrast of the square root."""
+    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)), np.uint8)
+
+
+def _why_none(image: NDArray[np.generic], strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
+    """Say what kept a picture's markers from being found."""
+    last = strip.first_id + strip.rows * strip.columns - 1
+    if blurred:
+        return f"{blurred} markers were named, but are too blurred or noisy to be measured"
+    if foreign:
+        names = ", ".join(str(k) for k in foreign[:5])
+        return f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    picture = _linear(image)
+    mirrored = _detector(dictionary_of(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
+    if mirrored is not None and len(mirrored) >= 3:
+        return "the picture is mirrored: its markers are only found in its mirror image"
+    for name in OTHER_DICTIONARIES:
+        if name != strip.dictionary:
+            dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+            ids = _detector(dictionary).detectMarkers(picture)[1]
+            if ids is not None and len(ids) >= 3:
+                return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
+    return "no markers were found"

@@ -1,0 +1,154 @@
+"""Read a result folder back: what `score` and `report` look at.
+
+    RESULT/  result.json   numbers, views, warnings, timings
+             shape.npz     occupied leaves
+             shape.ply     surface, canister frame, mm
+             silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
+             seen/NAME.png          8 bit: 255 where the picture says something about the water
+
+NAME is the picture's name in the dataset.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from scenes.dataset import Dataset
+from scenes.errors import UserError
+
+Floats = NDArray[np.float64]
+
+SCHEMA_VERSION = 1
+NEEDED = (
+    "scene",
+    "voxel_mm",
+    "volume_mm3",
+    "volume_interval_mm3",
+    "extents_min_mm",
+    "extents_max_mm",
+    "blind_mm3",
+    "views",
+    "warnings",
+    "timings_s",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leaves:
+    """The octree's occupied leaves: one covers ``origin_mm + voxel_mm * [low, low + size]``."""
+
+    low: NDArray[np.int32]
+    """(N, 3) lowest voxel."""
+    size: NDArray[np.int32]
+    """(N,) edge in voxels."""
+    occupancy: NDArray[np.float32]
+    """(N,) fraction of the leaf inside, 0..1."""
+    origin_mm: Floats
+    voxel_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A triangle mesh in the canister frame."""
+
+    vertices_mm: Floats
+    """(V, 3)"""
+    faces: NDArray[np.int64]
+    """(F, 3)"""
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Return ``result.json`` of a result folder; UserError where it is missing, damaged or of another version."""
+    path = Path(folder) / "result.json"
+    if not path.is_file():
+        raise UserError(f"{path} does not exist; give the folder that `rhizotwin reconstruct DATASET -o RESULT` wrote.")
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UserError(f"{path} is not readable JSON ({error}); reconstruct again.") from None
+    if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
+        version = summary.get("schema_version") if isinstance(summary, dict) else None
+        raise UserError(f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; reconstruct again.")
+    missing = [key for key in NEEDED if key not in summary]
+    if missing:
+        raise UserError(f"{path} lacks the key {missing[0]!r}; reconstruct again.")
+    return summary
+
+
+def read_leaves(folder: Path) -> Leaves:
+    """Return the leaves of ``shape.npz``; UserError where it is missing, damaged or empty."""
+    path = Path(folder) / "shape.npz"
+    if not path.is_file():
+        raise UserError(f"{path} does not exist; reconstruct again.")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            leaves = Leaves(
+                low=stored["leaves"],
+                size=stored["size"],
+                occupancy=stored["occupancy"].astype(np.float32, copy=False),
+                origin_mm=stored["origin_mm"].astype(np.float64),
+                voxel_mm=float(stored["voxel_mm"]),
+            )
+    except Exception as error:  # noqa: BLE001 - a damaged archive raises zipfile, zlib, key and value errors
+        raise UserError(f"{path} is damaged ({error}); reconstruct again.") from None
+    count = len(leaves.low)
+    if leaves.low.shape != (count, 3) or leaves.size.shape != (count,) or leaves.occupancy.shape != (count,):
+        shapes = f"{leaves.low.shape}, {leaves.size.shape} and {leaves.occupancy.shape}"
+        raise UserError(f"{path} has leaves, size and occupancy of shapes {shapes}, not (N, 3), (N,) and (N,); reconstruct again.")
+    if not count:
+        raise UserError(f"{path} holds no leaves: nothing was reconstructed, so there is nothing to look at.")
+    return leaves
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Return a mesh file's vertices and faces; UserError where it is missing, damaged or without faces."""
+    if not Path(path).is_file():
+        raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
+    try:
+        loaded = trimesh.load(path, process=False, force="mesh")
+        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+        faces = np.asarray(loaded.faces, np.int64).reshape(-1, 3)
+    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
+        raise UserError(f"{path} is not a readable mesh ({error}).") from None
+    if not len(faces) or not np.isfinite(vertices).all():
+        raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
+    return Mesh(vertices_mm=vertices, faces=faces)
+
+
+def picture_path(folder: Path, frame_file: str) -> Path:
+    """Return where a frame's picture of the same name lies in ``folder`` (silhouettes, seen, masks): always PNG."""
+    return Path(folder) / f"{PurePosixPath(frame_file).stem}.png"
+
+
+def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Return a grey 8 or 16 bit picture (H, W) scaled to 0..1; UserError where missing, damaged or of another size."""
+    if not path.is_file():
+        raise UserError(f"{path} does not exist.")
+    picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
+    if picture is None or picture.ndim != 2 or picture.dtype not in (np.uint8, np.uint16):
+        raise UserError(f"{path} is not a grey picture of 8 or 16 bits.")
+    if image_wh is not None and picture.shape != image_wh[::-1]:
+        height, width = picture.shape
+        raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")
+    return np.asarray(picture / np.float32(np.iinfo(picture.dtype).max), np.float32)
+
+
+def check_same_scan(summary: dict[str, Any], result_folder: Path, dataset: Dataset) -> None:
+    """Raise a UserError where a result was not made from this dataset."""
+    if summary["scene"] != dataset.scene.name:
+        raise UserError(
+            f"{result_folder} was reconstructed from scene {summary['scene']!r}, but {dataset.folder} holds {dataset.scene.name!r}; "
+            "give the dataset that the result was made from."
+        )
+    known = {frame.file for frame in dataset.frames}
+    strange = [view["file"] for view in summary["views"] if view["file"] not in known]
+    if strange:
+        raise UserError(
+            f"{result_folder} used {strange[0]}, which is not in {dataset.folder}; give the dataset that the result was made from."
+        )

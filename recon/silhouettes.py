@@ -1,0 +1,133 @@
+"""Silhouettes: how much of each pixel a root covers, and the signed distance to the outline in pixels.
+
+Two ways: ``coverage`` measures the covered fraction of each pixel against the empty backlight, and outlines it so that roots
+thinner than a pixel keep their width; ``thesis`` is the binary way of the thesis (T3.4.2).
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf, erfinv
+from skimage import filters
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+UPSAMPLING = 2
+"""Samples of the distance map a pixel, each way: half a pixel resolves outlines of roots down to about 0.6 px."""
+_BLUR_PX = 0.7
+_FLOOR = 0.1
+"""Coverage below this is never root."""
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """One view's silhouette."""
+
+    coverage: Image
+    """(H, W), 0 to 1: fraction of the pixel covered by root."""
+    seen: Mask
+    """(H, W): the picture says something about the water here."""
+
+
+def measure(image: Image, background: Image, seen: Mask) -> Silhouette:
+    """Measure coverage: 0 at the empty backlight, 1 at the brightness of resolved root.
+
+    Parameters
+    ----------
+    image, background : (H, W) linear grey in one scale.
+    seen : (H, W) pixels with a usable background.
+    """
+    safe = np.where(seen, background, 1.0)
+    opacity = np.where(seen, 1.0 - image / safe, 0.0).astype(np.float32)
+    # Front light makes roots brighter than black: what resolved roots show inside is full coverage, there and nearby.
+    core = cv2.erode((opacity > 0.6).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & seen
+    full = np.float32(np.median(opacity[core])) if core.sum() >= 20 else np.float32(1.0)
+    weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
+    local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
+    reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
+    return Silhouette(np.clip(opacity / np.maximum(reference, 0.3), 0.0, 1.0).astype(np.float32), seen)
+
+
+def thesis(image: Image, seen: Mask) -> Silhouette:
+    """Silhouette of T3.4.2: Otsu's threshold, joined with hysteresis on Sobel edges, then opened.
+
+    Otsu's threshold and the hysteresis levels are those of the seen part of the picture (the thesis gives no numbers; the high
+    level is Otsu's threshold of the edge strength and the low level half of it).
+    """
+    if not seen.any():
+        return Silhouette(np.zeros(image.shape, np.float32), seen)
+    dark = image < filters.threshold_otsu(image[seen])
+    edges = filters.sobel(np.where(seen, image, np.median(image[seen])))
+    high = filters.threshold_otsu(edges[seen])
+    lines = filters.apply_hysteresis_threshold(edges, 0.5 * high, high)
+    joined = ((dark | lines) & seen).astype(np.uint8)
+    opened = cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    return Silhouette(opened.astype(np.float32), seen)
+
+
+def outline_level(peak: NDArray[np.floating]) -> Image:
+    """Return the level of blurred coverage that outlines a strip of whatever width, from the peak across it.
+
+    A strip of half-width a, blurred by a Gaussian of width s, peaks at ``m = erf(a / (sqrt(2) s))`` and has the value
+    ``erf(2 a / (sqrt(2) s)) / 2`` at its edge: ``t(m) = erf(2 erfinv(m)) / 2``, one half where the strip is wide.
+    """
+    m = np.clip(peak, 0.0, 1.0 - 1e-6)
+    return (0.5 * erf(2.0 * erfinv(m))).astype(np.float32)
+
+
+_LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
+
+
+def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
+    """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
+
+    Where the picture says nothing the distance is that to the nearest seen background: such a view never carves there. Sample (i, j)
+    lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
+    """
+    size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
+    blurred = cv2.GaussianBlur(silhouette.coverage, (0, 0), _BLUR_PX)
+    fine = cv2.resize(blurred, size, interpolation=cv2.INTER_CUBIC)
+    peak = cv2.dilate(fine, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
+    level = np.maximum(_LEVELS[np.clip(peak * 1024.0, 0, 1024).astype(np.int32)], floor * 0.5)
+    level[peak < floor] = 1.0
+    value = fine - level
+    unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+    value[unseen] = 1.0
+    return level_distance(value) / UPSAMPLING
+
+
+def level_distance(value: Image) -> Image:
+    """Return the signed distance (in samples) to the zero level of a picture, exact to first order beside it.
+
+    Beside the outline the distance is that to the plane through the linearly interpolated crossings,
+    ``1 / sqrt(1 / ax^2 + 1 / ay^2)``; farther away it is carried over from the nearest sample beside the outline.
+    """
+    inside = value > 0
+    if inside.all() or not inside.any():
+        return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
+    inverse_2 = np.zeros(value.shape, np.float32)
+    for axis in (0, 1):
+        nearest = np.full(value.shape, np.inf, np.float32)
+        for here, there in ((np.s_[:-1], np.s_[1:]), (np.s_[1:], np.s_[:-1])):
+            one = here if axis == 0 else (np.s_[:], here)
+            other = there if axis == 0 else (np.s_[:], there)
+            crossing = inside[one] != inside[other]
+            fraction = np.full(crossing.shape, np.inf, np.float32)
+            a, b = value[one][crossing], value[other][crossing]
+            fraction[crossing] = np.abs(a) / np.maximum(np.abs(a) + np.abs(b), 1e-9)
+            nearest[one] = np.minimum(nearest[one], fraction)
+        inverse_2 += 1.0 / np.maximum(nearest, 1e-3) ** 2
+    beside = inverse_2 > 0
+    near = np.where(beside, 1.0 / np.sqrt(np.maximum(inverse_2, 1e-9)), 0.0).astype(np.float32)
+    signed = np.where(inside, near, -near)
+    for side, sign in ((inside, 1.0), (~inside, -1.0)):
+        # distance to the nearest sample across the outline, less how far that sample lies beyond it
+        far, label = cv2.distanceTransformWithLabels(side.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        beyond = np.zeros(int(label.max()) + 1, np.float32)
+        beyond[label[~side]] = near[~side]
+        use = side & ~beside
+        signed[use] = sign * np.maximum(far[use] - beyond[label[use]], 0.5)
+    return signed

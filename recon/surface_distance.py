@@ -1,0 +1,92 @@
+"""Exact distances from points to a triangle mesh, and points spread evenly over one."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Floats = NDArray[np.float64]
+
+PAIRS_AT_ONCE = 1_000_000
+"""Point-triangle pairs held in memory together."""
+
+
+def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> Floats:
+    """Return ``count`` points (count, 3) in mm, evenly distributed over the area of a mesh (V, 3), (F, 3)."""
+    a, b, c = (np.asarray(vertices_mm, np.float64)[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if not len(faces) or not area.sum() > 0.0:
+        raise ValueError(f"{faces.shape=} has no area to sample")
+    # Stratified over the area, so that a small count still covers every part.
+    level = (np.arange(count) + rng.random(count)) / count * area.sum()
+    chosen = np.minimum(np.searchsorted(np.cumsum(area), level, side="right"), len(faces) - 1)
+    u, v = rng.random((2, count))
+    outside = u + v > 1.0
+    u, v = np.where(outside, 1.0 - u, u)[:, None], np.where(outside, 1.0 - v, v)[:, None]
+    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen])
+
+
+def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return the distance of each point to its triangle, all (N, 3): Ericson, Real-Time Collision Detection (2005), 5.1.5.
+
+    Equal to the smallest of the distances to the three edges, and to the plane where the foot lies inside.
+    """
+
+    def to_edge(start: Floats, end: Floats) -> Floats:
+        along = end - start
+        length2 = np.einsum("ij,ij->i", along, along)
+        t = np.einsum("ij,ij->i", p - start, along) / np.where(length2 > 0.0, length2, 1.0)
+        away = p - start - np.clip(t, 0.0, 1.0)[:, None] * along
+        return np.asarray(np.einsum("ij,ij->i", away, away))
+
+    nearest2 = np.minimum(np.minimum(to_edge(a, b), to_edge(b, c)), to_edge(c, a))
+    ab, ac, ap = b - a, c - a, p - a
+    d00, d01, d11 = (np.einsum("ij,ij->i", x, y) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
+    d20, d21 = np.einsum("ij,ij->i", ap, ab), np.einsum("ij,ij->i", ap, ac)
+    det = d00 * d11 - d01 * d01
+    v, w = d11 * d20 - d01 * d21, d00 * d21 - d01 * d20
+    over = (det > 0.0) & (v >= 0.0) & (w >= 0.0) & (v + w <= det)
+    safe = np.where(det > 0.0, det, 1.0)
+    foot = ap - (v / safe)[:, None] * ab - (w / safe)[:, None] * ac
+    return np.sqrt(np.where(over, np.minimum(nearest2, np.einsum("ij,ij->i", foot, foot)), nearest2))
+
+
+def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
+    """Return the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
+
+    Triangles are sorted into classes of like size. In each class the candidates are the nearest centroids; a point is done when
+    the next centroid is farther than the distance found so far plus the class's largest circumradius about the centroid, so no
+    nearer triangle can have been missed.
+    """
+    points_mm = np.asarray(points_mm, np.float64)
+    if not len(faces):
+        raise ValueError(f"{faces.shape=} but the distance needs at least one triangle")
+    corners = np.asarray(vertices_mm, np.float64)[faces]
+    centroids = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
+    classes = np.round(2.0 * np.log2(np.maximum(radii, 1e-6 * max(float(radii.max()), 1e-300)))).astype(int)
+    best = np.full(len(points_mm), np.inf)
+    for size in np.unique(classes):
+        members = np.flatnonzero(classes == size)
+        tree = cKDTree(centroids[members])
+        _improve(best, points_mm, corners[members], tree, float(radii[members].max()))
+    return best
+
+
+def _improve(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
+    """Lower ``best`` in place to the distance to these triangles (M, 3, 3), all within radius_mm of their centroids."""
+    open_points = np.arange(len(points_mm))
+    k = min(8, len(corners))
+    while len(open_points):
+        still_open = []
+        for start in range(0, len(open_points), max(1, PAIRS_AT_ONCE // k)):
+            part = open_points[start : start + max(1, PAIRS_AT_ONCE // k)]
+            apart, near = tree.query(points_mm[part], k=[*range(1, k + 1)] if k == 1 else k)
+            row, column = np.nonzero(apart - radius_mm < best[part][:, None])
+            triangle = corners[near[row, column]]
+            exact = point_triangle_distance(points_mm[part[row]], triangle[:, 0], triangle[:, 1], triangle[:, 2])
+            np.minimum.at(best, part[row], exact)
+            still_open.append(part[apart[:, -1] - radius_mm < best[part]])
+        if k == len(corners):
+            return
+        open_points = np.concatenate(still_open)
+        k = min(4 * k, len(corners))

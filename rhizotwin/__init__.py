@@ -1,0 +1,1 @@
+"""The front door: the `rhizotwin` command, engine choice, import of pictures and the demo."""

@@ -1,0 +1,7 @@
+"""`python -m rhizotwin` is the `rhizotwin` command."""
+
+import sys
+
+from rhizotwin.cli import main
+
+sys.exit(main())

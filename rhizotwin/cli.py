@@ -1,0 +1,303 @@
+"""The command line: its words, its help, and how each failure ends in one sentence."""
+
+import argparse
+import errno
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from scenes.errors import UserError
+
+EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
+DEFAULT_VOXEL_MM = 0.27
+VOXEL_LIMITS_MM = (0.01, 10.0)
+PIXEL_LIMITS = (16, 20000)
+MAX_VIEWS = 10000
+DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise the complaint for `main` to print."""
+        raise UserError(f"{message}; see {self.prog} --help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0 done, 1 failed, 2 a mistake in the input, 130 stopped by Ctrl-C."""
+    try:
+        options = build_parser().parse_args(arguments)
+        from rhizotwin import commands  # what it needs takes time to load, and --help should not
+
+        commands.run(options)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        return _fail("stopped; the same command takes it up again", EXIT_STOPPED)
+    except UserError as error:
+        return _fail(str(error), EXIT_MISTAKE)
+    except BrokenPipeError:
+        # The reader of the output (head, less) has left: nobody is there to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+    except MemoryError:
+        return _fail("not enough memory; use larger voxels (--voxel-mm) or smaller pictures", EXIT_FAILED)
+    except OSError as error:
+        return _fail(_explain(error), EXIT_FAILED)
+    except Exception as error:  # noqa: BLE001 - the last line of defence: a person never sees a traceback unasked
+        return _fail(
+            f"stopped by an unexpected error ({type(error).__name__}: {_one_line(error)}); "
+            f"run it again with {DEBUG_VARIABLE}=1 to see where",
+            EXIT_FAILED,
+        )
+    return 0
+
+
+def _fail(sentence: str, code: int) -> int:
+    if os.environ.get(DEBUG_VARIABLE):
+        traceback.print_exc()
+    sys.stderr.write(f"rhizotwin: {' '.join(sentence.split())}\n")
+    return code
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]
+
+
+def _explain(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{where}the disk is full; free some space and run the same command again"
+    return f"{where}{error.strerror or _one_line(error)}; check the path and your rights to it"
+
+
+def build_parser() -> Parser:
+    """Return the parser of the whole command line; loads nothing heavy."""
+    parser = Parser(
+        prog="rhizotwin",
+        description="A digital twin of a hydroponic root-imaging rig: render roots in a refracting water canister, reconstruct them "
+        "from the pictures alone, and score the result against the truth.",
+        epilog="Start with: rhizotwin demo\n"
+        "Then the three steps by themselves:\n"
+        "  rhizotwin simulate printed_8ml -o my_dataset\n"
+        "  rhizotwin reconstruct my_dataset -o my_result\n"
+        "  rhizotwin score my_result my_dataset\n"
+        "Each command has a --help of its own. Lengths are millimetres, angles degrees.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_scenes(commands)
+    _add_simulate(commands)
+    _add_reconstruct(commands)
+    _add_import(commands)
+    _add_score(commands)
+    _add_demo(commands)
+    return parser
+
+
+Commands = argparse._SubParsersAction[Parser]
+
+
+def _add(commands: Commands, name: str, short: str, *, description: str, epilog: str) -> Parser:
+    return commands.add_parser(
+        name, help=short, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def _add_scenes(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "scenes",
+        "list the scenes and disturbance profiles that come with the program",
+        description="List the library of scenes, one line each. With a name and -o, write that scene's file instead, with every setting,\n"
+        "to be changed and given to the other commands as a scene of your own.",
+        epilog="examples:\n"
+        "  rhizotwin scenes\n"
+        "  rhizotwin scenes sphere_20mm -o my_scene.toml\n"
+        "  rhizotwin simulate my_scene.toml -o my_dataset",
+    )
+    parser.add_argument("name", nargs="?", metavar="SCENE", help="a scene's name, or a scene file: write a copy of it")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write the copy to (TOML); must not exist yet")
+
+
+def _add_simulate(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "simulate",
+        "render a scene to a dataset, with its truth",
+        description="Render every view of a scene's capture plan to a dataset folder: pictures as the camera would take them, and the\n"
+        "truth beside them. Stopped half-way, the same command goes on where it stopped.",
+        epilog="examples:\n"
+        "  rhizotwin simulate printed_8ml -o my_dataset\n"
+        "  rhizotwin simulate printed_8ml -o my_dataset --profile bench --views 24 --image-wh 400x300\n"
+        "  rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl",
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a name from 'rhizotwin scenes', or a scene file (TOML)")
+    _add_output(parser, "DATASET", "folder to make the dataset in: new, empty, or left by the same command when it was stopped")
+    parser.add_argument(
+        "--profile",
+        metavar="clean|bench|harsh",
+        help="what the rig gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file; default: the scene's own",
+    )
+    parser.add_argument(
+        "--specimen",
+        type=Path,
+        metavar="FILE",
+        help="put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) or traced roots (RSML), in millimetres in the canister "
+        "frame: origin on the axis in the plane of the rim, z up, roots below 0",
+    )
+    parser.add_argument("--views", type=_views, metavar="N", help="pictures in every ring; default: the scene's")
+    parser.add_argument("--image-wh", type=_image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
+    parser.add_argument(
+        "--fidelity",
+        choices=("backlit", "path"),
+        default="backlit",
+        help="backlit: fast, without noise of its own; path: full path tracing with all reflections, slower; default: %(default)s",
+    )
+    parser.add_argument(
+        "--samples", type=_samples, metavar="N", help="light paths a pixel: more is slower and smoother; default: as the fidelity needs"
+    )
+    parser.add_argument(
+        "--seed", type=_seed, default=0, metavar="S", help="of every error and noise that is drawn: 0, 1, 2, ...; default: %(default)s"
+    )
+    _add_device(parser)
+
+
+def _add_reconstruct(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "reconstruct",
+        "find the root's shape and volume in a dataset's pictures",
+        description="Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from\n"
+        "both. The truth of a simulated dataset is only drawn beside the result, never used.",
+        epilog="examples:\n  rhizotwin reconstruct my_dataset -o my_result\n  rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1",
+    )
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder made by 'rhizotwin simulate' or 'rhizotwin import'")
+    _add_output(parser, "RESULT", "folder to write the result to: new, empty, or an earlier result, which is replaced")
+    parser.add_argument(
+        "--voxel-mm",
+        type=_voxel_mm,
+        default=DEFAULT_VOXEL_MM,
+        metavar="MM",
+        help=f"edge of the smallest voxels, {VOXEL_LIMITS_MM[0]:g} to {VOXEL_LIMITS_MM[1]:g} mm; "
+        "smaller is slower and finer; default: %(default)s",
+    )
+    _add_device(parser)
+
+
+def _add_import(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "import",
+        "make a dataset of a folder of pictures taken elsewhere",
+        description="Make a dataset of pictures taken elsewhere (PNG, JPG or TIFF, of one size), in the natural order of their names.\n"
+        "The scene describes the rig they were taken on: canister, water, strip, camera. If the scene's plan has as many views as\n"
+        "there are pictures, its table angles are assumed.",
+        epilog="examples:\n"
+        "  rhizotwin import my_pictures --scene my_rig.toml -o my_dataset\n"
+        "  rhizotwin import my_masks --scene my_rig.toml --cameras transforms.json --masks -o my_dataset",
+    )
+    parser.add_argument("pictures", type=Path, metavar="PICTURES", help="folder of pictures")
+    parser.add_argument("--scene", required=True, metavar="SCENE", help="a scene file (TOML) or a name from 'rhizotwin scenes'")
+    _add_output(parser, "DATASET", "folder to make the dataset in: new or empty")
+    parser.add_argument(
+        "--cameras",
+        type=Path,
+        metavar="JSON",
+        help="poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: "
+        "no markers are needed then",
+    )
+    parser.add_argument("--masks", action="store_true", help="the pictures are silhouettes already: white root on black")
+
+
+def _add_score(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "score",
+        "compare a result with the truth of a simulated dataset",
+        description="Compare a result with the truth: volume, extents, voxels, surface distances, and poses and silhouettes stage\n"
+        "by stage. Errors are signed fractions: found / true - 1.",
+        epilog="examples:\n  rhizotwin score my_result my_dataset\n  rhizotwin score my_result my_dataset --json > score.json",
+    )
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder made by 'rhizotwin reconstruct'")
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="the simulated dataset that the result was made from")
+    parser.add_argument("--json", action="store_true", help="print every number as JSON instead of a table")
+
+
+def _add_demo(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "demo",
+        "all three steps on a small printed root: a few minutes",
+        description="Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was found.",
+        epilog="examples:\n  rhizotwin demo\n  rhizotwin demo -o my_demo --profile bench",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("demo"),
+        metavar="FOLDER",
+        help="folder for everything; an earlier demo in it is replaced; default: %(default)s",
+    )
+    parser.add_argument("--profile", default="clean", metavar="clean|bench|harsh", help="what the rig gets wrong; default: %(default)s")
+    _add_device(parser)
+
+
+def _add_output(parser: Parser, name: str, text: str) -> None:
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=name, help=text)
+
+
+def _add_device(parser: Parser) -> None:
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="what computes: cpu, cuda (an NVIDIA card), auto (the card if there is one); default: %(default)s",
+    )
+
+
+def _whole(text: str, low: int, high: int, what: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text} is out of range, {what}")
+    return value
+
+
+def _views(text: str) -> int:
+    return _whole(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
+
+
+def _samples(text: str) -> int:
+    return _whole(text, 1, 1 << 16, f"give 1 to {1 << 16}")
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0, 2**63 - 1, "give 0 or a positive whole number")
+
+
+def _image_wh(text: str) -> tuple[int, int]:
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a picture size, write it as 800x600")
+    low, high = PIXEL_LIMITS
+    if not all(low <= side <= high for side in (int(width), int(height))):
+        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low} to {high} pixels a side")
+    return int(width), int(height)
+
+
+def _voxel_mm(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of millimetres") from None
+    low, high = VOXEL_LIMITS_MM
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} mm")
+    return value

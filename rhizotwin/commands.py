@@ -1,0 +1,168 @@
+"""What each sub-command of the command line does; the work itself is in `scenes`, `sim` and `recon`."""
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from scenes import files
+from scenes.checks import check_scene
+from scenes.errors import UserError
+from scenes.model import CapturePlan, Scene
+from scenes.specimens import MeshSpecimen, RsmlSpecimen
+
+RSML_SUFFIXES = (".rsml", ".xml")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Do what the parsed command line asks for."""
+    handlers: dict[str, Callable[[argparse.Namespace], None]] = {
+        "scenes": scenes,
+        "simulate": simulate,
+        "reconstruct": reconstruct,
+        "import": import_,
+        "score": score,
+        "demo": demo,
+    }
+    handlers[options.command](options)
+
+
+def scenes(options: argparse.Namespace) -> None:
+    """List the library, or write a copy of a scene's file."""
+    if (options.name is None) != (options.output is None):
+        raise UserError("give both a scene and -o FILE to write a copy of a scene's file, or neither to list the library")
+    if options.name is not None:
+        if options.output.exists():
+            raise UserError(f"{options.output} exists already; choose another name")
+        files.save_scene(files.load_scene(options.name), options.output)
+        print(f"wrote {options.output}; change it, then try: rhizotwin simulate {options.output} -o my_dataset")
+        return
+    for title, rows in (("scenes", files.library()), ("profiles (simulate --profile)", files.profiles())):
+        width = max((len(name) for name, _ in rows), default=0)
+        print(f"{title}:")
+        for name, description in rows:
+            print(f"  {name:<{width}}  {description}")
+
+
+def simulate(options: argparse.Namespace) -> None:
+    """Render a scene to a dataset."""
+    scene = change_scene(
+        files.load_scene(options.scene), specimen=options.specimen, views=options.views, image_wh=options.image_wh, profile=options.profile
+    )
+    _start(options)
+    from sim.simulate import simulate as render
+
+    dataset = render(
+        scene,
+        options.output,
+        profile_name=options.profile or "scene",
+        seed=options.seed,
+        fidelity=options.fidelity,
+        samples=options.samples,
+    )
+    print(f"{len(dataset.frames)} pictures in {options.output / 'images'}, the truth in {options.output / 'truth'}")
+    print(f"next: rhizotwin reconstruct {options.output} -o my_result")
+
+
+def reconstruct(options: argparse.Namespace) -> None:
+    """Reconstruct a dataset to a result with its pictures."""
+    _start(options)
+    written = reconstruct_whole(options.dataset, options.output, voxel_mm=options.voxel_mm)
+    summary = json.loads((options.output / "result.json").read_text(encoding="utf-8"))
+    low, high = summary["volume_interval_mm3"]
+    used = sum(view["used"] for view in summary["views"])
+    for warning in summary["warnings"]:
+        print(f"warning: {warning}")
+    print(f"volume {summary['volume_mm3']:.1f} mm3, between {low:.1f} and {high:.1f} mm3; {used} of {len(summary['views'])} views used")
+    _print_paths(written)
+    if (options.dataset / "truth").is_dir():
+        print(f"next: rhizotwin score {options.output} {options.dataset}")
+
+
+def import_(options: argparse.Namespace) -> None:
+    """Make a dataset of a folder of pictures."""
+    from rhizotwin.importer import import_pictures
+
+    scene = files.load_scene(options.scene)
+    made = import_pictures(options.pictures, scene, options.output, cameras=options.cameras, masks=options.masks)
+    for note in made.notes:
+        print(f"note: {note}")
+    print(f"{len(made.dataset.frames)} pictures in {options.output}")
+    print(f"next: rhizotwin reconstruct {options.output} -o my_result")
+
+
+def score(options: argparse.Namespace) -> None:
+    """Print how well a result agrees with the truth."""
+    from recon.score import score as compare
+
+    found = compare(options.result, options.dataset)
+    print(json.dumps(found.to_dict(), indent=1) if options.json else found.table())
+
+
+def demo(options: argparse.Namespace) -> None:
+    """Simulate, reconstruct and score a small printed root."""
+    from rhizotwin.demo import demo as run_demo
+
+    _start(options)
+    run_demo(options.output, profile=options.profile, say=print)
+
+
+def change_scene(
+    scene: Scene,
+    *,
+    specimen: Path | None = None,
+    views: int | None = None,
+    image_wh: tuple[int, int] | None = None,
+    profile: str | None = None,
+) -> Scene:
+    """Return a scene with what the command line changes in it, checked."""
+    if specimen is not None:
+        if not specimen.is_file():
+            raise UserError(f"{specimen}: there is no such file; give the specimen's mesh (PLY, STL, OBJ) or traced roots (RSML)")
+        kind = RsmlSpecimen if specimen.suffix.lower() in RSML_SUFFIXES else MeshSpecimen
+        scene = replace(scene, specimen=kind(file=str(specimen.resolve())))
+    if views is not None:
+        scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))
+    if image_wh is not None:
+        scene = replace(scene, camera=scene.camera.resized(image_wh))
+    if profile is not None:
+        scene = replace(scene, disturbances=files.load_profile(profile))
+    check_scene(scene, where=f"scene {scene.name} as the command line changes it")
+    return scene
+
+
+def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[Path]:
+    """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
+
+    Raises
+    ------
+    UserError
+        If the dataset cannot be used, or ``output`` holds something that is not a result.
+    """
+    from recon import report
+    from recon.pipeline import reconstruct as find_shape
+    from scenes.atomic import new_folder
+
+    if output.is_dir() and any(output.iterdir()) and not (output / "result.json").is_file():
+        raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
+    if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
+        raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+    truth_mesh = dataset / "truth" / "specimen.ply"
+    with new_folder(output, replace=True) as building:
+        find_shape(dataset, building, voxel_mm=voxel_mm)
+        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh if truth_mesh.is_file() else None)
+        names = [path.relative_to(building) for path in written]
+    return [output / name for name in names]
+
+
+def _start(options: argparse.Namespace) -> None:
+    from rhizotwin import engine
+
+    print(engine.start(options.device))
+
+
+def _print_paths(paths: list[Path]) -> None:
+    print("pictures to look at:")
+    for path in paths:
+        print(f"  {path}")

@@ -1,0 +1,71 @@
+"""The demonstration: a small printed root, simulated, reconstructed from its pictures and scored."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from rhizotwin.commands import change_scene, reconstruct_whole
+from scenes import files
+from scenes.atomic import write_json
+from scenes.errors import UserError
+
+SCENE = "printed_8ml"
+VIEWS = 30
+IMAGE_WH = (600, 450)
+VOXEL_MM = 0.27
+
+
+def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
+    """Run the demonstration in a folder; an earlier demonstration in it is replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets ``dataset``, ``result`` and ``score.json``.
+    profile : str
+        Disturbance profile, see `scenes.files.load_profile`.
+    say : callable
+        Takes each line of text for the user.
+
+    Raises
+    ------
+    UserError
+        If the folder holds anything else than an earlier demonstration.
+    """
+    from recon.score import score
+    from sim.simulate import simulate
+
+    _clear(folder)
+    dataset, result = folder / "dataset", folder / "result"
+    scene = change_scene(files.load_scene(SCENE), views=VIEWS, image_wh=IMAGE_WH, profile=profile)
+    say(f"1. {SCENE}: rendering {VIEWS} views of {IMAGE_WH[0]}x{IMAGE_WH[1]} pixels through air, acrylic and water")
+    simulate(scene, dataset, profile_name=profile, seed=0)
+    say("2. reconstructing it from the pictures alone")
+    pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM)
+    say("3. comparing it with the truth")
+    found = score(result, dataset)
+    write_json(folder / "score.json", found.to_dict())
+    say("")
+    say(found.table())
+    say("")
+    say("pictures to look at:")
+    for path in pictures:
+        say(f"  {path}")
+    say(f"every number: {folder / 'score.json'}")
+    say(f"what the camera saw: {dataset / 'images'}")
+    say(f"next: rhizotwin scenes; rhizotwin reconstruct {dataset} -o my_result --voxel-mm 0.1")
+
+
+def _clear(folder: Path) -> None:
+    """Remove an earlier demonstration; refuse a folder that holds anything else."""
+    if not folder.exists():
+        return
+    known = {"dataset", "result", "score.json"}
+    if not folder.is_dir() or any(path.name not in known for path in folder.iterdir() if not path.name.endswith(".tmp")):
+        raise UserError(f"{folder} holds something that is no earlier demo; choose another folder with -o")
+    dataset = folder / "dataset"
+    if dataset.exists() and not (dataset / "truth" / "simulate.json").is_file():
+        raise UserError(f"{dataset} was not made by the demo; choose another folder with -o")
+    for name in ("result", "dataset"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    (folder / "score.json").unlink(missing_ok=True)

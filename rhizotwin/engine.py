@@ -1,0 +1,181 @@
+"""Choose what computes: LLVM on the CPU or CUDA on an NVIDIA card, before Mitsuba is first used.
+
+Dr.Jit loads LLVM at run time, and versions 14, 15 and 16 abort the whole process at the first kernel on AVX-512 processors, so
+the library is chosen here, by version, and never left to Dr.Jit's own search.
+"""
+
+import ctypes
+import os
+import platform
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+
+from scenes.errors import UserError
+
+DEVICES = ("auto", "cpu", "cuda")
+MIN_LLVM = 17
+NO_LLVM = "/no-usable-llvm/libLLVM.so"
+"""Where Dr.Jit is pointed when there is no usable LLVM, so that it does not find an old one by itself."""
+
+_FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")
+_FOLDER_VERSION = re.compile(r"(?:^llvm-|^)(\d+)(?:\.\d+)*$")
+
+
+def llvm_version(library: Path) -> int | None:
+    """Return the major LLVM version that a library's name tells, or None when neither its name nor its link target does.
+
+    Names in use: ``libLLVM.so.19.1`` (Debian and Ubuntu since 18), ``libLLVM-17.so.1`` and ``libLLVM-14.0.6.so.1`` (before),
+    ``llvm-19/lib/libLLVM.so`` (links), ``Cellar/llvm/19.1.7/lib/libLLVM.dylib`` (Homebrew).
+    """
+    for path in (library, library.resolve()):
+        match = _FILE_VERSION.match(path.name)
+        if match and (match["dashed"] or match["dotted"]):
+            return int(match["dashed"] or match["dotted"])
+    for folder in library.resolve().parents:
+        match = _FOLDER_VERSION.match(folder.name)
+        if match:
+            return int(match[1])
+    return None
+
+
+def usual_folders() -> list[Path]:
+    """Return the folders in which package managers put LLVM's shared library."""
+    machine = {"arm64": "aarch64", "amd64": "x86_64"}.get(platform.machine().lower(), platform.machine().lower())
+    folders = [Path(f"/usr/lib/{machine}-linux-gnu"), Path("/usr/lib64"), Path("/usr/lib"), Path("/usr/local/lib")]
+    folders += [path / "lib" for path in sorted(Path("/usr/lib").glob("llvm-*"))]
+    for prefix in (Path("/opt/homebrew/opt"), Path("/usr/local/opt"), Path("/home/linuxbrew/.linuxbrew/opt")):
+        folders += [path / "lib" for path in sorted(prefix.glob("llvm*"))]
+    return folders
+
+
+def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
+    """Return the newest LLVM shared library of at least version 17 in the folders, and its version; None if there is none."""
+    found: list[tuple[int, Path]] = []
+    for folder in folders:
+        for pattern in ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib"):
+            for library in folder.glob(pattern):
+                version = llvm_version(library)
+                if version is not None and version >= MIN_LLVM and library.is_file():
+                    found.append((version, library))
+    if not found:
+        return None
+    version, library = max(found, key=lambda item: (item[0], -len(item[1].name), str(item[1])))
+    return library, version
+
+
+def install_hint() -> str:
+    """Return the command that installs a usable LLVM on this platform."""
+    if platform.system() == "Darwin":
+        return "brew install llvm"
+    if shutil.which("apt-get"):
+        return f"sudo apt-get update && sudo apt-get install -y {_newest_apt_llvm()}"
+    if shutil.which("dnf"):
+        return "sudo dnf install llvm-libs"
+    if shutil.which("pacman"):
+        return "sudo pacman -S llvm-libs"
+    return "your package manager's LLVM shared library (libLLVM.so), version 17 or newer"
+
+
+def _newest_apt_llvm() -> str:
+    """Return the name of the newest usable LLVM package that apt knows, libllvm19 when it knows none."""
+    apt_cache = shutil.which("apt-cache")
+    if apt_cache is None:
+        return "libllvm19"
+    listing = subprocess.run([apt_cache, "pkgnames", "libllvm"], capture_output=True, text=True, check=False).stdout
+    versions = [int(match[1]) for match in re.finditer(r"^libllvm(\d+)(?:t64)?$", listing, re.MULTILINE)]
+    newest = max((version for version in versions if version >= MIN_LLVM), default=19)
+    return f"libllvm{newest}t64" if f"libllvm{newest}t64" in listing.split() else f"libllvm{newest}"
+
+
+def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
+    """Return the LLVM library to use and its version: the given one if any, otherwise the newest in the folders.
+
+    Raises
+    ------
+    UserError
+        If the given library is missing, too old or not LLVM, or if there is none of at least version 17.
+    """
+    if given:
+        library = Path(given)
+        if not library.is_file():
+            raise UserError(f"DRJIT_LIBLLVM_PATH={given} is no file; unset it, or point it to libLLVM of version {MIN_LLVM} or newer")
+        version = llvm_version(library) or _ask_version(library)
+        if version is None or version < MIN_LLVM:
+            what = "of an unknown version" if version is None else f"version {version}"
+            raise UserError(
+                f"DRJIT_LIBLLVM_PATH={given} is LLVM {what}, but at least {MIN_LLVM} is needed (older ones abort the program); "
+                f"unset it, or install a newer one with: {install_hint()}"
+            )
+        return library, version
+    found = find_llvm(folders)
+    if found is None:
+        raise UserError(f"no LLVM shared library of version {MIN_LLVM} or newer was found; install one with: {install_hint()}")
+    return found
+
+
+def _ask_version(library: Path) -> int | None:
+    """Return the major version that the library itself reports (LLVM 16 and newer can), None when it cannot be asked."""
+    try:
+        get_version = ctypes.CDLL(str(library)).LLVMGetVersion
+    except (OSError, AttributeError):
+        return None
+    numbers = [ctypes.c_uint(0) for _ in range(3)]
+    get_version(*(ctypes.byref(number) for number in numbers))
+    return numbers[0].value
+
+
+def start(device: str = "auto") -> str:
+    """Choose the engine, tell Mitsuba, and return one sentence that says what was chosen.
+
+    Parameters
+    ----------
+    device
+        ``"cpu"`` (LLVM), ``"cuda"`` (an NVIDIA card), or ``"auto"``: the card if one is usable, otherwise the CPU.
+
+    Raises
+    ------
+    UserError
+        If the device is unknown or cannot be used; the message holds the command that installs what is missing.
+    """
+    if device not in DEVICES:
+        raise UserError(f"--device {device} is unknown; choose one of {', '.join(DEVICES)}")
+    missing: UserError | None = None
+    given = os.environ.get("DRJIT_LIBLLVM_PATH")
+    try:
+        library, version = choose_llvm(None if given == NO_LLVM else given, usual_folders())
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
+    except UserError as error:
+        if device == "cpu":
+            raise
+        missing = error
+        os.environ["DRJIT_LIBLLVM_PATH"] = NO_LLVM
+
+    import drjit as dr
+    import mitsuba as mi
+
+    if device != "cpu" and (missing is None or _has_cuda_driver()) and dr.has_backend(dr.JitBackend.CUDA):
+        mi.set_variant("cuda_ad_mono")
+        return "computing on the NVIDIA card (CUDA)"
+    if device == "cuda":
+        raise UserError("--device cuda: no usable NVIDIA card or driver was found; use --device cpu, or install NVIDIA's driver")
+    if missing is not None:
+        raise missing
+    try:
+        mi.set_variant("llvm_ad_mono")
+    except ImportError as error:
+        raise UserError(f"{library} (LLVM {version}) could not be loaded; reinstall it with: {install_hint()}") from error
+    return f"computing on the CPU with LLVM {version} ({library})"
+
+
+def _has_cuda_driver() -> bool:
+    """Tell whether NVIDIA's driver library can be loaded."""
+    for name in ("libcuda.so.1", "libcuda.so"):
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return True
+    return False

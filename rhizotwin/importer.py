@@ -1,0 +1,192 @@
+"""Make a dataset of pictures taken elsewhere, with the cameras found later from the markers or given in a file."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rhizotwin.nerfstudio import GivenCameras, read_cameras
+from rhizotwin.pictures import list_pictures
+from scenes import frames, plan
+from scenes.atomic import new_folder, write_bytes
+from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.errors import UserError
+from scenes.model import Scene
+from scenes.pictures import Grey, decode_grey
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MASK_MARGIN = 0.1
+"""Grey values this near to black or white, as a fraction of the range, pass for black or white in a silhouette."""
+MASK_GREYS = 0.05
+"""Largest fraction of a silhouette's pixels that may be neither: the soft edges of its outline."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """What an import made and what it chose for the user."""
+
+    dataset: Dataset
+    notes: tuple[str, ...]
+    """One sentence for each thing that was chosen, converted or left out."""
+
+
+def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | None = None, masks: bool = False) -> Imported:
+    """Copy a folder of pictures into a new dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        PNG, JPG or TIFF pictures of 8 or 16 bits, taken in the natural order of their names (view_2 before view_10).
+    scene : Scene
+        The rig that they were taken on. Its camera must have the pictures' size, unless ``cameras`` brings one.
+    out : Path
+        The dataset's folder; new or empty. It appears whole or not at all.
+    cameras : Path or None
+        A transforms.json in nerfstudio's form (see `rhizotwin.nerfstudio`), whose world is the canister frame in mm. Pictures
+        without a camera are left out and named. None: the poses are to be found from the marker strip.
+    masks : bool
+        The pictures are silhouettes: white root on black.
+
+    Raises
+    ------
+    UserError
+        For an unreadable, damaged or differently sized picture, a silhouette with greys, or cameras that do not fit.
+    """
+    paths = list_pictures(folder)
+    given = None if cameras is None else read_cameras(cameras, scene.camera)
+    notes: list[str] = []
+    if given is not None and cameras is not None:
+        scene = replace(scene, camera=given.camera)
+        _check_cameras(given, scene, cameras)
+        paths = _with_cameras(paths, given, cameras, notes)
+    table = _table_angles(scene, len(paths), given, notes)
+    white = _white_level(paths, scene) if masks else None
+    if white is None and any(path.suffix.lower() != ".png" for path in paths):
+        notes.append("pictures that are not PNG are converted to grey PNG")
+    with new_folder(out) as building:
+        found = []
+        for path, (ring, table_deg) in zip(paths, table, strict=True):
+            data = _png_of(path, scene, white=white)
+            name = f"images/{path.stem}.png"
+            write_bytes(building / name, data)
+            pose = None if given is None else _pose_of(path, given)
+            found.append(
+                Frame(
+                    file=name,
+                    sha256=hashlib.sha256(data).hexdigest(),
+                    kind=scene.plan.rings[ring].kind,
+                    ring=ring,
+                    table_deg=table_deg,
+                    cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
+                )
+            )
+        origin = {"program": "rhizotwin import", "pictures": str(folder), "cameras": None if cameras is None else str(cameras)}
+        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin | {"version": _version()})
+        save_dataset(dataset)
+    return Imported(dataset=replace(dataset, folder=out), notes=tuple(notes))
+
+
+def _version() -> str:
+    try:
+        return version("rhizotwin")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
+    """Return the pose given for a picture, by its name or (as some programs write it) by its name without a suffix."""
+    return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
+
+
+def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: list[str]) -> list[Path]:
+    """Return the pictures that have a camera; note the others; refuse cameras whose picture is missing."""
+    kept = [path for path in paths if _pose_of(path, given) is not None]
+    names = {path.name for path in paths} | {path.stem for path in paths}
+    missing = [name for name in given.cam_from_canister if name not in names]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise UserError(
+            f"{cameras} has a camera for {missing[0]}{more}, but {paths[0].parent} holds no such picture; add it or remove the camera"
+        )
+    without = [path.name for path in paths if path not in kept]
+    if without:
+        notes.append(f"left out, because {cameras} has no camera for them: {', '.join(without)}")
+    return kept
+
+
+def _check_cameras(given: GivenCameras, scene: Scene, cameras: Path) -> None:
+    """Refuse cameras inside the canister: they come of a file in metres, or of another world than the canister's."""
+    for name, cam_from_canister in given.cam_from_canister.items():
+        centre_mm = frames.invert(cam_from_canister)[:3, 3]
+        inside = np.hypot(centre_mm[0], centre_mm[1]) < scene.canister.outer_radius_mm
+        if inside and scene.water.n_water > 1.0 and -scene.canister.height_mm < centre_mm[2] < 0.0:
+            x, y, z = centre_mm
+            raise UserError(
+                f"{cameras}: the camera of {name} stands inside the canister, at ({x:.3g}, {y:.3g}, {z:.3g}) mm; "
+                "the file's world must be the canister frame in millimetres"
+            )
+
+
+def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: list[str]) -> list[tuple[int, float | None]]:
+    """Return each picture's ring and table angle: the plan's where the counts agree, otherwise ring 0 and no angle."""
+    if given is not None:
+        return [(0, None)] * count
+    views = plan.views(scene)
+    if len(views) == count:
+        notes.append(f"table angles taken from the scene's plan of {count} views, in the order of the names")
+        return [(view.ring, view.table_deg) for view in views]
+    notes.append(f"{count} pictures, but the scene's plan has {len(views)} views: no table angle is assumed, the markers alone must tell")
+    return [(0, None)] * count
+
+
+def _png_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
+    """Return the bytes of a picture's PNG file: the file's own if it is one, silhouettes stretched to 0..255 grey."""
+    data, grey = _read(path, scene)
+    if white is not None:
+        _check_mask(grey, white, path)
+        grey = np.round(grey * (255.0 / white)).astype(np.uint8)
+    elif data.startswith(PNG_SIGNATURE):
+        return data
+    done, encoded = cv2.imencode(".png", grey)
+    if not done:
+        raise UserError(f"{path} cannot be converted to PNG; convert it with another program")
+    return bytes(encoded.tobytes())
+
+
+def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
+    """Return a file's bytes and its grey picture, which must be whole and of the camera's size."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    grey = decode_grey(data, where=str(path))
+    width, height = scene.camera.image_wh
+    if grey.shape != (height, width):
+        raise UserError(
+            f"{path} is {grey.shape[1]}x{grey.shape[0]} pixels, but the scene's camera takes {width}x{height} (camera.image_wh); "
+            "correct the scene, or remove the picture"
+        )
+    return data, grey
+
+
+def _white_level(paths: list[Path], scene: Scene) -> int:
+    """Return the grey value that means white in a set of silhouettes: the largest in use (some programs write 0 and 1)."""
+    white = max(int(_read(path, scene)[1].max()) for path in paths)
+    if white == 0:
+        raise UserError(f"{paths[0].parent}: every silhouette is empty (all black); white must be root")
+    return white
+
+
+def _check_mask(grey: Grey, white: int, path: Path) -> None:
+    """Refuse a silhouette that is not two-valued but for soft edges."""
+    level = grey / white
+    between = float(np.mean((level > MASK_MARGIN) & (level < 1.0 - MASK_MARGIN)))
+    if between > MASK_GREYS:
+        raise UserError(
+            f"{path} is not a silhouette: {100.0 * between:.0f} % of its pixels are neither black nor white "
+            f"(at most {100.0 * MASK_GREYS:.0f} %); "
+            "give silhouettes, or leave out --masks"
+        )

@@ -1,0 +1,38 @@
+"""Find the pictures in a folder that comes from anywhere, in the order in which they were taken."""
+
+import re
+from pathlib import Path
+
+from scenes.errors import UserError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+
+
+def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
+    """Return a sorting key that puts view_2 before view_10."""
+    parts = [part for part in re.split(r"([0-9]+)", path.name.lower()) if part]
+    return tuple((0, int(part), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder (not of its subfolders) in natural order.
+
+    Raises
+    ------
+    UserError
+        If the folder is missing, holds no picture, or holds two that differ in their suffix only.
+    """
+    if not folder.is_dir():
+        raise UserError(f"{folder} is no folder; give the folder that holds the pictures")
+    paths = sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()),
+        key=natural_key,
+    )
+    if not paths:
+        raise UserError(f"{folder} holds no picture ({', '.join(SUFFIXES)}); give the folder that holds them")
+    by_stem: dict[str, Path] = {}
+    for path in paths:
+        other = by_stem.setdefault(path.stem, path)
+        if other != path:
+            raise UserError(f"{folder} holds both {other.name} and {path.name}, which would become one picture; remove or rename one")
+    return paths

@@ -1,0 +1,169 @@
+"""What must hold between the values of a scene: the parts fit into each other and into the camera's model."""
+
+import math
+
+import cv2
+import numpy as np
+
+from scenes.model import Camera, Scene
+from scenes.schema import Place, suggestion
+from scenes.specimens import GrownSpecimen, SphereSpecimen
+
+
+def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
+    """Check a scene's values against each other.
+
+    Parameters
+    ----------
+    scene
+        To be checked; its single values are taken to be within their own limits.
+    where
+        File or other origin, for the message.
+    text
+        The file's TOML text, to name the line.
+
+    Raises
+    ------
+    UserError
+        For the first thing that cannot stand on a rig.
+    """
+    place = Place(where, text)
+    _check_canister(scene, place)
+    _check_strip(scene, place)
+    _check_camera(scene.camera, scene, place)
+    _check_plan(scene, place)
+    _check_specimen(scene, place)
+
+
+def marker_capacity(dictionary: str) -> int | None:
+    """Return how many markers an OpenCV dictionary has, named without ``DICT_``; None when there is none of that name."""
+    if f"DICT_{dictionary}" not in _dictionaries():
+        return None
+    return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}")).bytesList)
+
+
+def _dictionaries() -> list[str]:
+    return [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+
+
+def _check_canister(scene: Scene, place: Place) -> None:
+    canister, pot, water = scene.canister, scene.net_pot, scene.water
+    if canister.inner_radius_mm <= 0.0:
+        raise place.at("canister", "wall_mm").error(f"must be below outer_radius_mm, {canister.outer_radius_mm:g}", canister.wall_mm)
+    if canister.base_mm >= canister.height_mm:
+        raise place.at("canister", "base_mm").error(f"must be below height_mm, {canister.height_mm:g}", canister.base_mm)
+    if water.level_mm <= canister.floor_z_mm:
+        must = f"must lie above the floor of the canister at z = base_mm - height_mm = {canister.floor_z_mm:g}"
+        raise place.at("water", "level_mm").error(must, water.level_mm)
+    if pot.outer_radius_mm <= canister.outer_radius_mm:
+        must = f"must be above the canister's outer_radius_mm, {canister.outer_radius_mm:g}: the skirt goes over it"
+        raise place.at("net_pot", "outer_radius_mm").error(must, pot.outer_radius_mm)
+    if pot.top_mm <= max(pot.skirt_bottom_mm, 0.0):
+        must = f"must lie above skirt_bottom_mm, {pot.skirt_bottom_mm:g}, and the canister's rim at 0"
+        raise place.at("net_pot", "top_mm").error(must, pot.top_mm)
+    if pot.grid_z_mm <= canister.floor_z_mm:
+        raise place.at("net_pot", "grid_z_mm").error(
+            f"must lie above the floor of the canister at z = {canister.floor_z_mm:g}", pot.grid_z_mm
+        )
+    if pot.skirt_bottom_mm <= -canister.height_mm:
+        must = f"must lie above the canister's underside at z = {-canister.height_mm:g}"
+        raise place.at("net_pot", "skirt_bottom_mm").error(must, pot.skirt_bottom_mm)
+    true_index = water.n_water + scene.disturbances.n_water_error
+    if true_index < 1.0:
+        must = f"must keep the water's true index at 1 or above; with n_water {water.n_water:g} it is {true_index:g}"
+        raise place.at("disturbances", "n_water_error").error(must, scene.disturbances.n_water_error)
+
+
+def _check_strip(scene: Scene, place: Place) -> None:
+    strip, pot = scene.strip, scene.net_pot
+    here = place.at("strip")
+    capacity = marker_capacity(strip.dictionary)
+    if capacity is None:
+        known = [name.removeprefix("DICT_") for name in _dictionaries()]
+        near = suggestion(strip.dictionary, known) or f"; known are {', '.join(known)}"
+        raise here.at("dictionary").error(f"is no marker dictionary of OpenCV{near}", strip.dictionary)
+    needed = strip.first_id + strip.rows * strip.columns
+    if needed > capacity:
+        must = f"has {capacity} markers, but first_id + rows * columns needs {needed}; use fewer columns or a larger dictionary"
+        raise here.at("dictionary").error(must, strip.dictionary)
+    pitch_mm = 2.0 * math.pi * pot.outer_radius_mm / strip.columns
+    if strip.marker_mm >= pitch_mm:
+        must = f"must be below the {pitch_mm:.4g} mm that each of the {strip.columns} columns has on the net pot's circumference"
+        raise here.at("marker_mm").error(must, strip.marker_mm)
+    if strip.rows > 1 and strip.row_pitch_mm <= strip.marker_mm:
+        raise here.at("row_pitch_mm").error(f"must be above marker_mm, {strip.marker_mm:g}", strip.row_pitch_mm)
+    top_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
+    if strip.bottom_mm < pot.skirt_bottom_mm or top_mm > pot.top_mm:
+        must = (
+            f"puts the markers from z = {strip.bottom_mm:g} to {top_mm:g}, beyond the net pot's skirt "
+            f"from {pot.skirt_bottom_mm:g} to {pot.top_mm:g}; move the strip or change net_pot"
+        )
+        raise here.at("bottom_mm").error(must, strip.bottom_mm)
+
+
+def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
+    for axis, (centre, size) in enumerate(zip(camera.principal_px, camera.image_wh, strict=True)):
+        if not -size <= centre <= 2 * size:
+            must = f"must lie within one picture size ({size} px) of the picture"
+            raise place.at("camera", "principal_px", axis).error(must, centre)
+    own, extra = np.array(camera.distortion), np.array(scene.disturbances.distortion)
+    _check_distortion(camera, own, place.at("camera", "distortion"))
+    if extra.any():
+        _check_distortion(camera, own + extra, place.at("disturbances", "distortion"))
+
+
+def _check_distortion(camera: Camera, distortion: np.ndarray[tuple[int], np.dtype[np.float64]], place: Place) -> None:
+    """Refuse a radial distortion that folds the picture over itself before its corners are reached."""
+    k1, k2, _, _, k3 = distortion
+    sides = [max(c, n - 1 - c) / f for c, n, f in zip(camera.principal_px, camera.image_wh, camera.focal_px, strict=True)]
+    corner = math.hypot(*sides)
+    r = np.linspace(0.0, 4.0 * corner, 2001)
+    bent = r * (1.0 + k1 * r**2 + k2 * r**4 + k3 * r**6)
+    falling = np.flatnonzero(np.diff(bent) <= 0.0)
+    reached = bent.max() if not falling.size else bent[falling[0]]
+    if reached < corner:
+        must = "folds the picture over itself before its corners are reached; check the signs and that k1, k2, p1, p2, k3 are in this order"
+        raise place.error(must, [float(v) for v in distortion])
+
+
+def _check_plan(scene: Scene, place: Place) -> None:
+    if not scene.plan.rings:
+        raise place.at("plan", "rings").error("must have at least one [[plan.rings]]")
+    around_mm = scene.net_pot.outer_radius_mm + scene.disturbances.canister_offset_mm
+    for i, ring in enumerate(scene.plan.rings):
+        if ring.distance_mm - 5.0 * ring.jitter_mm <= around_mm:
+            spread = " less five times jitter_mm" if ring.jitter_mm else ""
+            must = f"must{spread} be above {around_mm:g}: the camera stands outside the canister and the net pot"
+            raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
+    if scene.lights.backlight_distance_mm <= around_mm:
+        must = f"must be above {around_mm:g}: the panel stands outside the canister and the net pot"
+        raise place.at("lights", "backlight_distance_mm").error(must, scene.lights.backlight_distance_mm)
+    front_x_mm, front_z_mm = scene.lights.front_xz_mm
+    if abs(front_x_mm) <= around_mm and -scene.canister.height_mm <= front_z_mm <= scene.net_pot.top_mm:
+        raise place.at("lights", "front_xz_mm").error("must be outside the canister and the net pot", list(scene.lights.front_xz_mm))
+
+
+def _check_specimen(scene: Scene, place: Place) -> None:
+    specimen, canister = scene.specimen, scene.canister
+    here = place.at("specimen")
+    top_mm = min(scene.water.level_mm, scene.net_pot.grid_z_mm)
+    if isinstance(specimen, SphereSpecimen):
+        x, y, z = specimen.centre_mm
+        radius = specimen.diameter_mm / 2.0
+        reach = math.hypot(x, y) + radius
+        if reach >= canister.inner_radius_mm or z - radius <= canister.floor_z_mm or z + radius >= top_mm:
+            must = (
+                f"with diameter_mm {specimen.diameter_mm:g} must stay in the water: within {canister.inner_radius_mm:g} mm of the axis, "
+                f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
+            )
+            raise here.at("centre_mm").error(must, list(specimen.centre_mm))
+    if isinstance(specimen, GrownSpecimen):
+        if not specimen.orders:
+            raise here.at("orders").error("must have at least one [[specimen.orders]], the taproot's")
+        x, y, z = specimen.origin_mm
+        if math.hypot(x, y) >= canister.inner_radius_mm or not canister.floor_z_mm < z < top_mm:
+            must = (
+                f"must lie in the water: within {canister.inner_radius_mm:g} mm of the axis, "
+                f"between z = {canister.floor_z_mm:g} (floor) and {top_mm:g} (grid or water level)"
+            )
+            raise here.at("origin_mm").error(must, list(specimen.origin_mm))

@@ -1,0 +1,213 @@
+"""The dataset folder: the only contract between what makes pictures (sim, rig, import) and what reads them (recon).
+
+DATASET/  dataset.json   this module's `Dataset`
+          images/*.png   one a frame, named by the frame
+          truth/         only from sim; see `scenes.truth`
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from scenes.atomic import write_json
+from scenes.checks import check_scene
+from scenes.errors import UserError
+from scenes.model import Scene
+from scenes.pictures import Grey, decode_grey
+from scenes.schema import Place, from_plain, to_plain
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One picture with what was commanded and read back when it was taken."""
+
+    file: str
+    """Path relative to the dataset folder, with forward slashes."""
+    sha256: str
+    """Of the file, in hexadecimal; empty: not recorded."""
+    kind: str = "root"
+    ring: int = 0
+    table_deg: float | None = None
+    """Commanded table angle; None when nobody commanded one (imported pictures)."""
+    table_read_deg: float | None = None
+    joints_deg: tuple[float, ...] | None = None
+    exposure_s: float | None = None
+    time_s: float | None = None
+    """Seconds since the scan began."""
+    cam_from_canister: tuple[tuple[float, ...], ...] | None = None
+    """Given pose, 4 rows of 4, OpenCV axes; None: to be found from the markers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """A capture: the scene as given, its frames, and how it was made."""
+
+    folder: Path
+    scene: Scene
+    frames: tuple[Frame, ...]
+    seed: int | None = None
+    masks: bool = False
+    """The pictures are silhouettes already: white is root."""
+    origin: dict[str, Any] = field(default_factory=dict)
+    """Program, versions, settings and profile that made the pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Manifest:
+    """What dataset.json holds."""
+
+    schema_version: int
+    scene: Scene
+    frames: tuple[Frame, ...]
+    seed: int | None = None
+    masks: bool = False
+    origin: dict[str, Any] = field(default_factory=dict)
+
+
+def load_dataset(folder: Path | str) -> Dataset:
+    """Load and check the manifest of a dataset; the pictures are read by `read_image`.
+
+    Raises
+    ------
+    UserError
+        When the folder or its dataset.json is missing or damaged, has another version, or holds anything wrong.
+    """
+    folder = Path(folder)
+    path = folder / "dataset.json"
+    if not folder.is_dir():
+        raise UserError(f"{folder}: there is no such folder; a dataset is made by `rhizotwin simulate` or `rhizotwin import`")
+    if not path.is_file():
+        raise UserError(
+            f"{folder}: has no dataset.json, so it is no dataset (unfinished?); make one with `rhizotwin simulate` or `rhizotwin import`"
+        )
+    mapping = read_versioned_json(path, SCHEMA_VERSION)
+    place = Place(str(path))
+    manifest = from_plain(_Manifest, mapping, place)
+    check_scene(manifest.scene, where=f"{path}, scene")
+    if not manifest.frames:
+        raise place.at("frames").error("has no frames; a dataset needs at least one picture")
+    seen: set[str] = set()
+    for i, frame in enumerate(manifest.frames):
+        _check_frame(frame, len(manifest.scene.plan.rings), place.at("frames", i))
+        if frame.file in seen:
+            raise place.at("frames", i, "file").error("stands in the list twice", frame.file)
+        seen.add(frame.file)
+    return Dataset(
+        folder=folder, scene=manifest.scene, frames=manifest.frames, seed=manifest.seed, masks=manifest.masks, origin=manifest.origin
+    )
+
+
+def save_dataset(dataset: Dataset) -> None:
+    """Write dataset.json of ``dataset.folder`` atomically; `load_dataset` gives an equal dataset back.
+
+    Raises
+    ------
+    UserError
+        When it cannot be written.
+    """
+    manifest = _Manifest(
+        schema_version=SCHEMA_VERSION,
+        scene=dataset.scene,
+        frames=dataset.frames,
+        seed=dataset.seed,
+        masks=dataset.masks,
+        origin=dataset.origin,
+    )
+    write_json(dataset.folder / "dataset.json", to_plain(manifest))
+
+
+def read_image(dataset: Dataset, frame: Frame) -> Grey:
+    """Read a frame's picture as grey levels.
+
+    Returns
+    -------
+    ndarray
+        (H, W), uint8 or uint16 as in the file; colours by luminance (Rec. 601), transparency dropped.
+
+    Raises
+    ------
+    UserError
+        When the picture is missing, truncated, no picture, of another size than the scene's camera, or not the recorded one.
+    """
+    path = dataset.folder / frame.file
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: the picture is missing; restore it or take it out of dataset.json") from error
+    except OSError as error:
+        raise UserError(f"{path}: the picture cannot be read ({error.strerror})") from error
+    image = decode_grey(data, where=str(path))
+    width, height = dataset.scene.camera.image_wh
+    if image.shape != (height, width):
+        raise UserError(
+            f"{path}: the picture is {image.shape[1]}x{image.shape[0]} pixels, but the scene's camera has image_wh {width}x{height}; "
+            "correct the scene or take the picture out"
+        )
+    if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256.lower():
+        raise UserError(
+            f"{path}: is not the picture that was recorded (its sha256 differs from dataset.json); restore it or record it again"
+        )
+    return image
+
+
+def sha256_of(path: Path | str) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
+    try:
+        with Path(path).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
+    """Read a JSON object with a ``schema_version``; refuse other versions and damaged files by name."""
+    try:
+        mapping = json.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: is damaged, it is not valid JSON ({error}); restore it or make it again") from error
+    if not isinstance(mapping, Mapping):
+        raise UserError(f"{path}: is damaged, it holds no JSON object; restore it or make it again")
+    found = mapping.get("schema_version")
+    if type(found) is not int or found != version:
+        known = f"has version {found}" if "schema_version" in mapping else "has no schema_version"
+        raise UserError(
+            f"{path.name} {known}; this program reads {version}; use the program version that made it, or make it again ({path})"
+        )
+    return dict(mapping)
+
+
+def _check_frame(frame: Frame, rings: int, place: Place) -> None:
+    """Check one frame's values against each other and the plan."""
+    file = PurePosixPath(frame.file)
+    if not frame.file or "\\" in frame.file or ":" in frame.file or file.is_absolute() or ".." in file.parts:
+        raise place.at("file").error("must be a path inside the dataset folder, with forward slashes", frame.file)
+    if frame.sha256 and not re.fullmatch(r"[0-9a-fA-F]{64}", frame.sha256):
+        raise place.at("sha256").error("must be 64 hexadecimal digits, or empty", frame.sha256)
+    if frame.kind not in ("root", "shoot"):
+        raise place.at("kind").error('must be one of "root", "shoot"', frame.kind)
+    if not 0 <= frame.ring < rings:
+        raise place.at("ring").error(f"must be between 0 and {rings - 1}: the scene's plan has {rings} rings", frame.ring)
+    if frame.cam_from_canister is not None:
+        check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
+
+
+def check_rigid(rows: tuple[tuple[float, ...], ...], place: Place) -> None:
+    """Refuse what is no rigid 4x4 transform (rotation orthonormal within 1e-4, no mirror image)."""
+    if len(rows) != 4 or any(len(row) != 4 for row in rows):
+        raise place.error("must have 4 rows of 4 numbers")
+    a_from_b = np.array(rows)
+    rotation = a_from_b[:3, :3]
+    if not np.allclose(a_from_b[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9) or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4:
+        raise place.error("must be a rotation and a shift, with 0 0 0 1 as the last row")
+    if np.linalg.det(rotation) < 0.0:
+        raise place.error("is a mirror image; the axes must be OpenCV's: x right, y down, z forward")

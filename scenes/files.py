@@ -1,0 +1,166 @@
+"""Scene and profile files (TOML), the library of named scenes, and scenes as plain dicts for JSON.
+
+A scene file has the sections of `scenes.model.Scene`: ``[canister] [water] [net_pot] [strip] [camera] [lights] [turntable]
+[[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is left out takes the default.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from scenes import toml_text
+from scenes.atomic import write_text
+from scenes.checks import check_scene
+from scenes.errors import UserError
+from scenes.model import Disturbances, Scene
+from scenes.schema import Place, from_plain, suggestion, to_plain
+from scenes.specimens import MeshSpecimen, RsmlSpecimen
+
+_LIBRARY = Path(__file__).parent / "library"
+_PROFILES = Path(__file__).parent / "profiles"
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """Load a scene of the library by name, or a scene file.
+
+    Parameters
+    ----------
+    name_or_path
+        A name as `library` lists them (``radish_day15`` is short for ``radish_day15a``), or a path to a TOML file.
+
+    Returns
+    -------
+    Scene
+        Checked; a specimen's file is resolved against the scene file's folder; the name defaults to the file's.
+
+    Raises
+    ------
+    UserError
+        For an unknown name, an unreadable file, or anything wrong in it, with file, line, key, value and limit.
+    """
+    path = _found(name_or_path)
+    table, text = _read_toml(path)
+    scene = from_plain(Scene, {"name": path.stem} | table, Place(str(path), text))
+    if isinstance(scene.specimen, MeshSpecimen | RsmlSpecimen):
+        scene = replace(scene, specimen=replace(scene.specimen, file=str((path.parent / scene.specimen.file).resolve())))
+    check_scene(scene, where=str(path), text=text)
+    return scene
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths)."""
+    plain = scene_to_dict(scene)
+    specimen = plain["specimen"]
+    if "file" in specimen:
+        specimen["file"] = str(Path(specimen["file"]).resolve())
+    write_text(path, toml_text.dumps(_without_none(plain)))
+
+
+def scene_to_dict(scene: Scene) -> dict[str, Any]:
+    """Return a scene as plain dicts, lists and scalars for JSON; `scene_from_dict` gives an equal scene back."""
+    plain: dict[str, Any] = to_plain(scene)
+    return plain
+
+
+def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
+    """Build and check a scene from plain values.
+
+    Parameters
+    ----------
+    mapping
+        As `scene_to_dict` makes it; missing keys take the defaults.
+    where
+        File or other origin, for messages.
+
+    Raises
+    ------
+    UserError
+        For an unknown key, a wrong type, a value beyond its limits, or parts that do not fit each other.
+    """
+    scene = from_plain(Scene, mapping, Place(where))
+    check_scene(scene, where=where)
+    return scene
+
+
+def library() -> list[tuple[str, str]]:
+    """Return name and description of every scene that comes with the program, sorted by name."""
+    return _listed(_LIBRARY)
+
+
+def profiles() -> list[tuple[str, str]]:
+    """Return name and description of every disturbance profile that comes with the program, mildest first."""
+    order = {"clean": 0, "bench": 1, "harsh": 2}
+    return sorted(_listed(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
+
+
+def load_profile(name: str) -> Disturbances:
+    """Load a disturbance profile: ``clean``, ``bench``, ``harsh``, or a TOML file with a ``[disturbances]`` section.
+
+    Raises
+    ------
+    UserError
+        For an unknown name or anything wrong in the file.
+    """
+    path = _PROFILES / f"{name}.toml"
+    if _looks_like_path(name):
+        path = Path(name)
+    elif name not in (known := [row[0] for row in profiles()]):
+        raise UserError(f'there is no disturbance profile "{name}"{suggestion(name, known)}; there are {", ".join(known)}')
+    table, text = _read_toml(path)
+    place = Place(str(path), text)
+    allowed = ["name", "description", "disturbances"]
+    for key in table:
+        if key not in allowed:
+            raise place.at(key).error(f"unknown key{suggestion(key, allowed)}; a profile has {', '.join(allowed)}")
+    return from_plain(Disturbances, table.get("disturbances", {}), place.at("disturbances"))
+
+
+def _found(name_or_path: str | Path) -> Path:
+    """Tell library names from paths."""
+    name = str(name_or_path)
+    if isinstance(name_or_path, Path) or _looks_like_path(name):
+        return Path(name_or_path)
+    for candidate in (name, f"{name}a"):  # radish_day15 is radish_day15a
+        if (path := _LIBRARY / f"{candidate}.toml").is_file():
+            return path
+    if Path(name).is_file():
+        return Path(name)
+    near = suggestion(name, [row.stem for row in _LIBRARY.glob("*.toml")])
+    raise UserError(f'there is no scene "{name}"{near}; `rhizotwin scenes` lists the library, and a scene file ends in .toml')
+
+
+def _looks_like_path(name: str) -> bool:
+    return name.endswith(".toml") or "/" in name or "\\" in name
+
+
+def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """Read a TOML file; return its table and text."""
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder, but a TOML file is needed")
+    try:
+        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+    try:
+        return tomllib.loads(text), text
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UserError(f"{path}: is not valid TOML: {error}") from error
+
+
+def _listed(folder: Path) -> list[tuple[str, str]]:
+    return [(path.stem, str(_read_toml(path)[0].get("description", ""))) for path in sorted(folder.glob("*.toml"))]
+
+
+def _without_none(value: Any) -> Any:
+    """Drop None, which TOML does not have; it is the default wherever the model allows it."""
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list):
+        return [_without_none(item) for item in value]
+    return value

@@ -1,0 +1,77 @@
+"""Rigid transforms between the project's frames.
+
+Transforms are 4x4 float64 arrays named ``a_from_b`` with ``p_a = a_from_b @ p_b``; lengths are millimetres, angles radians.
+
+Frames
+------
+canister : origin on the cylinder's axis in the plane of its rim, +z up, +x through the strip's seam; roots have z < 0.
+table    : turns with the turntable; equals ``canister`` when the canister stands perfectly centred and upright.
+rig      : fixed; equals ``table`` at table angle 0. The camera stands on the +x side, the backlight on the -x side.
+cam      : OpenCV axes, x right, y down, z forward.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
+    """Assemble a 4x4 transform from a 3x3 rotation and a translation (3,) in mm."""
+    a_from_b = np.eye(4)
+    a_from_b[:3, :3] = rotation
+    a_from_b[:3, 3] = translation_mm
+    return a_from_b
+
+
+def translation(x_mm: float, y_mm: float, z_mm: float) -> Array:
+    """Return the 4x4 transform that shifts by (x, y, z) mm."""
+    return from_rotation_translation(np.eye(3), np.array([x_mm, y_mm, z_mm]))
+
+
+def rotation_z(angle_rad: float) -> Array:
+    """Return the 4x4 rotation about +z, counter-clockwise seen from above."""
+    return from_rotation_translation(Rotation.from_rotvec([0.0, 0.0, angle_rad]).as_matrix(), np.zeros(3))
+
+
+def from_rotvec(rotvec_rad: Array, translation_mm: Array) -> Array:
+    """Return the 4x4 transform with the given rotation vector (3,) rad and translation (3,) mm."""
+    return from_rotation_translation(Rotation.from_rotvec(rotvec_rad).as_matrix(), np.asarray(translation_mm))
+
+
+def to_rotvec(a_from_b: Array) -> Array:
+    """Return the rotation vector (3,) rad of a 4x4 transform."""
+    return Rotation.from_matrix(a_from_b[:3, :3]).as_rotvec()
+
+
+def invert(a_from_b: Array) -> Array:
+    """Return ``b_from_a`` of a rigid ``a_from_b``."""
+    rotation = a_from_b[:3, :3].T
+    return from_rotation_translation(rotation, -rotation @ a_from_b[:3, 3])
+
+
+def apply(a_from_b: Array, points_b: Array) -> Array:
+    """Transform points (..., 3) from frame b to frame a."""
+    return points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+
+
+def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Array:
+    """Return ``cam_from_rig`` of a camera on the +x side whose optical axis crosses the table's axis.
+
+    ``tilt_deg`` is how far the optical axis points below the horizon; ``height_mm`` is the camera's z in the rig frame.
+    """
+    tilt = np.deg2rad(tilt_deg)
+    forward = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
+    right = np.array([0.0, 1.0, 0.0])
+    down = np.cross(forward, right)
+    rig_from_cam = from_rotation_translation(np.stack([right, down, forward], axis=1), np.array([distance_mm, 0.0, height_mm]))
+    return invert(rig_from_cam)
+
+
+def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]:
+    """Return the distance of the camera centres (mm) and the angle between the orientations (degrees)."""
+    difference = cam_from_x[:3, :3].T @ cam_from_x_true[:3, :3]
+    angle_rad = float(np.linalg.norm(Rotation.from_matrix(difference).as_rotvec()))
+    centre_mm = invert(cam_from_x)[:3, 3] - invert(cam_from_x_true)[:3, 3]
+    return float(np.linalg.norm(centre_mm)), float(np.rad2deg(angle_rad))

@@ -1,0 +1,214 @@
+"""What stands on the rig: typed, frozen descriptions. The defaults are the rig of the thesis (section 3.2).
+
+A field's unit is in its name. ``limits`` in a field's metadata are inclusive bounds that `scenes.files` enforces.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from scenes.specimens import Specimen, SphereSpecimen
+
+
+def bounded(default: Any, low: float, high: float) -> Any:
+    """Declare a numeric field with inclusive limits (for tuples: of each element)."""
+    return field(default=default, metadata={"limits": (low, high)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Canister:
+    """Round acrylic canister, 6 in wide and tall (T3.1); its rim lies in the plane z = 0."""
+
+    outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
+    wall_mm: float = bounded(3.175, 0.2, 50.0)
+    height_mm: float = bounded(152.4, 10.0, 2000.0)
+    """Rim to the underside of the base."""
+    base_mm: float = bounded(6.0, 0.5, 100.0)
+    """Thickness of the base; its inner face, opaque and matt, is the water's floor."""
+    n_wall: float = bounded(1.49, 1.0, 2.0)
+
+    @property
+    def inner_radius_mm(self) -> float:
+        """Radius of the water column."""
+        return self.outer_radius_mm - self.wall_mm
+
+    @property
+    def floor_z_mm(self) -> float:
+        """Height of the water's floor in the canister frame."""
+        return self.base_mm - self.height_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class Water:
+    """Nutrient solution in the canister."""
+
+    level_mm: float = bounded(-4.0, -2000.0, 0.0)
+    """z of the surface; above the net pot's grid."""
+    n_water: float = bounded(1.333, 1.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetPot:
+    """Net pot over the rim; an opaque skirt outside the canister carries the marker strip."""
+
+    outer_radius_mm: float = bounded(79.6, 5.0, 600.0)
+    skirt_bottom_mm: float = bounded(-6.0, -1000.0, 500.0)
+    top_mm: float = bounded(31.0, -1000.0, 500.0)
+    grid_z_mm: float = bounded(-8.0, -1000.0, 0.0)
+    """Underside of the opaque grid and felt inside the canister: roots are seen below it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerStrip:
+    """Strip of ArUco markers round the net pot, rows from the top, columns counter-clockwise seen from above.
+
+    Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x); the marker in row j, column k has the id
+    ``first_id + j * columns + k``. From outside, ids rise to the right.
+    """
+
+    dictionary: str = "APRILTAG_36h11"
+    columns: int = bounded(31, 4, 500)
+    rows: int = bounded(2, 1, 10)
+    marker_mm: float = bounded(13.0, 1.0, 200.0)
+    row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
+    bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
+    """z of the lower edge of the lowest row's markers."""
+    first_id: int = bounded(0, 0, 10000)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Pinhole camera with OpenCV distortion; pixel centres are at integers."""
+
+    image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
+    focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
+    principal_px: tuple[float, float] = bounded((399.5, 299.5), -1e6, 1e6)
+    distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
+    """k1, k2, p1, p2, k3 of the OpenCV model."""
+    bits: int = bounded(12, 8, 16)
+    """Depth of the converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG, linear in light."""
+
+    def resized(self, image_wh: tuple[int, int]) -> "Camera":
+        """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
+        from dataclasses import replace
+
+        scale = image_wh[0] / self.image_wh[0]
+        cx, cy = self.principal_px
+        margin_y = (image_wh[1] - scale * self.image_wh[1]) / 2.0
+        return replace(
+            self,
+            image_wh=image_wh,
+            focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale),
+            principal_px=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5 + margin_y),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lights:
+    """Diffused backlight panel at x = -backlight_distance_mm and a strip light above the front, both in the rig frame."""
+
+    backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
+    backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
+    backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
+    backlight_level: float = bounded(0.75, 0.0, 1.0)
+    """Fraction of the camera's full scale that the bare panel reaches."""
+    front_xz_mm: tuple[float, float] = bounded((260.0, 260.0), -5000.0, 5000.0)
+    front_wh_mm: tuple[float, float] = bounded((300.0, 60.0), 1.0, 10000.0)
+    front_level: float = bounded(0.5, 0.0, 1.0)
+    """Fraction of full scale that white paper on the strip reaches, facing the camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turntable:
+    """Turntable under the canister."""
+
+    direction: Literal[1, -1] = 1
+    """+1: positive angles turn the canister counter-clockwise seen from above."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ring:
+    """One turn of the table before a camera at rest."""
+
+    views: int = bounded(40, 1, 10000)
+    height_mm: float = bounded(-42.0, -2000.0, 2000.0)
+    """z of the camera in the rig frame."""
+    distance_mm: float = bounded(400.0, 20.0, 10000.0)
+    """Camera to the table's axis, horizontally."""
+    tilt_deg: float = bounded(0.0, -89.0, 89.0)
+    """Optical axis below the horizon."""
+    first_deg: float = bounded(0.0, -360.0, 360.0)
+    """Table angle of the first view; the others follow evenly over the turn."""
+    jitter_mm: float = bounded(0.0, 0.0, 50.0)
+    """Standard deviation of a commanded per-view change of the camera's position, each axis."""
+    jitter_deg: float = bounded(0.0, 0.0, 20.0)
+    """Standard deviation of a commanded per-view change of the camera's orientation, each axis."""
+    kind: Literal["root", "shoot"] = "root"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapturePlan:
+    """The rings of a scan, in order."""
+
+    rings: tuple[Ring, ...] = (Ring(),)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances:
+    """What a real rig gets wrong. Every zero (or None) means perfect; profiles are files of these with reasons."""
+
+    full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
+    """Electrons at full scale: photon noise is Poisson in these. None: no photon noise."""
+    read_noise_e: float = bounded(0.0, 0.0, 1000.0)
+    aperture_mm: float = bounded(0.0, 0.0, 50.0)
+    """Diameter of the lens opening; 0 is a pinhole, otherwise what is off the focus distance blurs."""
+    focus_error_mm: float = bounded(0.0, -200.0, 200.0)
+    """Focus distance minus the distance from camera to the table's axis."""
+    distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
+    """Lens distortion added to the camera's, known to the reconstruction (a calibrated lens)."""
+    arm_deg: float = bounded(0.0, 0.0, 10.0)
+    """Standard deviation of the camera's orientation about each axis, drawn once a ring, unknown to the reconstruction."""
+    arm_mm: float = bounded(0.0, 0.0, 50.0)
+    """Standard deviation of the camera's position on each axis, drawn once a ring, unknown to the reconstruction."""
+    table_deg: float = bounded(0.0, 0.0, 10.0)
+    """Standard deviation of the table angle, drawn for each view, unknown to the reconstruction."""
+    canister_offset_mm: float = bounded(0.0, 0.0, 20.0)
+    """How far the canister (with pot, strip and plant) stands from the table's axis, in a drawn direction."""
+    canister_tilt_deg: float = bounded(0.0, 0.0, 10.0)
+    """How far the canister leans, in a drawn direction."""
+    strip_offset_mm: float = bounded(0.0, 0.0, 10.0)
+    """How far the net pot with its strip sits off the canister's axis, in a drawn direction."""
+    strip_tilt_deg: float = bounded(0.0, 0.0, 5.0)
+    """How far the net pot with its strip leans against the canister's axis, in a drawn direction."""
+    backlight_unevenness: float = bounded(0.0, 0.0, 0.9)
+    """Peak-to-peak relative change of the backlight over the panel (smooth, drawn)."""
+    n_water_error: float = bounded(0.0, -0.1, 0.1)
+    """True minus nominal index of the water."""
+    root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
+    """Attenuation of root tissue per mm of chord. None: opaque roots."""
+    algae_patches: int = bounded(0, 0, 1000)
+    """Number of algae films on the inner wall (they turn with the canister)."""
+    algae_opacity: float = bounded(0.0, 0.0, 1.0)
+    turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
+    """Extinction of the water per mm."""
+    felt_fibres: int = bounded(0, 0, 10000)
+    """Number of black fibres that hang from the net pot into the water."""
+    bubbles: int = bounded(0, 0, 10000)
+    """Number of air bubbles in the water at the wall."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A whole rig with a specimen and a capture plan."""
+
+    name: str = "scene"
+    description: str = ""
+    canister: Canister = Canister()
+    water: Water = Water()
+    net_pot: NetPot = NetPot()
+    strip: MarkerStrip = MarkerStrip()
+    camera: Camera = Camera()
+    lights: Lights = Lights()
+    turntable: Turntable = Turntable()
+    plan: CapturePlan = CapturePlan()
+    specimen: Specimen = SphereSpecimen()
+    disturbances: Disturbances = Disturbances()

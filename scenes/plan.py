@@ -1,0 +1,70 @@
+"""From a capture plan to the nominal camera of every view."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenes import frames
+from scenes.model import MarkerStrip, NetPot, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One picture to be taken: where the camera and the table are commanded to be."""
+
+    index: int
+    ring: int
+    kind: str
+    table_deg: float
+    cam_from_rig: frames.Array
+
+
+def views(scene: Scene, *, seed: int = 0) -> list[View]:
+    """Expand the plan of a scene into its views, in the order of capture.
+
+    The per-view jitter of view k depends on ``seed``, its ring and k only.
+    """
+    found: list[View] = []
+    for ring_index, ring in enumerate(scene.plan.rings):
+        nominal = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+        for k in range(ring.views):
+            cam_from_rig = nominal
+            if ring.jitter_mm or ring.jitter_deg:
+                rng = np.random.default_rng([seed, 11, ring_index, k])
+                shift_mm = rng.normal(0.0, ring.jitter_mm, 3)
+                turn_rad = np.deg2rad(rng.normal(0.0, ring.jitter_deg, 3))
+                cam_from_rig = frames.from_rotvec(turn_rad, shift_mm) @ nominal
+            found.append(
+                View(
+                    index=len(found),
+                    ring=ring_index,
+                    kind=ring.kind,
+                    table_deg=ring.first_deg + 360.0 * k / ring.views,
+                    cam_from_rig=cam_from_rig,
+                )
+            )
+    return found
+
+
+def rig_from_table(scene: Scene, table_deg: float) -> frames.Array:
+    """Return the 4x4 transform from the turning table to the rig at a table angle."""
+    return frames.rotation_z(scene.turntable.direction * np.deg2rad(table_deg))
+
+
+def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Array]:
+    """Return each marker's corners (4, 3) in the strip's frame (the canister frame of a well-seated pot), in mm.
+
+    Corners are ordered as OpenCV returns them: top left, top right, bottom right, bottom left, seen from outside.
+    """
+    half_rad = strip.marker_mm / net_pot.outer_radius_mm / 2.0
+    corners: dict[int, frames.Array] = {}
+    for row in range(strip.rows):
+        low = strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm
+        high = low + strip.marker_mm
+        for column in range(strip.columns):
+            middle = (column + 0.5) * 2.0 * np.pi / strip.columns
+            angle = np.array([middle - half_rad, middle + half_rad, middle + half_rad, middle - half_rad])
+            z = np.array([high, high, low, low])
+            xy = net_pot.outer_radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            corners[strip.first_id + row * strip.columns + column] = np.concatenate([xy, z[:, None]], axis=1)
+    return corners

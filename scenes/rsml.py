@@ -1,0 +1,337 @@
+"""Roots as polylines with diameters, and RSML files (Root System Markup Language, Lobet et al. 2015, Plant Physiol. 167:617).
+
+Files in the wild depart from the schema in many ways; what can be understood is read, and what cannot be known (the unit, the
+diameter) is refused with the option that supplies it.
+"""
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.atomic import write_bytes
+from scenes.errors import UserError
+
+Array = NDArray[np.float64]
+
+_UNITS_MM = {
+    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometre"), 1e-3),
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 10.0),
+    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
+    **dict.fromkeys(("inch", "inches", "in"), 25.4),
+}
+_THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Root:
+    """One root of a plant, in the canister frame."""
+
+    points_mm: Array
+    """Centreline (N, 3)."""
+    diameters_mm: Array
+    """Diameter at each point (N,)."""
+    order: int
+    parent: int
+    """Index of the parent in the list of roots, -1 for a taproot."""
+    label: str = ""
+
+
+def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
+    """Read the roots of an RSML file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    unit
+        Of the file's coordinates and unmarked diameters: mm, cm, m, um or inch, or a number and one of these for the size of
+        one step, as in ``0.1 mm``; None: as the file says. The file's resolution, where it is not 1, means steps per unit
+        when above 1 (inch with 300: 300 dpi) and units per step when below (m with 0.0001: steps of 0.1 mm).
+    diameter_mm
+        Diameter of every root for which the file gives none; None: such a file is refused.
+
+    Returns
+    -------
+    tuple of Root
+        In the file's order, parents before children; all plants together. Coordinates are the file's x, y, z in mm, neither
+        turned nor shifted. 2-D points, drawn on a picture with y down, get depth 0 and hang down: (x, 0, -y). Roots with fewer
+        than two points are left out, and their children go to the next root above.
+
+    Raises
+    ------
+    UserError
+        When the file cannot be read, is no RSML, has no roots, or leaves unit or diameter unknown.
+    """
+    reader = _Reader(Path(path), unit, diameter_mm)
+    return reader.roots()
+
+
+def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None) -> None:
+    """Write roots as one plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
+
+    Numbers are written exactly. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    roots
+        Parents as indices into this sequence.
+    modified
+        Time for the metadata; None: now.
+
+    Raises
+    ------
+    ValueError
+        For a parent that is not in the list, or a circle of parents.
+    UserError
+        When the file cannot be written.
+    """
+    path = Path(path)
+    document = ET.Element("rsml", {"xmlns:po": "http://www.plantontology.org/xml-dtd/po.dtd"})
+    metadata = ET.SubElement(document, "metadata")
+    when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
+    entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
+    for name, text in {**entries, "file-key": path.stem}.items():
+        ET.SubElement(metadata, name).text = text
+    definition = ET.SubElement(ET.SubElement(metadata, "property-definitions"), "property-definition")
+    for name, text in {"label": "diameter", "type": "real", "unit": "mm"}.items():
+        ET.SubElement(definition, name).text = text
+    plant = ET.SubElement(ET.SubElement(document, "scene"), "plant", {"ID": "1", "label": "plant"})
+    elements = [_element(index, root) for index, root in enumerate(roots)]
+    for index, root in enumerate(roots):
+        if root.parent == -1:
+            plant.append(elements[index])
+        elif 0 <= root.parent < len(roots):
+            elements[root.parent].append(elements[index])
+        else:
+            raise ValueError(f"root {index} has parent {root.parent}, but there are {len(roots)} roots")
+    if sum(1 for _ in plant.iter("root")) != len(roots):
+        raise ValueError("the parents of some roots form a circle")
+    ET.indent(document, " ")
+    write_bytes(path, ET.tostring(document, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _element(index: int, root: Root) -> ET.Element:
+    """Return the XML element of one root, without its laterals."""
+    if root.points_mm.ndim != 2 or root.points_mm.shape[1] != 3 or root.diameters_mm.shape != root.points_mm.shape[:1]:
+        raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but expected (N, 3) and (N,)")
+    element = ET.Element("root", {"ID": f"1.{index + 1}", "label": root.label})
+    polyline = ET.SubElement(ET.SubElement(element, "geometry"), "polyline")
+    for x, y, z in root.points_mm:
+        ET.SubElement(polyline, "point", {"x": repr(float(x)), "y": repr(float(y)), "z": repr(float(z))})
+    function = ET.SubElement(ET.SubElement(element, "functions"), "function", {"name": "diameter", "domain": "polyline"})
+    for diameter in root.diameters_mm:
+        ET.SubElement(function, "sample", {"value": repr(float(diameter))})
+    return element
+
+
+class _Reader:
+    """One file on its way to roots."""
+
+    def __init__(self, path: Path, unit: str | None, diameter_mm: float | None) -> None:
+        self.path = path
+        self.diameter_mm = diameter_mm
+        self.document = _parse(path)
+        if _local(self.document) != "rsml":
+            raise UserError(f"{path}: is no RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
+        self.step_mm = self._step(unit)
+        self.property_mm = self._property_unit()
+
+    def roots(self) -> tuple[Root, ...]:
+        """Collect the roots, parents before children."""
+        found: list[Root] = []
+        stack: list[tuple[ET.Element, int]] = [(self.document, -1)]
+        number = 0
+        while stack:
+            element, parent = stack.pop()
+            below = parent
+            if _local(element) == "root":
+                number += 1
+                order = found[parent].order + 1 if parent >= 0 else 0
+                root = self._root(element, f"root {number}", order, parent)
+                if root is not None:
+                    below = len(found)
+                    found.append(root)
+            stack.extend((child, below) for child in reversed(element))
+        if not found:
+            raise UserError(f"{self.path}: holds no root with two or more points")
+        return tuple(found)
+
+    def _root(self, element: ET.Element, name: str, order: int, parent: int) -> Root | None:
+        label = _attribute(element, "label") or ""
+        name = f'{name} ("{label}")' if label else name
+        own = list(_own(element))
+        polylines = [p for p in own if _local(p) == "polyline" and any(_local(q) == "point" for q in p)]
+        if not polylines:
+            return None
+        if len(polylines) > 1:
+            raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root has one")
+        points = [p for p in polylines[0] if _local(p) == "point"]
+        if len(points) < 2:
+            return None
+        axes = "xyz" if _attribute(points[0], "z") is not None else "xy"
+        given = np.array([[self._number(_attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
+        xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
+        points_mm = xyz * self.step_mm
+        diameters_mm = self._diameters(own, points_mm, name)
+        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label)
+
+    def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
+        """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""
+        for word in ("diameter", "radius"):
+            to_diameter = 1.0 if word == "diameter" else 2.0
+            for element in own:
+                samples = [child for child in element if _local(child) == "sample"]
+                match = _THICKNESS.fullmatch(_attribute(element, "name") or "")
+                if not _local(element).startswith("function") or not samples or match is None or match[1].lower() != word:
+                    continue
+                scale_mm = to_diameter * (self._unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
+                return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
+            for holder in (element for element in own if _local(element) == "properties"):
+                for child in holder:
+                    called = (_attribute(child, "name") or "").lower() or _local(child)
+                    text = _attribute(child, "value") or child.text or ""
+                    if called == word and text.strip():
+                        value = self._number(text, f"{word} of {name}")
+                        scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
+                        return self._checked(np.full(len(points_mm), value * scale_mm), name)
+        if self.diameter_mm is None:
+            raise UserError(f"{self.path}: {name} has no diameter; set diameter_mm, the diameter of roots for which the file gives none")
+        return np.full(len(points_mm), self.diameter_mm)
+
+    def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
+        """Return a function's values at the points (N,): one a point, or spread over the root's length."""
+        values = np.array([self._number(_attribute(s, "value") or s.text, what) for s in samples])
+        if len(values) == len(points_mm):
+            return values
+        if len(values) == 1:
+            return np.full(len(points_mm), values[0])
+        if (_attribute(function, "domain") or "").lower() == "polyline":
+            raise UserError(f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points; it must have one for each")
+        length_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+        positions = [_attribute(s, "position") for s in samples]
+        if any(position is None for position in positions):
+            at_mm = np.linspace(0.0, length_mm[-1], len(values))
+        else:
+            at_mm = np.array([self._number(position, f"position in {what}") for position in positions]) * self.step_mm
+            if np.any(np.diff(at_mm) < 0.0):
+                raise UserError(f"{self.path}: the positions of the {what} do not rise")
+        along: Array = np.interp(length_mm, at_mm, values)
+        return along
+
+    def _checked(self, diameters_mm: Array, name: str) -> Array:
+        if diameters_mm.min() < 0.0 or diameters_mm.max() == 0.0:
+            raise UserError(f"{self.path}: {name} has a diameter of {diameters_mm.min():g} mm; diameters must be above 0")
+        return diameters_mm
+
+    def _step(self, unit: str | None) -> float:
+        """Return the mm of one step of the coordinates."""
+        if unit is not None:
+            match = re.fullmatch(r"\s*([0-9][0-9.eE+-]*)?\s*(\S+)\s*", unit)
+            if match is None:
+                raise UserError(f'{self.path}: unit = "{unit}" must be mm, cm, m, um or inch, or a step such as "0.1 mm"')
+            size = self._number(match[1] or "1", "unit")
+            if size <= 0.0:
+                raise UserError(f'{self.path}: unit = "{unit}" must be above 0')
+            return size * self._unit_mm(match[2], "option unit")
+        written = self._metadata("unit")
+        if not written:
+            marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(_attribute(e, "name") or "")) and m[2]}
+            if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
+                return self._unit_mm(marked.pop(), "a function's name")
+            raise UserError(f"{self.path}: names no unit; set unit to mm, cm, m, um or inch, or to the size of a step such as 0.1 mm")
+        if written.lower() not in _UNITS_MM:
+            raise UserError(f'{self.path}: has the unit "{written}", whose size is unknown; set unit to the size of one, such as 0.1 mm')
+        unit_mm = _UNITS_MM[written.lower()]
+        text = self._metadata("resolution")
+        if not text and unit_mm == 25.4:
+            raise UserError(f"{self.path}: has the unit inch without a resolution in dpi; set unit to the size of a step, such as 0.1 mm")
+        resolution = self._number(text or "1", "resolution")
+        if resolution <= 0.0:
+            raise UserError(f"{self.path}: has the resolution {text}; it must be above 0; set unit to the size of a step, such as 0.1 mm")
+        return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
+
+    def _property_unit(self) -> dict[str, float]:
+        """Return the mm of one unit of the properties that the metadata define with a unit of length."""
+        found: dict[str, float] = {}
+        for definition in self.document.iter():
+            if _local(definition) == "property-definition":
+                texts = {_local(child): (child.text or "").strip() for child in definition}
+                if texts.get("unit", "").lower() in _UNITS_MM:
+                    found[texts.get("label", "").lower()] = _UNITS_MM[texts["unit"].lower()]
+        return found
+
+    def _metadata(self, key: str) -> str:
+        for metadata in self.document:
+            if _local(metadata) == "metadata":
+                for child in metadata:
+                    if _local(child) == key:
+                        return (child.text or "").strip()
+        return ""
+
+    def _unit_mm(self, name: str, what: str) -> float:
+        if name.lower() not in _UNITS_MM:
+            raise UserError(f'{self.path}: the {what} has the unit "{name}"; known are mm, cm, m, um and inch')
+        return _UNITS_MM[name.lower()]
+
+    def _number(self, text: str | None, what: str) -> float:
+        try:
+            value = float(text or "")
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise UserError(f'{self.path}: the {what} is "{text or ""}", which is no finite number')
+        return value
+
+
+def _parse(path: Path) -> ET.Element:
+    """Parse XML without document types or entities, and without minding prefixes that nobody declared."""
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+
+    def refuse(*_: object) -> None:
+        raise UserError(f"{path}: declares a document type, which RSML does not need and this program does not read; remove <!DOCTYPE ...>")
+
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(path.read_bytes(), True)
+        return builder.close()
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise UserError(f"{path}: is no RSML file: not valid XML ({error})") from error
+
+
+def _local(element: ET.Element) -> str:
+    """Return an element's name without its prefix, in lower case."""
+    return element.tag.rsplit(":", 1)[-1].lower()
+
+
+def _attribute(element: ET.Element, name: str) -> str | None:
+    """Return an attribute by its name in any case."""
+    return next((value for key, value in element.attrib.items() if key.lower() == name), None)
+
+
+def _own(root: ET.Element) -> Iterator[ET.Element]:
+    """Walk what belongs to a root itself, not to its laterals."""
+    stack = list(reversed(root))
+    while stack:
+        element = stack.pop()
+        if _local(element) != "root":
+            yield element
+            stack.extend(reversed(element))

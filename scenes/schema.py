@@ -1,0 +1,209 @@
+"""Frozen dataclasses from plain mappings (TOML, JSON) and back, strictly: one clear sentence for each thing that is wrong.
+
+Understood types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested dataclasses, Any, and
+unions of dataclasses named ``...Specimen``, told apart by the key ``kind`` (``SphereSpecimen`` is kind "sphere").
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from scenes.errors import UserError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value stands, for error messages."""
+
+    where: str
+    """File, or what else the values came from."""
+    text: str = ""
+    """The file's text, to find line numbers in (TOML)."""
+    path: tuple[str | int, ...] = ()
+
+    def at(self, *steps: str | int) -> "Place":
+        """Return the place some keys or indices deeper."""
+        return replace(self, path=(*self.path, *steps))
+
+    def error(self, must: str, *value: Any) -> UserError:
+        """Return the error ``WHERE, line N: [section] key = value: must ...``."""
+        line = _line_of(self.text, self.path)
+        start = self.where if line is None else f"{self.where}, line {line}"
+        section, key = _named(self.path)
+        shown = f" = {_shown(value[0])}" if value else ""
+        return UserError(f"{start}: {f'[{section}] ' if section else ''}{key}{shown}: {must}" if key else f"{start}: {must}")
+
+
+def suggestion(name: str, known: list[str]) -> str:
+    """Return `` (did you mean "x"?)`` for the nearest known name, or nothing."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f' (did you mean "{near[0]}"?)' if near else ""
+
+
+def to_plain(value: Any) -> Any:
+    """Return dataclasses as dicts and tuples as lists, ready for JSON; unions get their ``kind``."""
+    if is_dataclass(value) and not isinstance(value, type):
+        plain = {"kind": _kind(type(value))} if _kind(type(value)) else {}
+        return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, (tuple, list)):
+        return [to_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: to_plain(item) for key, item in value.items()}
+    return value
+
+
+def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
+    """Build a dataclass from a mapping; missing keys take the defaults.
+
+    Raises
+    ------
+    UserError
+        For an unknown or missing key, a wrong type, or a value beyond its field's limits.
+    """
+    if not isinstance(mapping, Mapping):
+        raise place.error(f"must be a table of keys, not {_type_name(mapping)}", mapping)
+    hints = get_type_hints(kind)
+    known = {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
+    for key in mapping:
+        if key not in known:
+            raise place.at(str(key)).error(f"unknown key{suggestion(str(key), list(known))}; known keys are {', '.join(known)}")
+    for name, f in known.items():
+        if name not in mapping and f.default is MISSING and f.default_factory is MISSING:
+            raise place.at(name).error("is missing, and has no default")
+    return kind(**{name: _value(hints[name], mapping[name], known[name], place.at(name)) for name in known if name in mapping})
+
+
+def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
+    """Check one value against its type and its field's limits."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return value
+    if origin in (Union, UnionType):
+        if value is None and NoneType in arguments:
+            return None
+        choices = [a for a in arguments if a is not NoneType]
+        return _value(choices[0], value, f, place) if len(choices) == 1 else _tagged(choices, value, place)
+    if origin is Literal:
+        if not any(value == a and type(value) is type(a) for a in arguments):
+            near = suggestion(value, [a for a in arguments if isinstance(a, str)]) if isinstance(value, str) else ""
+            raise place.error(f"must be one of {', '.join(_shown(a) for a in arguments)}{near}", value)
+        return value
+    if origin is tuple:
+        return _tuple(arguments, value, f, place)
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
+        return {str(key): _value(arguments[1], item, f, place.at(str(key))) for key, item in value.items()}
+    if is_dataclass(hint):
+        return from_plain(hint, value, place)  # type: ignore[arg-type]
+    return _scalar(hint, value, f, place)
+
+
+def _scalar(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
+    """Check a bool, int, float or str; whole numbers serve as floats."""
+    wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}[hint]
+    if not isinstance(value, (int, float) if hint is float else hint) or (isinstance(value, bool) and hint is not bool):
+        raise place.error(f"must be {wanted}, not {_type_name(value)}", value)
+    if hint is float:
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise place.error("must be a finite number", value)
+        value = number
+    if "limits" in f.metadata and hint in (int, float):
+        low, high = f.metadata["limits"]
+        if not low <= value <= high:
+            raise place.error(f"must be between {low:.12g} and {high:.12g}", value)
+    return value
+
+
+def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) -> tuple[Any, ...]:
+    """Check a list against a tuple type."""
+    endless = len(arguments) == 2 and arguments[1] is Ellipsis
+    if not isinstance(value, (list, tuple)):
+        count = "" if endless else f" of {len(arguments)}"
+        raise place.error(f"must be a list{count}, not {_type_name(value)}", value)
+    if not endless and len(value) != len(arguments):
+        raise place.error(f"must have {len(arguments)} elements, not {len(value)}", value)
+    hints = [arguments[0]] * len(value) if endless else arguments
+    return tuple(_value(hint, item, f, place.at(i)) for i, (hint, item) in enumerate(zip(hints, value, strict=True)))
+
+
+def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
+    """Choose one of several dataclasses by the key ``kind``."""
+    kinds = {_kind(choice): choice for choice in choices}
+    if not isinstance(value, Mapping):
+        raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
+    named = ", ".join(f'"{k}"' for k in kinds)
+    if "kind" not in value:
+        raise place.at("kind").error(f"is missing; must be one of {named}")
+    kind = value["kind"]
+    if not isinstance(kind, str) or kind not in kinds:
+        raise place.at("kind").error(f"must be one of {named}{suggestion(str(kind), list(kinds))}", kind)
+    return from_plain(kinds[kind], {key: item for key, item in value.items() if key != "kind"}, place)
+
+
+def _kind(choice: type) -> str:
+    """Return the tag of a member of a union: ``SphereSpecimen`` gives ``sphere``; other classes have none."""
+    name = choice.__name__
+    return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""
+
+
+def _type_name(value: Any) -> str:
+    """Name a plain value's type in the user's words."""
+    names = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", NoneType: "nothing"}
+    return names.get(type(value), "a table" if isinstance(value, Mapping) else type(value).__name__)
+
+
+def _shown(value: Any) -> str:
+    """Show a value as the file has it, shortened."""
+    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
+    """Split a path into the section and the key: ("plan.rings 2", "views") or ("camera", "image_wh element 1"); counts from 1."""
+    depth = max((i for i, step in enumerate(path) if isinstance(step, str)), default=-1)
+    if depth < 0:
+        return "", ""
+    words = [f" {step + 1}" if isinstance(step, int) else f".{step}" for step in path[:depth]]
+    key = str(path[depth]) + "".join(f" element {int(step) + 1}" for step in path[depth + 1 :])
+    return "".join(words).lstrip("."), key
+
+
+def _line_of(text: str, path: tuple[str | int, ...]) -> int | None:
+    """Find the line of a TOML text that holds a path, or the deepest part of it; None when nothing is found."""
+    best: tuple[int, int | None] = (0, None)
+    table: tuple[str | int, ...] = ()
+    counts: dict[tuple[str | int, ...], int] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*(\[\[?)\s*([\w.\-\"' ]+?)\s*\]", line):
+            table = ()
+            for step in _keys(header[2]):
+                table = (*table, step)
+                if table in counts and table != _keys(header[2]):
+                    table = (*table, counts[table])
+            if header[1] == "[[":
+                counts[table] = counts.get(table, -1) + 1
+                table = (*table, counts[table])
+            here = table
+        elif key := re.match(r"\s*([\w.\-\"']+)\s*=", line):
+            here = (*table, *_keys(key[1]))
+        else:
+            continue
+        if len(here) > best[0] and path[: len(here)] == here:
+            best = (len(here), number)
+    return best[1]
+
+
+def _keys(dotted: str) -> tuple[str, ...]:
+    """Split a TOML key at its dots, without quotes."""
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))

@@ -1,0 +1,87 @@
+"""What the simulator knows and the reconstruction must not: only `score` opens a dataset's ``truth`` folder.
+
+truth/  truth.json      this module's `Truth`
+        specimen.ply    watertight solid, canister frame, mm
+        skeleton.rsml   roots with diameters (grown and RSML specimens)
+        masks/NAME.png  16 bit: fraction of the pixel whose refracted primary ray meets the specimen; NAME as in images/
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenes.atomic import write_json
+from scenes.dataset import check_rigid, read_versioned_json
+from scenes.errors import UserError
+from scenes.schema import Place, from_plain, to_plain
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueView:
+    """The camera that really took a frame."""
+
+    file: str
+    cam_from_canister: tuple[tuple[float, ...], ...]
+    table_deg: float
+    """True table angle, before the canister's offset and tilt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Ground truth of a simulated dataset."""
+
+    volume_mm3: float
+    extents_min_mm: tuple[float, float, float]
+    extents_max_mm: tuple[float, float, float]
+    n_water: float
+    canister_from_strip: tuple[tuple[float, ...], ...]
+    views: tuple[TrueView, ...]
+    traits: dict[str, float] = field(default_factory=dict)
+    """At least total_length_mm, surface_mm2, tips, branch_points where the specimen has a skeleton."""
+    drawn: dict[str, Any] = field(default_factory=dict)
+    """Every other random draw that went into the pictures."""
+
+
+def load_truth(folder: Path | str) -> Truth:
+    """Load ``truth/truth.json`` of a dataset.
+
+    Parameters
+    ----------
+    folder
+        The dataset's folder (not its ``truth``).
+
+    Raises
+    ------
+    UserError
+        When there is none (only simulated datasets have it), or it is damaged or of another version.
+    """
+    path = Path(folder) / "truth" / "truth.json"
+    if not path.is_file():
+        raise UserError(f"{folder}: has no truth/truth.json; only datasets of `rhizotwin simulate` have a truth to score against")
+    mapping = read_versioned_json(path, SCHEMA_VERSION)
+    place = Place(str(path))
+    truth = from_plain(Truth, {key: value for key, value in mapping.items() if key != "schema_version"}, place)
+    check_rigid(truth.canister_from_strip, place.at("canister_from_strip"))
+    for i, view in enumerate(truth.views):
+        check_rigid(view.cam_from_canister, place.at("views", i, "cam_from_canister"))
+    return truth
+
+
+def save_truth(folder: Path | str, truth: Truth) -> None:
+    """Write ``truth/truth.json`` of a dataset atomically; `load_truth` gives an equal truth back.
+
+    Parameters
+    ----------
+    folder
+        The dataset's folder (not its ``truth``).
+    truth
+        ``drawn`` must hold plain JSON values.
+
+    Raises
+    ------
+    UserError
+        When it cannot be written.
+    """
+    write_json(Path(folder) / "truth" / "truth.json", {"schema_version": SCHEMA_VERSION} | to_plain(truth))

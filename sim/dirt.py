@@ -1,0 +1,105 @@
+"""What does not belong in a clean canister: algae films, felt fibres and air bubbles, drawn from a scene's disturbances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.model import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patch:
+    """A round algae film on the inner wall."""
+
+    azimuth_rad: float
+    z_mm: float
+    radius_mm: float
+    opacity: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fibre:
+    """A black fibre that hangs from the net pot's felt."""
+
+    points_mm: NDArray[np.float64]
+    """Centreline (N, 3) in the canister frame, from the felt down."""
+    radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bubble:
+    """An air bubble in the water at the wall, canister frame."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    radius_mm: float
+
+
+def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
+    """Draw the algae films: 2 to 8 mm in radius, half to all of the profile's opacity, anywhere on the wetted wall."""
+    wrong = scene.disturbances
+    low_mm, high_mm = scene.canister.floor_z_mm, min(scene.net_pot.grid_z_mm, scene.water.level_mm)
+    return tuple(
+        Patch(
+            azimuth_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
+            z_mm=float(rng.uniform(low_mm, high_mm)),
+            radius_mm=float(rng.uniform(2.0, 8.0)),
+            opacity=float(wrong.algae_opacity * rng.uniform(0.5, 1.0)),
+        )
+        for _ in range(wrong.algae_patches)
+    )
+
+
+def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
+    """Draw the felt fibres: 20 to 60 um thick, 2 to 10 mm long, bent at random, hanging from the grid."""
+    reach_mm = 0.9 * scene.canister.inner_radius_mm
+    fibres = []
+    for _ in range(scene.disturbances.felt_fibres):
+        azimuth, radius_mm = rng.uniform(0.0, 2.0 * np.pi), reach_mm * np.sqrt(rng.uniform())
+        step_mm = rng.uniform(2.0, 10.0) / (points - 1)
+        heading = np.cumsum(np.concatenate([[[0.0, 0.0, -1.0]], rng.normal(0.0, 0.35, (points - 2, 3))]), axis=0)
+        heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+        start = np.array([radius_mm * np.cos(azimuth), radius_mm * np.sin(azimuth), scene.net_pot.grid_z_mm])
+        centreline = np.concatenate([start[None], start + np.cumsum(step_mm * heading, axis=0)])
+        centreline[:, 2] = np.minimum(centreline[:, 2], scene.net_pot.grid_z_mm)
+        fibres.append(Fibre(points_mm=centreline, radius_mm=float(rng.uniform(0.01, 0.03))))
+    return tuple(fibres)
+
+
+def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
+    """Draw the bubbles: 0.2 to 1 mm in radius, ``gap_mm`` of water between them and the wall."""
+    low_mm, high_mm = scene.canister.floor_z_mm + 2.0, min(scene.net_pot.grid_z_mm, scene.water.level_mm) - 2.0
+    bubbles = []
+    for _ in range(scene.disturbances.bubbles):
+        azimuth, z_mm, radius_mm = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(low_mm, high_mm), rng.uniform(0.2, 1.0)
+        axis_mm = scene.canister.inner_radius_mm - gap_mm - radius_mm
+        bubbles.append(
+            Bubble(
+                x_mm=float(axis_mm * np.cos(azimuth)), y_mm=float(axis_mm * np.sin(azimuth)), z_mm=float(z_mm), radius_mm=float(radius_mm)
+            )
+        )
+    return tuple(bubbles)
+
+
+def opacity_map(patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float) -> NDArray[np.float32]:
+    """Paint algae films on an unrolled wall.
+
+    Returns
+    -------
+    opacity : (rows, columns) float32
+        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter of its radius.
+    """
+    low_mm, high_mm = z_range_mm
+    columns = max(8, round(2.0 * np.pi * radius_mm / mm_per_texel))
+    rows = max(8, round((high_mm - low_mm) / mm_per_texel))
+    azimuth = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
+    z_mm = high_mm - (np.arange(rows) + 0.5) * (high_mm - low_mm) / rows
+    clear = np.ones((rows, columns))
+    for patch in patches:
+        across_mm = radius_mm * (np.mod(azimuth - patch.azimuth_rad + np.pi, 2.0 * np.pi) - np.pi)
+        distance = np.hypot(across_mm[None, :], (z_mm - patch.z_mm)[:, None]) / patch.radius_mm
+        ragged = distance + 0.15 * np.sin(5.0 * np.arctan2((z_mm - patch.z_mm)[:, None], across_mm[None, :]) + patch.azimuth_rad)
+        clear *= 1.0 - patch.opacity * np.clip((1.0 - ragged) / 0.25, 0.0, 1.0)
+    return (1.0 - clear).astype(np.float32)

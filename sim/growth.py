@@ -1,0 +1,281 @@
+"""Growth of a root system from the field's parameters, inside the canister's water.
+
+The model is the architectural one of the field (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
+332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and by chance, and bear laterals acropetally at random
+distances. All roots of one order grow together as arrays; every draw of a root comes from a generator seeded by the root's path
+(child numbers from the taproot on), so that no root depends on how many others there are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import UserError
+from scenes.model import Canister, NetPot
+from scenes.rsml import Root
+from scenes.specimens import GrownSpecimen, RootOrder
+
+Array = NDArray[np.float64]
+
+STEP_MM = 1.0
+"""Length of a growth step, and of a segment of the finished root."""
+BEND_LENGTH_MM = 4.0
+"""Distance over which a random curvature persists: headings are smooth."""
+WALL_TURN_MM = 6.0
+"""Radius of the arc on which a root turns away from what it meets."""
+HEADING_FAN_DEG = 137.5
+"""Mean azimuth from one lateral to the next (the golden angle keeps sides evenly used) ..."""
+HEADING_FAN_SD_DEG = 40.0
+"""... and its standard deviation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Where surfaces of roots may be, in the canister frame."""
+
+    radius_mm: float
+    low_z_mm: float
+    high_z_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bud:
+    """A root about to grow."""
+
+    path: tuple[int, ...]
+    parent: int
+    start_mm: Array
+    heading: Array
+    age_days: float
+    limit_diameter_mm: float
+
+
+def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
+    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins."""
+    return Bounds(
+        radius_mm=canister.inner_radius_mm - specimen.wall_margin_mm,
+        low_z_mm=canister.floor_z_mm + specimen.floor_margin_mm,
+        high_z_mm=net_pot.grid_z_mm - specimen.top_margin_mm,
+    )
+
+
+def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: NetPot | None = None) -> list[Root]:
+    """Grow a plant; the same specimen gives the same plant, and an older one continues the younger.
+
+    Parameters
+    ----------
+    specimen
+        Seed, age and the parameters of each order. Its ``volume_ml`` is not used here.
+    canister, net_pot
+        What confines the roots; None: the default rig.
+
+    Returns
+    -------
+    list of Root
+        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, the diameters before
+        they are scaled to the plant's volume. Centrelines keep their radius and the margins away from wall, floor and grid.
+
+    Raises
+    ------
+    UserError
+        The taproot's beginning has no room between the limits.
+    """
+    limits = bounds(specimen, canister=canister or Canister(), net_pot=net_pot or NetPot())
+    _check_origin(specimen, limits)
+    lean_rad, azimuth_rad = np.deg2rad([specimen.lean_deg, specimen.lean_azimuth_deg])
+    down = np.array([np.sin(lean_rad) * np.cos(azimuth_rad), np.sin(lean_rad) * np.sin(azimuth_rad), -np.cos(lean_rad)])
+    buds = [
+        _Bud(path=(), parent=-1, start_mm=np.array(specimen.origin_mm), heading=down, age_days=specimen.age_days, limit_diameter_mm=np.inf)
+    ]
+    roots: list[Root] = []
+    for number, order in enumerate(specimen.orders):
+        grown = _grow_order(buds, order, number, specimen, limits, down)
+        following = specimen.orders[number + 1] if number + 1 < len(specimen.orders) else None
+        children: list[_Bud] = []
+        for bud, (root, length_mm, max_length_mm, rate) in zip(buds, grown, strict=True):
+            if following is not None and root is not None:
+                children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, order, following, specimen.seed)
+            if root is not None:
+                roots.append(root)
+        buds = children
+    return roots
+
+
+def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
+    """Return the length of a root of some age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1."""
+    return max_length_mm * -np.expm1(-elongation_mm_per_day * np.maximum(age_days, 0.0) / max_length_mm)
+
+
+def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
+    """Return the age at which a root has some length below its greatest: the inverse of `length_at`."""
+    return -max_length_mm / elongation_mm_per_day * np.log1p(-length_mm / max_length_mm)
+
+
+def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
+    radius_mm = max(specimen.orders[0].diameter_mm, specimen.hypocotyl_diameter_mm) / 2.0 if specimen.orders else 0.0
+    x, y, z = specimen.origin_mm
+    if not specimen.orders:
+        raise UserError("specimen.orders is empty: give at least the taproot's parameters.")
+    if z + radius_mm > limits.high_z_mm or z - radius_mm < limits.low_z_mm or np.hypot(x, y) + radius_mm > limits.radius_mm:
+        raise UserError(
+            f"specimen.origin_mm {specimen.origin_mm} leaves no room for a root of {2.0 * radius_mm:.2f} mm: it must lie "
+            f"{radius_mm:.2f} mm inside z {limits.low_z_mm:.1f} to {limits.high_z_mm:.1f} mm and radius {limits.radius_mm:.1f} mm."
+        )
+
+
+def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
+    """Generators of a root's own traits, of its wobble and of its laterals."""
+    shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
+    return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
+
+
+def _factor(rng: np.random.Generator, sd: float) -> float:
+    """Draw a positive factor of mean 1 and relative standard deviation ``sd`` (gamma distributed)."""
+    return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
+
+
+def _grow_order(
+    buds: list[_Bud], order: RootOrder, number: int, specimen: GrownSpecimen, limits: Bounds, down: Array
+) -> list[tuple[Root | None, float, float, float]]:
+    """Grow all buds of an order; each with its length, greatest length and elongation rate (None: too short to exist)."""
+    if not buds:
+        return []
+    traits = np.empty((len(buds), 3))
+    for i, bud in enumerate(buds):
+        rng = _generators(specimen.seed, bud.path)[0]
+        factor = max(_factor(rng, order.length_sd), 0.05)
+        traits[i] = factor * order.max_length_mm, factor * order.elongation_mm_per_day, order.diameter_mm * _factor(rng, order.diameter_sd)
+    ages = np.array([bud.age_days for bud in buds])
+    lengths_mm = length_at(ages, max_length_mm=traits[:, 0], elongation_mm_per_day=traits[:, 1])
+    thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
+    room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if number == 0 else 0.0) / 2.0
+    points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
+    grown: list[tuple[Root | None, float, float, float]] = []
+    for i, bud in enumerate(buds):
+        root = None
+        if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones have not left their parent yet
+            line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
+            diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
+            if number == 0 and specimen.hypocotyl_diameter_mm > 0.0:
+                fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
+                swelling = 0.5 * (1.0 + np.cos(np.pi * fade))
+                diameters_mm = np.maximum(diameters_mm, diameters_mm + (specimen.hypocotyl_diameter_mm - diameters_mm) * swelling)
+            label = ".".join(str(child + 1) for child in (0, *bud.path))
+            root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=number, parent=bud.parent, label=label)
+        grown.append((root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
+    return grown
+
+
+def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
+    """Cut a centreline with points every `STEP_MM` at a length; its points and their distance along the root."""
+    whole = max(int(np.ceil(length_mm / STEP_MM - 1e-9)), 1)
+    along_mm = np.minimum(np.arange(whole + 1) * STEP_MM, length_mm)
+    line_mm = points_mm[: whole + 1].copy()
+    line_mm[-1] = points_mm[whole - 1] + (points_mm[whole] - points_mm[whole - 1]) * (along_mm[-1] - along_mm[-2]) / STEP_MM
+    if whole > 1 and along_mm[-1] - along_mm[-2] < 0.25 * STEP_MM:  # no sliver of a segment at the tip
+        line_mm, along_mm = np.delete(line_mm, -2, axis=0), np.delete(along_mm, -2)
+    return line_mm, along_mm
+
+
+def _centrelines(
+    buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array
+) -> Array:
+    """Return the centrelines (N, S + 1, 3) of all buds, each long enough for the longest."""
+    steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
+    bend = np.zeros((len(buds), steps, 3))
+    for i, bud in enumerate(buds):
+        own = min(int(np.ceil(lengths_mm[i] / STEP_MM)) + 1, steps)
+        bend[i, :own] = _generators(seed, bud.path)[1].standard_normal((own, 3))
+    persistence = np.exp(-STEP_MM / BEND_LENGTH_MM)
+    # curvature is an Ornstein-Uhlenbeck process: the heading's variance grows by wobble^2 a mm beyond its persistence
+    curvature_sd = np.deg2rad(order.wobble_deg) / np.sqrt(2.0 * BEND_LENGTH_MM)
+    points_mm = np.empty((len(buds), steps + 1, 3))
+    points_mm[:, 0] = [bud.start_mm for bud in buds]
+    heading = np.array([bud.heading for bud in buds])
+    curvature = curvature_sd * bend[:, 0]
+    for step in range(steps):
+        turn = curvature + order.gravitropism_per_mm * down
+        turn -= np.sum(turn * heading, axis=1, keepdims=True) * heading
+        heading = heading + STEP_MM * turn
+        heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+        heading = _steer(points_mm[:, step], heading, radii_mm, limits)
+        points_mm[:, step + 1] = _keep_inside(points_mm[:, step] + STEP_MM * heading, radii_mm, limits)
+        curvature = persistence * curvature + curvature_sd * np.sqrt(1.0 - persistence**2) * bend[:, min(step + 1, steps - 1)]
+    return points_mm
+
+
+def _steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
+    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit."""
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    azimuth_rad = np.arctan2(points_mm[:, 1], points_mm[:, 0])
+    outward = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    around = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    local = np.stack([np.sum(heading[:, :2] * outward, axis=1), np.sum(heading[:, :2] * around, axis=1), heading[:, 2]], axis=1)
+
+    def fastest(gap_mm: Array) -> Array:
+        return np.sqrt(1.0 - (1.0 - np.clip(gap_mm / WALL_TURN_MM, 0.0, 1.0)) ** 2)
+
+    out_max = fastest(limits.radius_mm - radii_mm - radius_mm)
+    down_max = fastest(points_mm[:, 2] - limits.low_z_mm - radii_mm)
+    up_max = fastest(limits.high_z_mm - radii_mm - points_mm[:, 2])
+    for _ in range(4):
+        limited = local.copy()
+        limited[:, 0] = np.minimum(local[:, 0], out_max)
+        limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
+        length = np.linalg.norm(limited, axis=1)
+        limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])  # head on: turn along the limit
+        local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
+    return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
+
+
+def _keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
+    """Move points (N, 3) that a finite step took past the limits back onto them."""
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))
+    z_mm = np.clip(points_mm[:, 2], limits.low_z_mm + radii_mm, limits.high_z_mm - radii_mm)
+    return np.concatenate([points_mm[:, :2] * shrink[:, None], z_mm[:, None]], axis=1)
+
+
+def _laterals(
+    bud: _Bud,
+    root: Root,
+    index: int,
+    length_mm: float,
+    max_length_mm: float,
+    elongation_mm_per_day: float,
+    order: RootOrder,
+    following: RootOrder,
+    seed: int,
+) -> list[_Bud]:
+    """Place the laterals of a root whose zones behind the tip have been passed."""
+    rng = _generators(seed, bud.path)[2]
+    azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
+    at_mm = order.base_mm
+    ladder_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+    buds: list[_Bud] = []
+    while True:
+        at_mm += order.interlateral_mm * max(_factor(rng, order.interlateral_sd), 0.05)
+        azimuth_rad += np.deg2rad(rng.normal(HEADING_FAN_DEG, HEADING_FAN_SD_DEG))
+        insertion_rad = np.deg2rad(np.clip(rng.normal(following.insertion_deg, following.insertion_sd_deg), 5.0, 175.0))
+        if at_mm + order.apex_mm >= length_mm:
+            return buds
+        segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
+        part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
+        along = root.points_mm[segment + 1] - root.points_mm[segment]
+        along /= np.linalg.norm(along)
+        across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
+        across /= np.linalg.norm(across)
+        side = np.cos(azimuth_rad) * across + np.sin(azimuth_rad) * np.cross(along, across)
+        began_days = age_at(np.array(at_mm + order.apex_mm), max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
+        diameter_mm = float((1.0 - part) * root.diameters_mm[segment] + part * root.diameters_mm[segment + 1])
+        buds.append(
+            _Bud(
+                path=(*bud.path, len(buds)),
+                parent=index,
+                start_mm=root.points_mm[segment] + part * (root.points_mm[segment + 1] - root.points_mm[segment]),
+                heading=np.cos(insertion_rad) * along + np.sin(insertion_rad) * side,
+                age_days=bud.age_days - float(began_days),
+                limit_diameter_mm=0.95 * diameter_mm,
+            )
+        )

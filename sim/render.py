@@ -1,0 +1,121 @@
+"""Pictures of a world: one view at a time, the same whether it is rendered alone or in a set."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import frames
+from scenes.errors import UserError
+from scenes.model import Scene
+from sim import integrators, optics, sensor
+from sim.specimen import SpecimenSolid
+from sim.world import World
+
+Fidelity = Literal["backlit", "path"]
+DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 16}
+PATH_DEPTH = 16
+MAX_RAYS = 8_000_000
+"""Rays a kernel launch: bounds memory on large sensors."""
+
+Image = NDArray[np.float32]
+
+
+class Renderer:
+    """Renders the views of a world.
+
+    Parameters
+    ----------
+    scene : Scene
+        The nominal rig.
+    world : World
+        Its drawn disturbances.
+    solid : SpecimenSolid or None
+        The specimen; None renders the empty canister.
+    fidelity : {"backlit", "path"}
+        ``backlit`` follows the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is Mitsuba's path tracer.
+    samples : int or None
+        Rays a pixel; a square number for ``backlit``. None: the default of the fidelity.
+    """
+
+    def __init__(
+        self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
+    ) -> None:
+        if fidelity not in DEFAULT_SAMPLES:
+            raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
+        self.samples = DEFAULT_SAMPLES[fidelity] if samples is None else samples
+        self.side = round(self.samples**0.5)
+        if self.samples < 1 or (fidelity == "backlit" and self.side**2 != self.samples):
+            raise UserError(f"samples {self.samples}: the backlit fidelity takes a square number of rays a pixel, such as 4, 9 or 16")
+        self.world = world
+        self.fidelity = fidelity
+        self.lights = scene.lights
+        self.image_wh = scene.camera.image_wh
+        self.mitsuba_scene = optics.build(scene, world, solid)
+        wrong = scene.disturbances
+        media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None
+        self.backlit = mi.load_dict(integrators.integrator_dict(media=media, specimen=optics.SPECIMEN))
+        self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
+        self.sensors = [
+            mi.load_dict(
+                sensor.sensor_dict(
+                    scene.camera,
+                    distortion=world.distortion,
+                    aperture_mm=wrong.aperture_mm,
+                    focus_mm=ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)) + wrong.focus_error_mm,
+                    samples=self.samples,
+                )
+            )
+            for ring in scene.plan.rings
+        ]
+        self.ring_of_view = [index for index, ring in enumerate(scene.plan.rings) for _ in range(ring.views)]
+
+    def view(self, k: int) -> tuple[Image, Image]:
+        """Render view k of the plan.
+
+        Returns
+        -------
+        image : (H, W) float32
+            Linear light; 1 is the camera's full scale.
+        coverage : (H, W) float32
+            Fraction of each pixel whose refracted primary rays meet the specimen.
+        """
+        camera = self.world.cameras[k]
+        optics.place_lights(self.mitsuba_scene, self.lights, camera)
+        eye = self.sensors[self.ring_of_view[k]]
+        sensor.set_pose(eye, camera.cam_from_canister)
+        image, coverage = self._lattice(eye)
+        if self.fidelity == "path":
+            seed = int(np.random.default_rng([self.world.seed, 21, k]).integers(2**31))
+            noisy = mi.render(self.mitsuba_scene, sensor=eye, integrator=self.path, spp=self.samples, seed=seed)
+            image = np.array(noisy, dtype=np.float32).reshape(image.shape)
+        return image, coverage
+
+    def _lattice(self, eye: Any) -> tuple[Image, Image]:
+        """Average the backlit integrator over a regular lattice in every pixel."""
+        width, height = self.image_wh
+        side = self.side if self.fidelity == "backlit" else 4
+        rows = max(1, MAX_RAYS // (width * side * side))
+        image, coverage = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+        for first in range(0, height, rows):
+            count = min(rows, height - first)
+            index = dr.arange(mi.UInt32, count * width * side * side)
+            pixel, ray = index // (side * side), index % (side * side)
+            u = (mi.Float(pixel % width) + (mi.Float(ray % side) + 0.5) / side) / width
+            v = (mi.Float(pixel // width) + dr.opaque(mi.Float, first) + (mi.Float(ray // side) + 0.5) / side) / height
+            primary, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), self._on_lens(ray, side))
+            light, _, extra = self.backlit.sample(self.mitsuba_scene, None, primary)
+            shape = (count, width)
+            image[first : first + count] = np.array(dr.block_sum(light[0], side * side)).reshape(shape) / side**2
+            coverage[first : first + count] = np.array(dr.block_sum(extra[0], side * side)).reshape(shape) / side**2
+        return image, coverage
+
+    def _on_lens(self, ray: mi.UInt32, side: int) -> mi.Point2f:
+        """Give every lattice ray of a pixel its place on the lens: the R2 sequence, in an order unlike the lattice's."""
+        place = (np.arange(side * side) * 7) % (side * side) + 0.5
+        u, v = (mi.Float((place * step % 1.0).astype(np.float32)) for step in (0.7548776662, 0.5698402910))
+        return mi.Point2f(dr.gather(mi.Float, u, ray), dr.gather(mi.Float, v, ray))

@@ -1,0 +1,159 @@
+"""An OpenCV camera inside Mitsuba: lens distortion, OpenCV's pixel rule and axes, and a thin lens when wanted.
+
+Mitsuba's film says that pixel i covers [i, i+1]; OpenCV's pixel i covers [i-0.5, i+0.5]. This module is the one place where the two meet.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from scenes import frames
+from scenes.model import Camera
+
+PLUGIN = "opencv"
+NEWTON_STEPS = 6
+
+
+def sensor_dict(
+    camera: Camera,
+    *,
+    distortion: tuple[float, float, float, float, float],
+    aperture_mm: float = 0.0,
+    focus_mm: float = 400.0,
+    samples: int = 16,
+) -> dict[str, Any]:
+    """Return the Mitsuba description of a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+        Image size, focal lengths and principal point; its own ``distortion`` is not used.
+    distortion : tuple
+        k1, k2, p1, p2, k3 of the OpenCV model.
+    aperture_mm, focus_mm : float
+        Diameter of the lens opening (0: pinhole) and depth of the plane in focus.
+    samples : int
+        Samples a pixel of the independent sampler, for Mitsuba's own integrators.
+    """
+    register()
+    width, height = camera.image_wh
+    description: dict[str, Any] = {
+        "type": PLUGIN,
+        "fx": camera.focal_px[0],
+        "fy": camera.focal_px[1],
+        "cx": camera.principal_px[0],
+        "cy": camera.principal_px[1],
+        "aperture_radius": aperture_mm / 2.0,
+        "focus": focus_mm,
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "luminance",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "independent", "sample_count": samples},
+    }
+    return description | dict(zip(("k1", "k2", "p1", "p2", "k3"), distortion, strict=True))
+
+
+def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
+    """Put a sensor where ``cam_from_canister`` (4x4, mm, OpenCV axes) says; the kernel is compiled once for all poses."""
+    sensor.set_pose(frames.invert(cam_from_canister))
+
+
+def register() -> None:
+    """Make the sensor known to Mitsuba's current variant (again and again does no harm)."""
+    _register_for(mi.variant())
+
+
+def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any]:
+    """Invert OpenCV's lens distortion by Newton's method on the two normalised coordinates."""
+    k1, k2, p1, p2, k3 = k
+    x, y = mi.Float(xd), mi.Float(yd)
+    for _ in range(NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)  # d radial / d r2
+        fx = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - xd
+        fy = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - yd
+        jxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        jxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        jyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        det = jxx * jyy - jxy * jxy
+        x -= (jyy * fx - jxy * fy) / det
+        y -= (jxx * fy - jxy * fx) / det
+    return x, y
+
+
+@cache
+def _register_for(variant: str) -> None:
+    class OpenCVSensor(mi.Sensor):  # type: ignore[misc]
+        """Pinhole or thin lens with OpenCV distortion; +z looks forward, +x right, +y down in the image."""
+
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.lens = {key: mi.Float(float(props[key])) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
+            self.distorted = any(float(props[key]) != 0.0 for key in ("k1", "k2", "p1", "p2", "k3"))
+            self.aperture_radius = float(props["aperture_radius"])
+            self.focus = mi.Float(float(props["focus"]))
+            self.m_needs_sample_3 = self.aperture_radius > 0.0
+            self.rotation = [mi.Vector3f(0.0) for _ in range(3)]
+            self.centre = mi.Point3f(0.0)
+            dr.make_opaque(self.lens, self.focus)
+            self.set_pose(np.eye(4))
+
+        def set_pose(self, world_from_cam: frames.Array) -> None:
+            columns = [mi.Vector3f(*(float(v) for v in world_from_cam[:3, i])) for i in range(3)]
+            centre = mi.Point3f(*(float(v) for v in world_from_cam[:3, 3]))
+            dr.make_opaque(columns, centre)
+            self.rotation, self.centre = columns, centre
+
+        def sample_ray(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[mi.Ray3f, mi.Spectrum]:
+            del sample1, active
+            width, height = self.film().size()
+            lens = self.lens
+            x = (sample2.x * width - 0.5 - lens["cx"]) / lens["fx"]
+            y = (sample2.y * height - 0.5 - lens["cy"]) / lens["fy"]
+            if self.distorted:
+                x, y = undistort(x, y, (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"]))
+            right, down, forward = self.rotation
+            ray = dr.zeros(mi.Ray3f)
+            ray.maxt = dr.largest(mi.Float)
+            ray.time = time
+            if self.aperture_radius > 0.0:
+                on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
+                ray.o = self.centre + right * on_lens.x + down * on_lens.y
+                ray.d = dr.normalize(
+                    right * (x * self.focus - on_lens.x) + down * (y * self.focus - on_lens.y) + forward * self.focus
+                )
+            else:
+                ray.o = mi.Point3f(self.centre)
+                ray.d = dr.normalize(right * x + down * y + forward)
+            return ray, mi.Spectrum(1.0)
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+            ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+            return mi.RayDifferential3f(ray), weight
+
+        def bbox(self) -> mi.ScalarBoundingBox3f:
+            return mi.ScalarBoundingBox3f()
+
+        def traverse(self, callback: Any) -> None:
+            super().traverse(callback)
+
+        def to_string(self) -> str:
+            return "OpenCVSensor[]"
+
+    del variant
+    mi.register_sensor(PLUGIN, OpenCVSensor)

@@ -1,0 +1,195 @@
+"""From a scene to a dataset folder with its truth; an interrupted set is taken up where it stopped."""
+
+import hashlib
+import json
+from dataclasses import asdict, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from scenes import plan
+from scenes.atomic import write_bytes, write_image, write_json
+from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.errors import UserError
+from scenes.model import Disturbances, Scene
+from scenes.rsml import write_rsml
+from scenes.truth import TrueView, Truth, save_truth
+from sim.exposure import expose, mask_picture
+from sim.render import DEFAULT_SAMPLES, Fidelity, Renderer
+from sim.specimen import SpecimenSolid, build_specimen
+from sim.world import World, draw_world, lens_distortion
+
+PROGRESS_FILE = "truth/simulate.json"
+"""What the set is made with and which frames are done; it is what a second start compares and continues."""
+_NOISE = 31
+
+
+def simulate(
+    scene: Scene,
+    folder: Path,
+    *,
+    profile_name: str,
+    seed: int,
+    fidelity: Fidelity = "backlit",
+    samples: int | None = None,
+    specimen_folder: Path | None = None,
+    progress: bool = True,
+) -> Dataset:
+    """Render every view of a scene's plan into a dataset folder.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the disturbances to draw; the dataset gets the nominal scene without them, but with the lens's calibrated distortion.
+    folder : Path
+        New, empty, or left by an interrupted run with the same settings, whose intact frames are kept.
+    profile_name : str
+        Written to the dataset as where the disturbances came from.
+    seed : int
+        Of all noise and errors; 0 is a seed.
+    fidelity, samples
+        See `sim.render.Renderer`.
+    specimen_folder : Path or None
+        Where a specimen file with a relative path is looked for; None: the current folder.
+    progress : bool
+        Show a bar with the time left on stderr.
+
+    Raises
+    ------
+    UserError
+        For a specimen that cannot be used, a folder that holds something else, or a full disk.
+    """
+    folder = Path(folder)
+    if seed < 0:
+        raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
+    solid = build_specimen(scene, folder=Path(specimen_folder) if specimen_folder is not None else Path.cwd())
+    samples = DEFAULT_SAMPLES[fidelity] if samples is None else samples
+    settings = {
+        "profile": profile_name,
+        "seed": seed,
+        "fidelity": fidelity,
+        "samples": samples,
+        "scene_sha256": _scene_hash(scene, solid),
+    }
+    done = _take_up(folder, settings)
+    world = draw_world(scene, seed=seed)
+    _write_specimen(folder, solid)
+    frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
+    save_truth(folder, _truth(world, solid, frames))
+    origin = {"program": "rhizotwin simulate", **settings, "versions": _versions()}
+    dataset = Dataset(folder=folder, scene=_as_given(scene), frames=frames, seed=seed, origin=origin)
+    save_dataset(dataset)
+    return dataset
+
+
+def _as_given(scene: Scene) -> Scene:
+    """Return what the reconstruction may know: the nominal scene and the calibrated lens."""
+    camera = replace(scene.camera, distortion=lens_distortion(scene))
+    return replace(scene, camera=camera, disturbances=Disturbances())
+
+
+def _render_frames(
+    folder: Path,
+    scene: Scene,
+    world: World,
+    solid: SpecimenSolid,
+    settings: dict[str, Any],
+    done: dict[str, list[str]],
+    *,
+    progress: bool,
+) -> tuple[Frame, ...]:
+    renderer: Renderer | None = None
+    frames: list[Frame] = []
+    for view in tqdm(plan.views(scene, seed=world.seed), desc="render", unit="view", disable=not progress, dynamic_ncols=True):
+        name = f"view_{view.index:03d}.png"
+        image_path, mask_path = folder / "images" / name, folder / "truth" / "masks" / name
+        hashes = done.get(name)
+        if hashes is None or [_file_hash(image_path), _file_hash(mask_path)] != hashes:
+            renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
+            light, coverage = renderer.view(view.index)
+            rng = np.random.default_rng([world.seed, _NOISE, view.index])
+            write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng))
+            write_image(mask_path, mask_picture(coverage))
+            hashes = [str(_file_hash(image_path)), str(_file_hash(mask_path))]
+            done[name] = hashes
+            write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
+        frames.append(
+            Frame(file=f"images/{name}", sha256=hashes[0], kind=view.kind, ring=view.ring, table_deg=view.table_deg)
+        )
+    return tuple(frames)
+
+
+def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the frames that an earlier run with the same settings finished, by name; refuse a folder that holds anything else."""
+    progress_path = folder / PROGRESS_FILE
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{folder} is a file, give the name of a new folder for the dataset")
+    if progress_path.is_file():
+        try:
+            before = json.loads(progress_path.read_text(encoding="utf-8"))
+            earlier, done = before["settings"], dict(before["frames"])
+        except (ValueError, KeyError, TypeError):
+            raise UserError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
+        different = sorted(key for key in settings if earlier.get(key) != settings[key])
+        if different:
+            raise UserError(
+                f"{folder} holds a set made with another {', '.join(different)}: choose a new folder, or delete this one to start afresh"
+            )
+        return done
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder} is not empty and holds no interrupted set: choose a new folder for the dataset")
+    write_json(progress_path, {"settings": settings, "frames": {}})
+    return {}
+
+
+def _write_specimen(folder: Path, solid: SpecimenSolid) -> None:
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    write_bytes(folder / "truth" / "specimen.ply", bytes(mesh.export(file_type="ply")))
+    if solid.roots:
+        write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
+
+
+def _truth(world: World, solid: SpecimenSolid, frames: tuple[Frame, ...]) -> Truth:
+    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    return Truth(
+        volume_mm3=solid.volume_mm3,
+        extents_min_mm=(float(low[0]), float(low[1]), float(low[2])),
+        extents_max_mm=(float(high[0]), float(high[1]), float(high[2])),
+        n_water=world.n_water,
+        canister_from_strip=_rows(world.canister_from_strip),
+        views=tuple(
+            TrueView(file=frame.file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg)
+            for frame, camera in zip(frames, world.cameras, strict=True)
+        ),
+        traits=dict(solid.traits),
+        drawn=world.drawn(),
+    )
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)
+
+
+def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:
+    text = json.dumps(asdict(scene), sort_keys=True).encode()
+    shape = np.ascontiguousarray(solid.vertices, dtype=np.float64).tobytes() + np.ascontiguousarray(solid.faces, dtype=np.int32).tobytes()
+    return hashlib.sha256(text + shape).hexdigest()
+
+
+def _file_hash(path: Path) -> str | None:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in ("rhizotwin", "mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,63 @@
+"""The marker strip as a picture: black markers on white paper, unrolled round the net pot."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import UserError
+from scenes.model import MarkerStrip, NetPot
+
+PAPER = 0.85
+INK = 0.04
+MM_PER_TEXEL = 1.0 / 16.0
+
+
+def marker_cells(strip: MarkerStrip, marker_id: int) -> NDArray[np.bool_]:
+    """Return a marker's cells (n, n), True where white, row 0 at the top, its black border included."""
+    name = f"DICT_{strip.dictionary}"
+    if not hasattr(cv2.aruco, name):
+        raise UserError(f"strip.dictionary: {strip.dictionary!r} is not one of OpenCV's ArUco dictionaries, use for example APRILTAG_36h11")
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    if marker_id >= len(dictionary.bytesList):
+        raise UserError(
+            f"strip: marker {marker_id} is asked for, but {strip.dictionary} has {len(dictionary.bytesList)} markers: "
+            "use fewer columns or rows, or a lower first_id"
+        )
+    side = dictionary.markerSize + 2
+    return np.asarray(dictionary.generateImageMarker(marker_id, side)) > 127
+
+
+def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
+    """Paint the strip's reflectance on the unrolled net pot, each texel the mean over its area.
+
+    Returns
+    -------
+    reflectance : (rows, columns) float32
+        Row 0 at the net pot's top, column 0 at the seam, azimuth (counter-clockwise from above) growing with the column: seen from
+        outside the picture is not mirrored. Markers lie exactly where `scenes.plan.marker_corners` says.
+    """
+    around_mm = 2.0 * np.pi * net_pot.outer_radius_mm
+    high_mm = net_pot.top_mm - net_pot.skirt_bottom_mm
+    columns, rows = round(around_mm / mm_per_texel), round(high_mm / mm_per_texel)
+    s_edges_mm = np.linspace(0.0, around_mm, columns + 1)
+    z_edges_mm = net_pot.top_mm - np.linspace(0.0, high_mm, rows + 1)
+    picture = np.full((rows, columns), PAPER)
+    for row in range(strip.rows):
+        top_mm = strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm + strip.marker_mm
+        for column in range(strip.columns):
+            cells = marker_cells(strip, strip.first_id + row * strip.columns + column)
+            cell_mm = strip.marker_mm / len(cells)
+            left_mm = (column + 0.5) * around_mm / strip.columns - strip.marker_mm / 2.0
+            across = _share(s_edges_mm, left_mm + cell_mm * np.arange(len(cells) + 1))
+            down = _share(-z_edges_mm, -top_mm + cell_mm * np.arange(len(cells) + 1))
+            j, i = np.flatnonzero(down.any(axis=1)), np.flatnonzero(across.any(axis=1))
+            black = down[j] @ (~cells).astype(np.float64) @ across[i].T
+            picture[np.ix_(j, i)] += black * (INK - PAPER)
+    return picture.astype(np.float32)
+
+
+def _share(texel_edges: NDArray[np.float64], cell_edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return which fraction of each texel (rows) each cell (columns) covers; both edges ascend."""
+    low = np.maximum(texel_edges[:-1, None], cell_edges[None, :-1])
+    high = np.minimum(texel_edges[1:, None], cell_edges[None, 1:])
+    return np.clip(high - low, 0.0, None) / np.diff(texel_edges)[:, None]

@@ -1,0 +1,143 @@
+"""The world behind the nominal scene: every disturbance drawn, so that pictures can be rendered from it.
+
+Each effect has its own random stream, keyed by effect, ring and view: no picture depends on the pictures before it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import frames, plan
+from scenes.model import Scene
+from sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
+
+# One number an effect: the second key of its random stream.
+_ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
+
+BACKLIGHT_MAP_WH = (64, 48)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueCamera:
+    """Where the camera and the canister really were for one picture."""
+
+    cam_from_rig: frames.Array
+    rig_from_canister: frames.Array
+    table_deg: float
+    """True table angle, before the canister's offset and tilt."""
+
+    @property
+    def cam_from_canister(self) -> frames.Array:
+        """Camera pose, 4x4, mm, OpenCV axes."""
+        return self.cam_from_rig @ self.rig_from_canister
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A scene with its disturbances drawn."""
+
+    scene: Scene
+    seed: int
+    cameras: tuple[TrueCamera, ...]
+    """One a view, in the plan's order."""
+    n_water: float
+    table_from_canister: frames.Array
+    canister_from_strip: frames.Array
+    distortion: tuple[float, float, float, float, float]
+    """k1, k2, p1, p2, k3 of the lens that took the pictures."""
+    backlight: NDArray[np.float64] | None
+    """Relative radiance of the panel, at most 1, (rows from its top, columns from its -y side); None: even."""
+    algae: tuple[Patch, ...]
+    fibres: tuple[Fibre, ...]
+    bubbles: tuple[Bubble, ...]
+
+    def drawn(self) -> dict[str, Any]:
+        """Return the draws that `scenes.truth.Truth` has no field for, as JSON values."""
+        return {
+            "table_from_canister": self.table_from_canister.tolist(),
+            "distortion": list(self.distortion),
+            "backlight": None if self.backlight is None else self.backlight.round(4).tolist(),
+            "algae": [vars(patch) for patch in self.algae],
+            "fibres": [{"radius_mm": fibre.radius_mm, "points_mm": fibre.points_mm.round(4).tolist()} for fibre in self.fibres],
+            "bubbles": [vars(bubble) for bubble in self.bubbles],
+        }
+
+
+def draw_world(scene: Scene, *, seed: int) -> World:
+    """Realise the disturbances of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its ``disturbances`` as the standard deviations and amounts to draw from.
+    seed : int
+        Non-negative; 0 is a seed like any other.
+
+    Returns
+    -------
+    World
+        ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @ table(angle + error(k)) @ table_from_canister``;
+        the canister's offset is that of its rim's centre and it leans about that point.
+    """
+    wrong = scene.disturbances
+    table_from_canister = _seat(wrong.canister_offset_mm, wrong.canister_tilt_deg, _rng(seed, _CANISTER))
+    cameras = tuple(_true_camera(scene, view, table_from_canister, seed) for view in plan.views(scene, seed=seed))
+    return World(
+        scene=scene,
+        seed=seed,
+        cameras=cameras,
+        n_water=scene.water.n_water + wrong.n_water_error,
+        table_from_canister=table_from_canister,
+        canister_from_strip=_seat(wrong.strip_offset_mm, wrong.strip_tilt_deg, _rng(seed, _STRIP)),
+        distortion=lens_distortion(scene),
+        backlight=_uneven_backlight(wrong.backlight_unevenness, _rng(seed, _BACKLIGHT)) if wrong.backlight_unevenness else None,
+        algae=draw_algae(scene, _rng(seed, _ALGAE)),
+        fibres=draw_fibres(scene, _rng(seed, _FIBRES)),
+        bubbles=draw_bubbles(scene, _rng(seed, _BUBBLES)),
+    )
+
+
+def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
+    """Return k1, k2, p1, p2, k3 of the scene's lens with its profile's distortion added."""
+    k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
+    return k1, k2, p1, p2, k3
+
+
+def _rng(seed: int, effect: int, *keys: int) -> np.random.Generator:
+    return np.random.default_rng([seed, effect, *keys])
+
+
+def _true_camera(scene: Scene, view: plan.View, table_from_canister: frames.Array, seed: int) -> TrueCamera:
+    wrong = scene.disturbances
+    arm = _rng(seed, _ARM, view.ring)
+    turn_rad = np.deg2rad(arm.normal(0.0, 1.0, 3) * wrong.arm_deg)
+    shift_mm = arm.normal(0.0, 1.0, 3) * wrong.arm_mm
+    table_deg = view.table_deg + float(_rng(seed, _TABLE, view.index).normal(0.0, 1.0)) * wrong.table_deg
+    return TrueCamera(
+        cam_from_rig=frames.from_rotvec(turn_rad, shift_mm) @ view.cam_from_rig,
+        rig_from_canister=plan.rig_from_table(scene, table_deg) @ table_from_canister,
+        table_deg=table_deg,
+    )
+
+
+def _seat(offset_mm: float, tilt_deg: float, rng: np.random.Generator) -> frames.Array:
+    """Return the transform of a part set down off-centre and leaning, both in drawn directions."""
+    offset_rad, lean_rad = rng.uniform(0.0, 2.0 * np.pi, 2)
+    shift_mm = offset_mm * np.array([np.cos(offset_rad), np.sin(offset_rad), 0.0])
+    return frames.from_rotvec(np.deg2rad(tilt_deg) * np.array([np.cos(lean_rad), np.sin(lean_rad), 0.0]), shift_mm)
+
+
+def _uneven_backlight(peak_to_peak: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a smooth map between ``1 - peak_to_peak`` and 1."""
+    columns, rows = BACKLIGHT_MAP_WH
+    y, x = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+    field = np.zeros((rows, columns))
+    for order_x in range(3):
+        for order_y in range(3):
+            amplitude, phase_x, phase_y = rng.normal(), *rng.uniform(0.0, 2.0 * np.pi, 2)
+            if order_x or order_y:
+                field += amplitude / (1 + order_x + order_y) * np.cos(np.pi * order_x * x + phase_x) * np.cos(np.pi * order_y * y + phase_y)
+    span = float(np.ptp(field))
+    return 1.0 - peak_to_peak * (field - field.min()) / span

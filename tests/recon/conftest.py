@@ -1,0 +1,165 @@
+"""A ball in the canister, scanned and reconstructed on paper: dataset and result folders without a renderer."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenes import atomic, frames, plan
+from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.model import Camera, CapturePlan, Ring, Scene
+from scenes.truth import TrueView, Truth, save_truth
+
+RADIUS_MM = 6.0
+CENTRE_MM = np.array([4.0, -3.0, -50.0])
+VIEWS = 6
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Folders of a dataset and of a result."""
+
+    dataset: Path
+    result: Path
+
+    def edit_summary(self, **changes) -> None:
+        """Change keys of result.json."""
+        path = self.result / "result.json"
+        atomic.write_json(path, json.loads(path.read_text()) | changes)
+
+
+def ball(radius_mm: float, centre_mm: np.ndarray) -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius_mm)
+    mesh.apply_translation(centre_mm)
+    return mesh
+
+
+def disk(image_wh: tuple[int, int], radius_px: float) -> np.ndarray:
+    """Return the coverage of a disk in the middle of a picture, its edge soft over a pixel."""
+    x, y = np.meshgrid(np.arange(image_wh[0]), np.arange(image_wh[1]))
+    away = np.hypot(x - (image_wh[0] - 1) / 2.0, y - (image_wh[1] - 1) / 2.0)
+    return np.clip(radius_px + 0.5 - away, 0.0, 1.0)
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Callable[..., Scan]:
+    """Return a maker of scans; its arguments are what the reconstruction gets wrong."""
+
+    def make(
+        *,
+        radius_mm: float = RADIUS_MM,
+        shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        voxel_mm: float = 0.25,
+        found_from_true: np.ndarray | None = None,
+        disk_px: float = 10.0,
+        lost: tuple[int, ...] = (),
+    ) -> Scan:
+        dataset, result = tmp_path / "scan", tmp_path / "result"
+        camera = Camera().resized((160, 120))
+        scene = Scene(name="ball", description="a ball <6 mm>", camera=camera, plan=CapturePlan(rings=(Ring(views=VIEWS),)))
+        poses = [view.cam_from_rig @ plan.rig_from_table(scene, view.table_deg) for view in plan.views(scene)]
+        files = [f"images/view_{k:03d}.png" for k in range(VIEWS)]
+        cover = disk(camera.image_wh, 10.0)
+        for file in files:
+            atomic.write_image(dataset / file, np.round(52000.0 * (1.0 - cover)).astype(np.uint16))
+            atomic.write_image(dataset / "truth" / "masks" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
+        listed = tuple(Frame(file=file, sha256=_sha256(dataset / file), table_deg=360.0 * k / VIEWS) for k, file in enumerate(files))
+        save_dataset(Dataset(folder=dataset, scene=scene, frames=listed, seed=0))
+        true = ball(RADIUS_MM, CENTRE_MM)
+        atomic.write_bytes(dataset / "truth" / "specimen.ply", bytes(true.export(file_type="ply")))
+        save_truth(
+            dataset,
+            Truth(
+                volume_mm3=float(true.volume),
+                extents_min_mm=tuple(true.bounds[0].tolist()),
+                extents_max_mm=tuple(true.bounds[1].tolist()),
+                n_water=1.333,
+                canister_from_strip=_rows(np.eye(4)),
+                views=tuple(
+                    TrueView(file=f, cam_from_canister=_rows(pose), table_deg=60.0 * k)
+                    for k, (f, pose) in enumerate(zip(files, poses, strict=True))
+                ),
+            ),
+        )
+        _write_result(
+            result, files, poses, radius_mm, CENTRE_MM + shift_mm, voxel_mm, found_from_true, disk(camera.image_wh, disk_px), lost
+        )
+        return Scan(dataset, result)
+
+    return make
+
+
+def _write_result(result, files, poses, radius_mm, centre_mm, voxel_mm, found_from_true, cover, lost) -> None:
+    origin = np.array([-80.0, -80.0, -150.0])
+    low = np.floor((centre_mm - radius_mm - origin) / voxel_mm).astype(int) - 1
+    high = np.ceil((centre_mm + radius_mm - origin) / voxel_mm).astype(int) + 1
+    grid = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1).reshape(-1, 3)
+    away = np.linalg.norm(origin + voxel_mm * (grid + 0.5) - centre_mm, axis=1)
+    occupancy = np.clip(0.5 + (radius_mm - away) / voxel_mm, 0.0, 1.0).astype(np.float32)
+    kept = occupancy > 0.0
+    result.mkdir()
+    np.savez_compressed(
+        result / "shape.npz",
+        leaves=grid[kept].astype(np.int32),
+        size=np.ones(kept.sum(), np.int32),
+        occupancy=occupancy[kept],
+        origin_mm=origin,
+        voxel_mm=np.float64(voxel_mm),
+    )
+    mesh = ball(radius_mm, centre_mm)
+    atomic.write_bytes(result / "shape.ply", bytes(mesh.export(file_type="ply")))
+    views = []
+    for k, (file, pose) in enumerate(zip(files, poses, strict=True)):
+        used = k not in lost
+        found = pose if found_from_true is None else pose @ frames.invert(found_from_true)
+        views.append(
+            {
+                "file": file,
+                "ring": 0,
+                "used": used,
+                "reason": None if used else "2 markers found, 4 are needed",
+                "cam_from_canister": _rows(found) if used else None,
+                "reprojection_px": 0.08 if used else None,
+                "markers": 20 if used else 2,
+                "table_deg": 60.0 * k,
+                "fill": 0.02 if used else None,
+            }
+        )
+        if used:
+            seen = np.zeros(cover.shape, np.uint8)
+            seen[20:-20, 20:-20] = 255
+            atomic.write_image(result / "silhouettes" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
+            atomic.write_image(result / "seen" / Path(file).name, seen)
+    volume = float(mesh.volume)
+    summary = {
+        "schema_version": 1,
+        "dataset": "scan",
+        "scene": "ball",
+        "voxel_mm": voxel_mm,
+        "volume_mm3": volume,
+        "volume_interval_mm3": [0.95 * volume, 1.05 * volume],
+        "extents_min_mm": mesh.bounds[0].tolist(),
+        "extents_max_mm": mesh.bounds[1].tolist(),
+        "blind_mm3": 12.5,
+        "views": views,
+        "warnings": ["view 3 is <dark>"] if lost else [],
+        "timings_s": {"poses": 1.5, "carve": 2.25},
+        "peak_memory_mib": 512.0,
+        "settings": {"method": "coverage"},
+        "versions": {"numpy": "2"},
+    }
+    atomic.write_json(result / "result.json", summary)
+
+
+def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)
+
+
+def _sha256(path: Path) -> str:
+    import hashlib
+
+    return hashlib.sha256(path.read_bytes()).hexdigest()

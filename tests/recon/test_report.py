@@ -1,0 +1,94 @@
+"""The pictures and the page of a result, and the small renderer behind them."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from recon import report, shading
+from recon.result_files import Mesh
+from scenes.errors import UserError
+
+
+def as_mesh(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(vertices_mm=np.asarray(solid.vertices), faces=np.asarray(solid.faces))
+
+
+def test_raster_of_a_ball_has_its_area_depth_and_normals():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    ball.apply_translation([1.0, 2.0, -30.0])
+    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05, values=ball.vertices[:, 2])
+    assert seen.hit.shape == (400, 280)
+    assert seen.hit.sum() * 0.05**2 == pytest.approx(np.pi * 16.0, rel=3e-3)
+    rows, columns = np.nonzero(seen.hit)
+    assert columns.mean() * 0.05 - 5.0 + 0.025 == pytest.approx(2.0, abs=0.01)  # y of the centre
+    assert -20.0 - (rows.mean() + 0.5) * 0.05 == pytest.approx(-30.0, abs=0.01)
+    assert seen.depth_mm[seen.hit].max() == pytest.approx(5.0, abs=0.01)  # towards +x
+    assert seen.normal[200, 140] == pytest.approx([0.0, 0.0, 1.0], abs=0.03)
+    z = -20.0 - (np.arange(400) + 0.5) * 0.05
+    assert seen.values[seen.hit] == pytest.approx(np.broadcast_to(z[:, None], seen.hit.shape)[seen.hit], abs=0.03)
+
+
+def test_side_view_looks_along_y_and_keeps_the_nearer_surface():
+    near = trimesh.creation.box(bounds=[[-1.0, -5.0, -1.0], [1.0, -4.0, 1.0]])
+    far = trimesh.creation.box(bounds=[[-2.0, 4.0, -2.0], [2.0, 5.0, 2.0]])
+    seen = shading.rasterise(as_mesh(near + far), shading.SIDE, box_mm=(-3.0, 3.0, -3.0, 3.0), px_mm=0.1)
+    assert seen.depth_mm[30, 30] == pytest.approx(5.0)
+    assert seen.depth_mm[12, 30] == pytest.approx(-4.0)
+    assert seen.hit.sum() == 40 * 40
+
+
+def test_shading_is_transparent_off_the_surface_and_opaque_on_it():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=3.0)
+    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-4.0, 4.0, -4.0, 4.0), px_mm=0.1)
+    picture = shading.shade(seen, (0.8, 0.5, 0.2), px_mm=0.1, shrink=2)
+    assert picture.shape == (40, 40, 4)
+    assert picture[20, 20, 3] == 1.0
+    assert picture[0, 0, 3] == 0.0
+    assert 0.0 <= picture.min() <= picture.max() <= 1.0
+    assert picture[14, 14, :3].mean() > picture[26, 26, :3].mean()  # light from the upper left
+
+
+def test_all_pictures_and_a_self_contained_page(scan):
+    made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,))
+    written = report.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+    names = ["inputs.png", "cameras.png", "shape.png", "shape_and_truth.png", "report.html"]
+    assert [path.name for path in written] == names
+    for path in written[:-1]:
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert min(picture.shape[:2]) > 300
+        assert picture.std() > 5.0
+    page = written[-1].read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert "a ball &lt;6 mm&gt;" in page
+    assert "view 3 is &lt;dark&gt;" in page
+    assert "2 markers found, 4 are needed" in page
+    assert "1047" in page  # mm3
+
+
+def test_without_silhouettes_and_truth_there_is_still_a_report(scan):
+    import shutil
+
+    made = scan(voxel_mm=1.0)
+    shutil.rmtree(made.result / "silhouettes")
+    shutil.rmtree(made.dataset / "truth")
+    written = report.write_pictures(made.result, made.dataset)
+    assert [path.name for path in written] == ["cameras.png", "shape.png", "report.html"]
+
+
+def test_pictures_repeat_exactly(scan):
+    made = scan(voxel_mm=1.0)
+    first = [path.read_bytes() for path in report.write_pictures(made.result, made.dataset)]
+    assert first == [path.read_bytes() for path in report.write_pictures(made.result, made.dataset)]
+
+
+def test_a_result_of_another_dataset_is_refused(scan):
+    made = scan(voxel_mm=1.0)
+    made.edit_summary(scene="radish")
+    with pytest.raises(UserError, match="radish"):
+        report.write_pictures(made.result, made.dataset)
+    assert not (made.result / "pictures").exists()

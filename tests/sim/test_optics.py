@@ -1,0 +1,205 @@
+"""The rendered canister against Snell's and Fresnel's laws written out by hand."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from scenes import frames, plan
+from scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, NetPot, Ring, Scene, Water
+from sim.render import Renderer
+from sim.specimen import SpecimenSolid
+from sim.world import draw_world
+
+Array = NDArray[np.float64]
+
+
+def ball(centre_mm: tuple[float, float, float], radius_mm: float) -> SpecimenSolid:
+    mesh = trimesh.creation.icosphere(4, radius_mm)
+    vertices = np.asarray(mesh.vertices) + centre_mm
+    return SpecimenSolid(vertices=vertices, faces=np.asarray(mesh.faces, dtype=np.int32), volume_mm3=float(mesh.volume), roots=(), traits={})
+
+
+def small(scene: Scene, width: int, height: int) -> Scene:
+    return replace(scene, camera=scene.camera.resized((width, height)))
+
+
+def magnify(scene: Scene, pixel: Array, times: float, size: int) -> Scene:
+    """The same lens (pinhole) before a sensor of ``size`` x ``size`` pixels, ``times`` smaller, centred on a pixel."""
+    fx, fy = scene.camera.focal_px
+    cx, cy = (np.array(scene.camera.principal_px) - pixel) * times + (size - 1) / 2.0
+    camera = replace(scene.camera, image_wh=(size, size), focal_px=(fx * times, fy * times), principal_px=(cx, cy))
+    return replace(scene, camera=camera)
+
+
+def centroid(coverage: NDArray[np.float32]) -> Array:
+    y, x = np.mgrid[: coverage.shape[0], : coverage.shape[1]]
+    return np.array([np.sum(x * coverage), np.sum(y * coverage)], dtype=float) / np.sum(coverage)
+
+
+def snell(direction: Array, normal: Array, n_from: float, n_to: float) -> Array:
+    """Refract a unit direction at a unit normal that points against it."""
+    cosine = -direction @ normal
+    ratio = n_from / n_to
+    return ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
+
+
+def to_cylinder(origin: Array, direction: Array, radius: float) -> Array:
+    a = direction[:2] @ direction[:2]
+    b = origin[:2] @ direction[:2]
+    c = origin[:2] @ origin[:2] - radius**2
+    return origin + (-b - np.sqrt(b * b - a * c)) / a * direction
+
+
+def ray_in_water(scene: Scene, n_water: float, cam_from_canister: Array, pixel: Array) -> tuple[Array, Array]:
+    """Where the ray of a pixel enters the water and which way it goes."""
+    fx, fy = scene.camera.focal_px
+    cx, cy = scene.camera.principal_px
+    canister_from_cam = frames.invert(cam_from_canister)
+    direction = canister_from_cam[:3, :3] @ np.array([(pixel[0] - cx) / fx, (pixel[1] - cy) / fy, 1.0])
+    direction /= np.linalg.norm(direction)
+    point = canister_from_cam[:3, 3]
+    indices = (1.0, scene.canister.n_wall, n_water)
+    for radius, n_from, n_to in zip((scene.canister.outer_radius_mm, scene.canister.inner_radius_mm), indices, indices[1:], strict=False):
+        point = to_cylinder(point, direction, radius)
+        normal = np.array([point[0], point[1], 0.0]) / radius
+        direction = snell(direction, normal, n_from, n_to)
+    return point, direction
+
+
+def project_by_search(scene: Scene, n_water: float, cam_from_canister: Array, point: Array) -> Array:
+    """Pixel whose ray passes through a point in the water."""
+
+    def miss(pixel: Array) -> Array:
+        start, direction = ray_in_water(scene, n_water, cam_from_canister, pixel)
+        away = point - start
+        return away - (away @ direction) * direction
+
+    in_cam = frames.apply(cam_from_canister, point)
+    start = np.array(scene.camera.focal_px) * in_cam[:2] / in_cam[2] + np.array(scene.camera.principal_px)
+    return np.asarray(least_squares(miss, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).x)
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    centre_mm: tuple[float, float, float]
+    view: int = 0
+    height_mm: float = -42.0
+    tilt_deg: float = 0.0
+    wrong: Disturbances = Disturbances()
+
+
+CASES = (
+    Case("near the axis", (3.0, 2.0, -60.0)),
+    Case("far side, off to a flank", (-40.0, 25.0, -100.0)),
+    Case("front, high", (50.0, -20.0, -15.0)),
+    Case("raised and tilted camera", (10.0, 30.0, -80.0), height_mm=150.0, tilt_deg=25.0),
+    Case(
+        "everything misplaced",
+        (20.0, -30.0, -70.0),
+        view=2,
+        wrong=Disturbances(arm_deg=0.3, arm_mm=1.0, table_deg=0.1, canister_offset_mm=1.0, canister_tilt_deg=0.5, n_water_error=0.001),
+    ),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_ball_in_the_water_is_seen_where_snell_says(case: Case) -> None:
+    ring = Ring(views=5, height_mm=case.height_mm, tilt_deg=case.tilt_deg)
+    scene = Scene(plan=CapturePlan(rings=(ring,)), disturbances=case.wrong)
+    world = draw_world(scene, seed=4)
+    expected = project_by_search(scene, world.n_water, world.cameras[case.view].cam_from_canister, np.array(case.centre_mm))
+    part = magnify(scene, expected, 100.0, 160)
+    _, coverage = Renderer(part, draw_world(part, seed=4), ball(case.centre_mm, 0.1), samples=4).view(case.view)
+    assert coverage.max() == 1.0
+    assert not coverage[0].any()
+    np.testing.assert_allclose((centroid(coverage) - 79.5) / 100.0, 0.0, atol=1e-3)
+
+
+def test_without_refraction_a_ball_is_seen_where_opencv_projects_it() -> None:
+    distortion = (-0.12, 0.05, 0.002, -0.001, 0.01)
+    scene = Scene(
+        canister=Canister(n_wall=1.0), water=Water(n_water=1.0), camera=replace(Camera(), distortion=distortion), plan=CapturePlan(rings=(Ring(views=3),))
+    )
+    centres = [(0.0, 0.0, -50.0), (10.0, 55.0, -110.0), (-30.0, -50.0, -20.0)]
+    for k, centre in enumerate(centres):
+        cam_from_canister = draw_world(scene, seed=0).cameras[k].cam_from_canister
+        camera = scene.camera
+        matrix = np.array([[camera.focal_px[0], 0, camera.principal_px[0]], [0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1]])
+        rotvec, shift_mm = frames.to_rotvec(cam_from_canister), cam_from_canister[:3, 3]
+        expected = cv2.projectPoints(np.array([centre]), rotvec, shift_mm, matrix, np.array(distortion))[0].ravel()
+        _, coverage = Renderer(scene, draw_world(scene, seed=0), ball(centre, 1.5), samples=16).view(k)
+        np.testing.assert_allclose(centroid(coverage), expected, atol=0.02)
+
+
+def transmitted(n_from: float, n_to: float) -> float:
+    """Fresnel's transmittance at normal incidence."""
+    return 1.0 - ((n_from - n_to) / (n_from + n_to)) ** 2
+
+
+def test_light_through_the_middle_is_what_fresnel_lets_pass() -> None:
+    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=1),))), 40, 30)
+    image, coverage = Renderer(scene, draw_world(scene, seed=0), None).view(0)
+    can, level = scene.canister, scene.lights.backlight_level
+    row = 15
+    expected = level * (transmitted(1.0, can.n_wall) * transmitted(can.n_wall, scene.water.n_water)) ** 2
+    np.testing.assert_allclose(image[row, 19:21], expected, rtol=2e-3)
+    np.testing.assert_allclose(image[row, 1], level, rtol=1e-5)
+    assert not coverage.any()
+
+
+def test_both_fidelities_agree_on_light_and_mask() -> None:
+    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=2),))), 80, 60)
+    world = draw_world(scene, seed=3)
+    solid = ball((5.0, 10.0, -55.0), 12.0)
+    fast, mask = Renderer(scene, world, solid).view(1)
+    full, same_mask = Renderer(scene, world, solid, fidelity="path", samples=256).view(1)
+    np.testing.assert_array_equal(mask, same_mask)
+    through = np.s_[25:55, 30:50]
+    free = mask[through] == 0.0
+    assert np.mean(full[through][free]) == pytest.approx(np.mean(fast[through][free]), rel=0.06)
+    assert np.mean(full[mask == 1.0]) < 0.1 * scene.lights.backlight_level
+    assert np.mean(fast[mask == 1.0]) < 0.1 * scene.lights.backlight_level
+    np.testing.assert_allclose(full[:, 2], fast[:, 2], rtol=1e-3)
+
+
+def test_an_empty_canister_is_its_own_mirror_image() -> None:
+    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=1),))), 80, 60)
+    image, _ = Renderer(scene, draw_world(scene, seed=0), None).view(0)
+    below_the_strip = image[24:]
+    np.testing.assert_allclose(below_the_strip, below_the_strip[:, ::-1], atol=2e-3)
+
+
+def test_the_strip_reads_from_outside_and_lies_where_the_plan_says() -> None:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=5),)), lights=Lights())
+    world = draw_world(scene, seed=0)
+    image, _ = Renderer(scene, world, None, samples=4).view(1)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
+    corners, ids, _ = detector.detectMarkers(np.clip(image * 255.0, 0, 255).astype(np.uint8))
+    found = dict(zip(np.ravel(ids).tolist(), [np.reshape(c, (4, 2)) for c in corners], strict=True))
+    columns = scene.strip.columns
+    assert len([i for i in found if i < columns]) >= 5, "upper row"
+    assert len([i for i in found if i >= columns]) >= 5, "lower row"
+    truth = plan.marker_corners(scene.strip, scene.net_pot)
+    camera = scene.camera
+    errors = []
+    for marker_id, pixels in found.items():
+        in_cam = frames.apply(world.cameras[1].cam_from_canister, truth[marker_id])
+        expected = np.array(camera.focal_px) * in_cam[:, :2] / in_cam[:, 2:] + np.array(camera.principal_px)
+        errors.append(np.linalg.norm(pixels - expected, axis=1))
+    assert np.median(errors) < 1.5
+    assert np.median(np.mean(errors, axis=0)) < 1.5
+
+
+def test_white_paper_facing_the_camera_reaches_its_level() -> None:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=1),)))
+    scene = small(replace(scene, net_pot=replace(NetPot(), skirt_bottom_mm=-5.0)), 200, 150)
+    for fidelity, samples in (("backlit", 4), ("path", 64)):
+        image, _ = Renderer(scene, draw_world(scene, seed=0), None, fidelity=fidelity, samples=samples).view(0)  # type: ignore[arg-type]
+        paper = np.quantile(image[5:38, 85:115], 0.9)
+        assert paper == pytest.approx(scene.lights.front_level, rel=0.15)
