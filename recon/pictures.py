@@ -19,12 +19,16 @@ from scenes.dataset import Dataset, read_image
 from scenes.model import Scene
 
 Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""(left, right, bottom, top) in mm."""
 
 SHAPE_RGB = (0.86, 0.55, 0.25)
 TRUTH_RGB = (0.42, 0.62, 0.80)
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
-SHRINK = 3
+SHRINK = 2
 """Renderings are made this much finer than shown, then averaged."""
+PANEL_PX = 640
+"""Height of a rendering."""
 
 
 def figure(width_in: float, height_in: float) -> Figure:
@@ -173,41 +177,51 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
     )
 
 
-def shape_views(shape: Mesh, scene: Scene, *, truth: Mesh | None = None, title: str = "") -> Figure:
-    """Draw the shape from the front and from the side to one scale; with the truth and the distance to it beside, where given."""
-    points = shape.vertices_mm if truth is None else np.concatenate([shape.vertices_mm, truth.vertices_mm])
-    columns = ["reconstructed"] if truth is None else ["reconstructed", "truth", "reconstructed, by distance to the truth"]
-    apart = None if truth is None else surface_distance.distances(shape.vertices_mm, truth.vertices_mm, truth.faces)
-    limit = 0.1 if apart is None else max(0.05, float(np.percentile(apart, 98.0)))
-    scale = ScalarMappable(norm=Normalize(0.0, limit), cmap="turbo")
-
-    boxes = [_box(points, side) for side in (shading.FRONT, shading.SIDE)]
-    sides = [shading.FRONT, shading.SIDE]
-    if truth is None:  # the two sides next to each other
-        drawn = figure(11.0, 0.9 + 5.2 * max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes))
-        grid = drawn.subplots(1, 2, squeeze=False).reshape(2, 1)
-    else:
-        drawn = figure(14.5, 0.9 + 4.4 * sum((box[3] - box[2]) / (box[1] - box[0]) for box in boxes))
-        grid = drawn.subplots(2, 3, squeeze=False, height_ratios=[(box[3] - box[2]) / (box[1] - box[0]) for box in boxes])
-    for row, (side, box) in enumerate(zip(sides, boxes, strict=True)):
-        for column, name in enumerate(columns):
-            axes = grid[row, column]
-            _canister_outline(axes, scene)
-            mesh = truth if name == "truth" and truth is not None else shape
-            coloured = apart if column == 2 else None
-            _draw_mesh(axes, mesh, side, box, TRUTH_RGB if name == "truth" else SHAPE_RGB, values=coloured, scale=scale)
-            axes.set_title(f"{name}, {side.name}" if truth is None or row == 0 else side.name, fontsize=10)
-            axes.set_xlabel(side.right_label)
-            axes.set_ylabel("z (mm)")
-    if apart is not None:
-        bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
-        bar.set_label("distance to the true surface (mm)")
-    if title:
-        drawn.suptitle(title, fontsize=11)
+def shape_in_canister(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
+    """Draw the shape where it is in the canister, from the front and from the side, to one scale in mm."""
+    can = scene.canister
+    reach = can.outer_radius_mm + 5.0
+    box = (-reach, reach, -can.height_mm - 5.0, 5.0)
+    drawn = figure(12.0, 12.0 * (box[3] - box[2]) / (2.0 * (box[1] - box[0])) + 0.9)
+    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+        raster, px_mm = _raster(shape, side, box)
+        _show(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
+        axes.set_title(side.name, fontsize=10)
+    drawn.suptitle(title, fontsize=11)
     return drawn
 
 
-def _box(points_mm: Floats, side: shading.Side) -> tuple[float, float, float, float]:
+def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
+    """Draw the shape, the truth and the distance between them, from the front (upper row) and from the side, close up."""
+    points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
+    apart = surface_distance.distances(shape.vertices_mm, truth.vertices_mm, truth.faces)
+    scale = ScalarMappable(norm=Normalize(0.0, max(0.05, float(np.percentile(apart, 98.0)))), cmap="viridis")
+    sides = (shading.FRONT, shading.SIDE)
+    boxes = [_box(points, side) for side in sides]
+    tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
+    drawn = figure(14.5, 0.9 + 4.4 * sum(tall))
+    grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
+    for row, side, box in zip(grid, sides, boxes, strict=True):
+        found, px_mm = _raster(shape, side, box, values=apart)
+        true, _ = _raster(truth, side, box)
+        by_distance = np.asarray(scale.to_rgba(found.values), np.float32)[..., :3]
+        drawings = (
+            shading.shade(found, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK),
+            shading.shade(true, TRUTH_RGB, px_mm=px_mm, shrink=SHRINK),
+            shading.shade(found, by_distance, px_mm=px_mm, shrink=SHRINK, flat=True),
+        )
+        for axes, drawing in zip(row, drawings, strict=True):
+            _show(axes, scene, side, box, drawing)
+            axes.set_title(side.name, fontsize=9)
+    for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, by its distance to the truth"), strict=True):
+        axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
+    bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
+    bar.set_label("distance to the true surface (mm)")
+    drawn.suptitle(title, fontsize=11)
+    return drawn
+
+
+def _box(points_mm: Floats, side: shading.Side) -> Box:
     """Return (left, right, bottom, top) round the points with a margin, neither very narrow nor very flat."""
     flat = points_mm @ side.axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
@@ -216,21 +230,17 @@ def _box(points_mm: Floats, side: shading.Side) -> tuple[float, float, float, fl
     return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
 
 
-def _draw_mesh(
-    axes: Axes,
-    mesh: Mesh,
-    side: shading.Side,
-    box: tuple[float, float, float, float],
-    colour: tuple[float, float, float],
-    *,
-    values: Floats | None,
-    scale: ScalarMappable,
-) -> None:
-    px_mm = (box[3] - box[2]) / (760 * SHRINK)
-    raster = shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm, values=values)
-    rgb = colour if values is None else np.asarray(scale.to_rgba(raster.values))[..., :3]
-    picture = shading.shade(raster, rgb, px_mm=px_mm, shrink=SHRINK)
+def _raster(mesh: Mesh, side: shading.Side, box: Box, *, values: Floats | None = None) -> tuple[shading.Raster, float]:
+    px_mm = (box[3] - box[2]) / (PANEL_PX * SHRINK)
+    return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm, values=values), px_mm
+
+
+def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
+    """Put a rendering into its place in the canister."""
+    _canister_outline(axes, scene)
     axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal")
+    axes.set_xlabel(side.right_label)
+    axes.set_ylabel("z (mm)")

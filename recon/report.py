@@ -61,7 +61,7 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
         written.append(_save(inputs, result_folder, "inputs.png"))
     written.append(_save(pictures.camera_ring(summary, dataset), result_folder, "cameras.png"))
     title = f"{summary['scene']}: {summary['volume_mm3']:.1f} mm3, voxels of {summary['voxel_mm']:g} mm"
-    written.append(_save(pictures.shape_views(shape, dataset.scene, title=title), result_folder, "shape.png"))
+    written.append(_save(pictures.shape_in_canister(shape, dataset.scene, title=title), result_folder, "shape.png"))
     if truth_mesh is not None:
         written.append(write_shape_and_truth(result_folder, Path(dataset_folder), truth_mesh=truth_mesh))
     page = result_folder / "report.html"
@@ -76,7 +76,7 @@ def write_shape_and_truth(result_folder: Path, dataset_folder: Path, *, truth_me
     scene = load_dataset(Path(dataset_folder)).scene
     shape, truth = result_files.read_mesh(result_folder / "shape.ply"), result_files.read_mesh(Path(truth_mesh))
     title = f"{summary['scene']}: {summary['volume_mm3']:.1f} mm3, voxels of {summary['voxel_mm']:g} mm"
-    return _save(pictures.shape_views(shape, scene, truth=truth, title=title), result_folder, "shape_and_truth.png")
+    return _save(pictures.shape_and_truth(shape, truth, scene, title=title), result_folder, "shape_and_truth.png")
 
 
 def _save(drawn: Figure, result_folder: Path, name: str) -> Path:

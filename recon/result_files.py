@@ -87,7 +87,7 @@ def read_leaves(folder: Path) -> Leaves:
     if not path.is_file():
         raise UserError(f"{path} does not exist; reconstruct again.")
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             leaves = Leaves(
                 low=stored["leaves"],
                 size=stored["size"],

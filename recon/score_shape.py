@@ -66,17 +66,16 @@ def compare_voxels(leaves: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
     ValueError
         If the mesh is not closed.
     """
-    solid, voxel = (truth.vertices_mm, truth.faces), leaves.voxel_mm
-    grid = {"origin_mm": leaves.origin_mm, "voxel_mm": voxel}
+    solid, origin, voxel = (truth.vertices_mm, truth.faces), leaves.origin_mm, leaves.voxel_mm
     voxels_in_leaf = leaves.size.astype(np.float64) ** 3
     occupied = leaves.occupancy >= 0.5
 
-    true_count = voxelise.count_inside(*solid, **grid)
-    inside = voxelise.count_in_boxes(*solid, leaves.low, leaves.size, **grid)
+    true_count = voxelise.count_inside(*solid, origin_mm=origin, voxel_mm=voxel)
+    inside = voxelise.count_in_boxes(*solid, leaves.low, leaves.size, origin_mm=origin, voxel_mm=voxel)
     both, found = float(inside[occupied].sum()), float(voxels_in_leaf[occupied].sum())
 
-    share = voxelise.fraction(*solid, leaves.low, leaves.size, **grid, samples=2)
-    true_share = voxelise.count_inside(*solid, origin_mm=leaves.origin_mm, voxel_mm=voxel / 2.0) / 8.0
+    share = voxelise.fraction(*solid, leaves.low, leaves.size, origin_mm=origin, voxel_mm=voxel, samples=2)
+    true_share = voxelise.count_inside(*solid, origin_mm=origin, voxel_mm=voxel / 2.0) / 8.0
     common = float((np.minimum(share, leaves.occupancy) * voxels_in_leaf).sum())
     found_share = float((leaves.occupancy * voxels_in_leaf).sum())
     voxels = VoxelScore(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from recon.result_files import Mesh
 
 Floats = NDArray[np.float64]
+Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
 
@@ -38,11 +39,11 @@ class Raster:
 
     hit: NDArray[np.bool_]
     """(H, W) whether the surface is met."""
-    depth_mm: Floats
+    depth_mm: Pixels
     """(H, W) towards the eye; meaningless where nothing is met."""
-    normal: Floats
+    normal: Pixels
     """(H, W, 3) unit vectors: right, up, towards the eye."""
-    values: Floats
+    values: Pixels
     """(H, W) the vertices' values, interpolated."""
 
 
@@ -66,7 +67,7 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
     carried = np.concatenate([vertex_normals(mesh) @ side.axes.T, (np.zeros(len(flat)) if values is None else values)[:, None]], axis=1)
 
     depth = np.full(width * height, -np.inf)
-    found = np.zeros((width * height, 4))
+    found = np.zeros((width * height, 4), np.float32)
     corners = flat[mesh.faces]
     low = np.maximum(np.ceil(corners[:, :, :2].min(axis=1)).astype(np.int64), 0)
     high = np.minimum(np.floor(corners[:, :, :2].max(axis=1)).astype(np.int64) + 1, [width, height])
@@ -87,11 +88,12 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
         front = z == depth[pixel]
         found[pixel[front]] = np.einsum("ij,ijk->ik", weights[front], carried[mesh.faces[triangle[front]]])
     hit = np.isfinite(depth)
-    normal = found[:, :3] / np.maximum(np.linalg.norm(found[:, :3], axis=1, keepdims=True), 1e-12)
+    length = np.sqrt(np.einsum("ij,ij->i", found[:, :3], found[:, :3]))[:, None]
+    normal = (found[:, :3] / np.where(length > 0.0, length, 1.0)).astype(np.float32)
     shape = (height, width)
     return Raster(
         hit=hit.reshape(shape),
-        depth_mm=np.where(hit, depth, 0.0).reshape(shape),
+        depth_mm=np.where(hit, depth, 0.0).astype(np.float32).reshape(shape),
         normal=normal.reshape(*shape, 3),
         values=found[:, 3].reshape(shape),
     )
@@ -109,30 +111,46 @@ def _barycentric(corners: Floats, x: NDArray[np.int64], y: NDArray[np.int64]) ->
 
 
 def vertex_normals(mesh: Mesh) -> Floats:
-    """Return (V, 3) normals, the sum of the neighbouring faces' area vectors, not normalised."""
+    """Return (V, 3) outward normals, the sum of the neighbouring faces' area vectors, not normalised.
+
+    A mesh whose faces are turned inside out (its signed volume is negative) gets the same normals as its mirror image.
+    """
     a, b, c = (mesh.vertices_mm[mesh.faces[:, k]] for k in range(3))
     area = np.cross(b - a, c - a)
+    if np.einsum("ij,ij->", a - mesh.vertices_mm.mean(axis=0), area) < 0.0:
+        area = -area
     count = len(mesh.vertices_mm)
     return np.stack([np.bincount(mesh.faces.ravel(), weights=np.repeat(area[:, k], 3), minlength=count) for k in range(3)], axis=1)
 
 
-def shade(raster: Raster, colour: tuple[float, float, float] | Floats, *, px_mm: float, shrink: int = 1) -> Floats:
+def _blurred(image: Pixels, sigma_px: float) -> Pixels:
+    """Return an image under a wide Gaussian, computed on fewer pixels where it is wide."""
+    fewer = max(1, int(sigma_px / 4.0))
+    height, width = image.shape
+    small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(small, (0, 0), max(sigma_px / fewer, 0.5))
+    return np.asarray(cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def shade(
+    raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
+) -> Pixels:
     """Return an RGBA picture (H / shrink, W / shrink, 4) in 0..1, transparent where nothing is met.
 
     Light falls from the upper left; hollows behind nearer parts are darkened, far parts fade a little towards white.
-    ``colour`` is one RGB or one a pixel (H, W, 3).
+    ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours that carry
+    numbers can be read.
     """
-    light = np.array([-0.45, 0.65, 0.75])
+    light = np.array([-0.45, 0.65, 0.75], np.float32)
     light /= np.linalg.norm(light)
     lambert = np.clip(raster.normal @ light, 0.0, 1.0)
-    hit = raster.hit.astype(np.float64)
-    sigma_px = max(0.7 / px_mm, 0.5)
-    weight = cv2.GaussianBlur(hit, (0, 0), sigma_px)
-    around = cv2.GaussianBlur(raster.depth_mm * hit, (0, 0), sigma_px) / np.maximum(weight, 1e-9)
+    hit = raster.hit.astype(np.float32)
+    around = _blurred(raster.depth_mm * hit, 0.7 / px_mm) / np.maximum(_blurred(hit, 0.7 / px_mm), 1e-9)
     hollow = np.clip((around - raster.depth_mm) / 6.0, 0.0, 1.0)
-    light_here = (0.38 + 0.62 * lambert) * (1.0 - 0.6 * hollow)
-    rgb = np.asarray(colour) * light_here[..., None]
-    if raster.hit.any():
+    ambient = 0.8 if flat else 0.38
+    light_here = (ambient + (1.0 - ambient) * lambert) * (1.0 - (0.25 if flat else 0.6) * hollow)
+    rgb = np.asarray(colour, np.float32) * light_here[..., None]
+    if raster.hit.any() and not flat:
         near, far = raster.depth_mm[raster.hit].max(), raster.depth_mm[raster.hit].min()
         fade = 0.35 * np.clip((near - raster.depth_mm) / max(near - far, 20.0), 0.0, 1.0)[..., None]
         rgb = rgb * (1.0 - fade) + 0.92 * fade

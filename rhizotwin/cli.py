@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 from scenes.errors import UserError
 
@@ -98,7 +98,7 @@ def build_parser() -> Parser:
     return parser
 
 
-Commands = argparse._SubParsersAction[Parser]
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
 def _add(commands: Commands, name: str, short: str, *, description: str, epilog: str) -> Parser:

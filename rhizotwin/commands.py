@@ -140,14 +140,14 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[P
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
-    from recon import report
-    from recon.pipeline import reconstruct as find_shape
-    from scenes.atomic import new_folder
-
     if output.is_dir() and any(output.iterdir()) and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+    from recon import report
+    from recon.pipeline import reconstruct as find_shape
+    from scenes.atomic import new_folder
+
     truth_mesh = dataset / "truth" / "specimen.ply"
     with new_folder(output, replace=True) as building:
         find_shape(dataset, building, voxel_mm=voxel_mm)

@@ -12,16 +12,19 @@ import shutil
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from scenes.errors import UserError
 
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
+APT_LLVM = (19, 22, 21, 20, 18, 17)
+"""Versions to install by apt, best first: 19 and 22 were tried longest."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
 """Where Dr.Jit is pointed when there is no usable LLVM, so that it does not find an old one by itself."""
 
 _FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")
-_FOLDER_VERSION = re.compile(r"(?:^llvm-|^)(\d+)(?:\.\d+)*$")
+_FOLDER_VERSION = re.compile(r"^(?:llvm-)?(\d+)(?:\.\d+)*(?:_\d+)?$")
 
 
 def llvm_version(library: Path) -> int | None:
@@ -67,11 +70,11 @@ def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
 
 
 def install_hint() -> str:
-    """Return the command that installs a usable LLVM on this platform."""
+    """Return the command that installs a usable LLVM, and what Dr.Jit needs beside it, on this platform."""
     if platform.system() == "Darwin":
         return "brew install llvm"
     if shutil.which("apt-get"):
-        return f"sudo apt-get update && sudo apt-get install -y {_newest_apt_llvm()}"
+        return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}"
     if shutil.which("dnf"):
         return "sudo dnf install llvm-libs"
     if shutil.which("pacman"):
@@ -79,15 +82,16 @@ def install_hint() -> str:
     return "your package manager's LLVM shared library (libLLVM.so), version 17 or newer"
 
 
-def _newest_apt_llvm() -> str:
-    """Return the name of the newest usable LLVM package that apt knows, libllvm19 when it knows none."""
+def apt_packages() -> list[str]:
+    """Return what to install by apt: the first LLVM of `APT_LLVM` that apt offers (the first of all if it knows none), and libatomic1."""
+    names = [f"libllvm{version}{suffix}" for version in APT_LLVM for suffix in ("", "t64")]
+    offered: list[str] = []
     apt_cache = shutil.which("apt-cache")
-    if apt_cache is None:
-        return "libllvm19"
-    listing = subprocess.run([apt_cache, "pkgnames", "libllvm"], capture_output=True, text=True, check=False).stdout
-    versions = [int(match[1]) for match in re.finditer(r"^libllvm(\d+)(?:t64)?$", listing, re.MULTILINE)]
-    newest = max((version for version in versions if version >= MIN_LLVM), default=19)
-    return f"libllvm{newest}t64" if f"libllvm{newest}t64" in listing.split() else f"libllvm{newest}"
+    if apt_cache is not None:
+        environment = {**os.environ, "LC_ALL": "C"}
+        policy = subprocess.run([apt_cache, "policy", *names], capture_output=True, text=True, check=False, env=environment).stdout
+        offered = re.findall(r"^(\S+):\n  Installed:.*\n  Candidate: (?!\(none\))", policy, re.MULTILINE)
+    return [next((name for name in names if name in offered), names[0]), "libatomic1"]
 
 
 def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
@@ -153,9 +157,7 @@ def start(device: str = "auto") -> str:
         missing = error
         os.environ["DRJIT_LIBLLVM_PATH"] = NO_LLVM
 
-    import drjit as dr
-    import mitsuba as mi
-
+    dr, mi = _load()
     if device != "cpu" and (missing is None or _has_cuda_driver()) and dr.has_backend(dr.JitBackend.CUDA):
         mi.set_variant("cuda_ad_mono")
         return "computing on the NVIDIA card (CUDA)"
@@ -168,6 +170,17 @@ def start(device: str = "auto") -> str:
     except ImportError as error:
         raise UserError(f"{library} (LLVM {version}) could not be loaded; reinstall it with: {install_hint()}") from error
     return f"computing on the CPU with LLVM {version} ({library})"
+
+
+def _load() -> tuple[Any, Any]:
+    """Import Dr.Jit and Mitsuba; a system library that they lack is the user's to install."""
+    try:
+        import drjit
+        import mitsuba
+    except (ImportError, NameError) as error:  # Dr.Jit stumbles over its own failed import with a NameError
+        reason = error.__context__ if isinstance(error, NameError) and error.__context__ is not None else error
+        raise UserError(f"Dr.Jit cannot be loaded ({reason}); install what is missing with: {install_hint()}") from error
+    return drjit, mitsuba
 
 
 def _has_cuda_driver() -> bool:

@@ -115,22 +115,22 @@ def new_folder(path: Path | str, *, replace: bool = False) -> Iterator[Path]:
     temporary, old = _beside(path), _beside(path)
     try:
         temporary.mkdir(parents=True)
+    except OSError as error:
+        raise _explained(error, path) from error
+    try:
         yield temporary
         _sync_folder(temporary)
         if path.is_dir():
             path.rename(old)
-        try:
-            temporary.rename(path)
-        except BaseException:
-            if old.is_dir():
-                old.rename(path)
-            raise
+        temporary.rename(path)
         _sync_folder(path.parent)
     except OSError as error:
         if error.errno in _FULL_DISK or str(temporary) in str(error.filename):
             raise _explained(error, path) from error
         raise
     finally:
+        if old.is_dir() and not path.exists():
+            old.rename(path)
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
 

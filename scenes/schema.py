@@ -110,19 +110,19 @@ def _scalar(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
     wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}[hint]
     if not isinstance(value, (int, float) if hint is float else hint) or (isinstance(value, bool) and hint is not bool):
         raise place.error(f"must be {wanted}, not {_type_name(value)}", value)
+    checked = value
     if hint is float:
         try:
-            number = float(value)
+            checked = float(value)
         except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
+            checked = math.inf
+        if not math.isfinite(checked):
             raise place.error("must be a finite number", value)
-        value = number
     if "limits" in f.metadata and hint in (int, float):
         low, high = f.metadata["limits"]
-        if not low <= value <= high:
+        if not low <= checked <= high:
             raise place.error(f"must be between {low:.12g} and {high:.12g}", value)
-    return value
+    return checked
 
 
 def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) -> tuple[Any, ...]:

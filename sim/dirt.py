@@ -16,6 +16,8 @@ class Patch:
     z_mm: float
     radius_mm: float
     opacity: float
+    lobes_rad: tuple[float, ...]
+    """Phases of the outline's waves, 2, 3, 4, ... round the film."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +49,7 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
             z_mm=float(rng.uniform(low_mm, high_mm)),
             radius_mm=float(rng.uniform(2.0, 8.0)),
             opacity=float(wrong.algae_opacity * rng.uniform(0.5, 1.0)),
+            lobes_rad=tuple(float(phase) for phase in rng.uniform(0.0, 2.0 * np.pi, 5)),
         )
         for _ in range(wrong.algae_patches)
     )
@@ -83,7 +86,9 @@ def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05
     return tuple(bubbles)
 
 
-def opacity_map(patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float) -> NDArray[np.float32]:
+def opacity_map(
+    patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
+) -> NDArray[np.float32]:
     """Paint algae films on an unrolled wall.
 
     Returns
@@ -98,8 +103,10 @@ def opacity_map(patches: tuple[Patch, ...], *, radius_mm: float, z_range_mm: tup
     z_mm = high_mm - (np.arange(rows) + 0.5) * (high_mm - low_mm) / rows
     clear = np.ones((rows, columns))
     for patch in patches:
-        across_mm = radius_mm * (np.mod(azimuth - patch.azimuth_rad + np.pi, 2.0 * np.pi) - np.pi)
-        distance = np.hypot(across_mm[None, :], (z_mm - patch.z_mm)[:, None]) / patch.radius_mm
-        ragged = distance + 0.15 * np.sin(5.0 * np.arctan2((z_mm - patch.z_mm)[:, None], across_mm[None, :]) + patch.azimuth_rad)
-        clear *= 1.0 - patch.opacity * np.clip((1.0 - ragged) / 0.25, 0.0, 1.0)
+        across_mm = radius_mm * (np.mod(azimuth - patch.azimuth_rad + np.pi, 2.0 * np.pi) - np.pi)[None, :]
+        up_mm = (z_mm - patch.z_mm)[:, None]
+        heading = np.arctan2(up_mm, across_mm)
+        outline = sum(0.2 / wave * np.sin(wave * heading + phase) for wave, phase in enumerate(patch.lobes_rad, start=2))
+        inside = 1.0 + outline - np.hypot(across_mm, up_mm) / patch.radius_mm
+        clear *= 1.0 - patch.opacity * np.clip(inside / 0.25, 0.0, 1.0)
     return (1.0 - clear).astype(np.float32)

@@ -38,9 +38,8 @@ def expose(
     if disturbances.read_noise_e > 0.0:
         signal = signal + rng.normal(0.0, disturbances.read_noise_e / full_well_e, signal.shape)
     numbers = np.rint(np.clip(signal, 0.0, 1.0) * (2**camera.bits - 1))
-    if camera.bits <= 8:
-        return numbers.astype(np.uint8)
-    return numbers.astype(np.uint16) << np.uint16(16 - camera.bits)
+    stored = numbers.astype(np.uint8) if camera.bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - camera.bits)
+    return np.asarray(stored)
 
 
 def stored_full_scale(camera: Camera) -> int:
@@ -50,4 +49,4 @@ def stored_full_scale(camera: Camera) -> int:
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
     """Return coverage (H, W) in [0, 1] as 16-bit numbers."""
-    return np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0).astype(np.uint16)
+    return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

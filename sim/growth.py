@@ -15,6 +15,7 @@ from scenes.errors import UserError
 from scenes.model import Canister, NetPot
 from scenes.rsml import Root
 from scenes.specimens import GrownSpecimen, RootOrder
+from sim.confinement import Bounds, bounds, keep_inside, steer
 
 Array = NDArray[np.float64]
 
@@ -22,21 +23,10 @@ STEP_MM = 1.0
 """Length of a growth step, and of a segment of the finished root."""
 BEND_LENGTH_MM = 4.0
 """Distance over which a random curvature persists: headings are smooth."""
-WALL_TURN_MM = 6.0
-"""Radius of the arc on which a root turns away from what it meets."""
 HEADING_FAN_DEG = 137.5
 """Mean azimuth from one lateral to the next (the golden angle keeps sides evenly used) ..."""
 HEADING_FAN_SD_DEG = 40.0
 """... and its standard deviation."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """Where surfaces of roots may be, in the canister frame."""
-
-    radius_mm: float
-    low_z_mm: float
-    high_z_mm: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,15 +39,6 @@ class _Bud:
     heading: Array
     age_days: float
     limit_diameter_mm: float
-
-
-def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
-    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins."""
-    return Bounds(
-        radius_mm=canister.inner_radius_mm - specimen.wall_margin_mm,
-        low_z_mm=canister.floor_z_mm + specimen.floor_margin_mm,
-        high_z_mm=net_pot.grid_z_mm - specimen.top_margin_mm,
-    )
 
 
 def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: NetPot | None = None) -> list[Root]:
@@ -125,7 +106,7 @@ def _check_origin(specimen: GrownSpecimen, limits: Bounds) -> None:
 
 
 def _generators(seed: int, path: tuple[int, ...]) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Generators of a root's own traits, of its wobble and of its laterals."""
+    """Return the generators of a root's own traits, of its wobble and of its laterals."""
     shape, wobble, laterals = np.random.SeedSequence(entropy=seed, spawn_key=path).generate_state(3, np.uint64)
     return np.random.default_rng(int(shape)), np.random.default_rng(int(wobble)), np.random.default_rng(int(laterals))
 
@@ -178,9 +159,7 @@ def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
     return line_mm, along_mm
 
 
-def _centrelines(
-    buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array
-) -> Array:
+def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm: Array, seed: int, limits: Bounds, down: Array) -> Array:
     """Return the centrelines (N, S + 1, 3) of all buds, each long enough for the longest."""
     steps = int(np.ceil(lengths_mm.max() / STEP_MM)) + 1
     bend = np.zeros((len(buds), steps, 3))
@@ -199,42 +178,10 @@ def _centrelines(
         turn -= np.sum(turn * heading, axis=1, keepdims=True) * heading
         heading = heading + STEP_MM * turn
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-        heading = _steer(points_mm[:, step], heading, radii_mm, limits)
-        points_mm[:, step + 1] = _keep_inside(points_mm[:, step] + STEP_MM * heading, radii_mm, limits)
+        heading = steer(points_mm[:, step], heading, radii_mm, limits)
+        points_mm[:, step + 1] = keep_inside(points_mm[:, step] + STEP_MM * heading, radii_mm, limits)
         curvature = persistence * curvature + curvature_sd * np.sqrt(1.0 - persistence**2) * bend[:, min(step + 1, steps - 1)]
     return points_mm
-
-
-def _steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit."""
-    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
-    azimuth_rad = np.arctan2(points_mm[:, 1], points_mm[:, 0])
-    outward = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
-    around = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
-    local = np.stack([np.sum(heading[:, :2] * outward, axis=1), np.sum(heading[:, :2] * around, axis=1), heading[:, 2]], axis=1)
-
-    def fastest(gap_mm: Array) -> Array:
-        return np.sqrt(1.0 - (1.0 - np.clip(gap_mm / WALL_TURN_MM, 0.0, 1.0)) ** 2)
-
-    out_max = fastest(limits.radius_mm - radii_mm - radius_mm)
-    down_max = fastest(points_mm[:, 2] - limits.low_z_mm - radii_mm)
-    up_max = fastest(limits.high_z_mm - radii_mm - points_mm[:, 2])
-    for _ in range(4):
-        limited = local.copy()
-        limited[:, 0] = np.minimum(local[:, 0], out_max)
-        limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
-        length = np.linalg.norm(limited, axis=1)
-        limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])  # head on: turn along the limit
-        local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
-    return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
-
-
-def _keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Move points (N, 3) that a finite step took past the limits back onto them."""
-    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
-    shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))
-    z_mm = np.clip(points_mm[:, 2], limits.low_z_mm + radii_mm, limits.high_z_mm - radii_mm)
-    return np.concatenate([points_mm[:, :2] * shrink[:, None], z_mm[:, None]], axis=1)
 
 
 def _laterals(
@@ -267,7 +214,8 @@ def _laterals(
         across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
         across /= np.linalg.norm(across)
         side = np.cos(azimuth_rad) * across + np.sin(azimuth_rad) * np.cross(along, across)
-        began_days = age_at(np.array(at_mm + order.apex_mm), max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
+        passed_mm = np.array(at_mm + order.apex_mm)
+        began_days = age_at(passed_mm, max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
         diameter_mm = float((1.0 - part) * root.diameters_mm[segment] + part * root.diameters_mm[segment + 1])
         buds.append(
             _Bud(

@@ -9,20 +9,32 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import frames
 from scenes.errors import UserError
 from scenes.model import Scene
-from sim import integrators, optics, sensor
+from sim import integrators, lights, optics, sensor
 from sim.specimen import SpecimenSolid
 from sim.world import World
 
 Fidelity = Literal["backlit", "path"]
-DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 16}
+DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
 PATH_DEPTH = 16
 MAX_RAYS = 8_000_000
 """Rays a kernel launch: bounds memory on large sensors."""
+MAX_PATHS = 32_000_000
+"""The same for path tracing, whose kernels keep nothing but the picture."""
+_TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
+
+
+def checked_samples(fidelity: str, samples: int | None) -> int:
+    """Return the rays a pixel to use: ``samples``, or the fidelity's default for None; `UserError` where that cannot be."""
+    if fidelity not in DEFAULT_SAMPLES:
+        raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
+    count = DEFAULT_SAMPLES[fidelity] if samples is None else samples
+    if count < 1 or (fidelity == "backlit" and round(count**0.5) ** 2 != count):
+        raise UserError(f"samples {count}: give a positive number of rays a pixel, for the backlit fidelity a square such as 4, 9 or 16")
+    return count
 
 
 class Renderer:
@@ -45,12 +57,8 @@ class Renderer:
     def __init__(
         self, scene: Scene, world: World, solid: SpecimenSolid | None, *, fidelity: Fidelity = "backlit", samples: int | None = None
     ) -> None:
-        if fidelity not in DEFAULT_SAMPLES:
-            raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
-        self.samples = DEFAULT_SAMPLES[fidelity] if samples is None else samples
+        self.samples = checked_samples(fidelity, samples)
         self.side = round(self.samples**0.5)
-        if self.samples < 1 or (fidelity == "backlit" and self.side**2 != self.samples):
-            raise UserError(f"samples {self.samples}: the backlit fidelity takes a square number of rays a pixel, such as 4, 9 or 16")
         self.world = world
         self.fidelity = fidelity
         self.lights = scene.lights
@@ -85,15 +93,26 @@ class Renderer:
             Fraction of each pixel whose refracted primary rays meet the specimen.
         """
         camera = self.world.cameras[k]
-        optics.place_lights(self.mitsuba_scene, self.lights, camera)
+        lights.place(self.mitsuba_scene, self.lights, camera)
         eye = self.sensors[self.ring_of_view[k]]
         sensor.set_pose(eye, camera.cam_from_canister)
         image, coverage = self._lattice(eye)
         if self.fidelity == "path":
-            seed = int(np.random.default_rng([self.world.seed, 21, k]).integers(2**31))
-            noisy = mi.render(self.mitsuba_scene, sensor=eye, integrator=self.path, spp=self.samples, seed=seed)
-            image = np.array(noisy, dtype=np.float32).reshape(image.shape)
+            image = self._traced(eye, k)
         return image, coverage
+
+    def _traced(self, eye: Any, k: int) -> Image:
+        """Path-trace view k, in as many passes as memory asks for, each with its own seed."""
+        width, height = self.image_wh
+        most = max(1, MAX_PATHS // (width * height))
+        seeds = np.random.default_rng([self.world.seed, _TRACING, k])
+        total = np.zeros((height, width), dtype=np.float32)
+        for start in range(0, self.samples, most):
+            count = min(most, self.samples - start)
+            seed = int(seeds.integers(2**31))
+            light = mi.render(self.mitsuba_scene, sensor=eye, integrator=self.path, spp=count, seed=seed)
+            total += np.array(light, dtype=np.float32).reshape(height, width) * np.float32(count / self.samples)
+        return total
 
     def _lattice(self, eye: Any) -> tuple[Image, Image]:
         """Average the backlit integrator over a regular lattice in every pixel."""

@@ -94,7 +94,7 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
 
 @cache
 def _register_for(variant: str) -> None:
-    class OpenCVSensor(mi.Sensor):  # type: ignore[misc]
+    class OpenCVSensor(mi.Sensor):
         """Pinhole or thin lens with OpenCV distortion; +z looks forward, +x right, +y down in the image."""
 
         def __init__(self, props: mi.Properties) -> None:
@@ -115,9 +115,7 @@ def _register_for(variant: str) -> None:
             dr.make_opaque(columns, centre)
             self.rotation, self.centre = columns, centre
 
-        def sample_ray(
-            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> tuple[mi.Ray3f, mi.Spectrum]:
             del sample1, active
             width, height = self.film().size()
             lens = self.lens
@@ -132,9 +130,7 @@ def _register_for(variant: str) -> None:
             if self.aperture_radius > 0.0:
                 on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
                 ray.o = self.centre + right * on_lens.x + down * on_lens.y
-                ray.d = dr.normalize(
-                    right * (x * self.focus - on_lens.x) + down * (y * self.focus - on_lens.y) + forward * self.focus
-                )
+                ray.d = dr.normalize(right * (x * self.focus - on_lens.x) + down * (y * self.focus - on_lens.y) + forward * self.focus)
             else:
                 ray.o = mi.Point3f(self.centre)
                 ray.d = dr.normalize(right * x + down * y + forward)
@@ -148,12 +144,6 @@ def _register_for(variant: str) -> None:
 
         def bbox(self) -> mi.ScalarBoundingBox3f:
             return mi.ScalarBoundingBox3f()
-
-        def traverse(self, callback: Any) -> None:
-            super().traverse(callback)
-
-        def to_string(self) -> str:
-            return "OpenCVSensor[]"
 
     del variant
     mi.register_sensor(PLUGIN, OpenCVSensor)

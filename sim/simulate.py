@@ -20,7 +20,7 @@ from scenes.model import Disturbances, Scene
 from scenes.rsml import write_rsml
 from scenes.truth import TrueView, Truth, save_truth
 from sim.exposure import expose, mask_picture
-from sim.render import DEFAULT_SAMPLES, Fidelity, Renderer
+from sim.render import Fidelity, Renderer, checked_samples
 from sim.specimen import SpecimenSolid, build_specimen
 from sim.world import World, draw_world, lens_distortion
 
@@ -67,8 +67,8 @@ def simulate(
     folder = Path(folder)
     if seed < 0:
         raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
-    solid = build_specimen(scene, folder=Path(specimen_folder) if specimen_folder is not None else Path.cwd())
-    samples = DEFAULT_SAMPLES[fidelity] if samples is None else samples
+    samples = checked_samples(fidelity, samples)
+    solid = build_specimen(scene, folder=specimen_folder)
     settings = {
         "profile": profile_name,
         "seed": seed,
@@ -81,7 +81,7 @@ def simulate(
     _write_specimen(folder, solid)
     frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
     save_truth(folder, _truth(world, solid, frames))
-    origin = {"program": "rhizotwin simulate", **settings, "versions": _versions()}
+    origin = {"program": "rhizotwin simulate", **settings, "versions": _versions(), "notes": list(solid.notes)}
     dataset = Dataset(folder=folder, scene=_as_given(scene), frames=frames, seed=seed, origin=origin)
     save_dataset(dataset)
     return dataset
@@ -118,9 +118,7 @@ def _render_frames(
             hashes = [str(_file_hash(image_path)), str(_file_hash(mask_path))]
             done[name] = hashes
             write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
-        frames.append(
-            Frame(file=f"images/{name}", sha256=hashes[0], kind=view.kind, ring=view.ring, table_deg=view.table_deg)
-        )
+        frames.append(Frame(file=f"images/{name}", sha256=hashes[0], kind=view.kind, ring=view.ring, table_deg=view.table_deg))
     return tuple(frames)
 
 

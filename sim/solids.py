@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import manifold3d
 import numpy as np
@@ -19,6 +20,9 @@ SPLIT_TURN_RAD = 2.0
 """A tube that has turned this far goes on as a new one: united, it may then cross itself."""
 KINK_RAD = 0.6
 """A single bend beyond this, or inside the tube's own radius, is a joint of two tubes with round ends."""
+
+LEAST_MM = 1e-3
+"""Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can tell."""
 
 
 def sides_of(diameter_mm: float) -> int:
@@ -104,7 +108,7 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 def pieces(root: Root) -> list[tuple[Array, Array]]:
     """Cut a root into tubes (points, radii) that cannot cross themselves: at kinks, and where it has turned far."""
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
-    points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.asarray(root.diameters_mm)[apart] / 2.0
+    points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
         return []
     steps = np.diff(points_mm, axis=0)
@@ -121,7 +125,7 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
             cuts.append(i)
             turned = 0.0
     cuts.append(len(points_mm) - 1)
-    return [(points_mm[a : b + 1], radii_mm[a : b + 1]) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [(points_mm[a : b + 1], radii_mm[a : b + 1]) for a, b in pairwise(cuts)]
 
 
 def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0) -> manifold3d.Manifold:
@@ -207,7 +211,7 @@ def traits_of(roots: Sequence[Root], solid: manifold3d.Manifold) -> dict[str, fl
         "total_length_mm": total_mm,
         "surface_mm2": float(solid.surface_area()),
         "tips": float(len(roots)),
-        "branch_points": float(sum(root.parent is not None and root.parent >= 0 for root in roots)),
+        "branch_points": float(sum(root.parent >= 0 for root in roots)),
         "roots": float(len(roots)),
         "mean_diameter_mm": weighted / total_mm if total_mm > 0.0 else 0.0,
     }

@@ -83,8 +83,12 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     elif isinstance(specimen, RsmlSpecimen):
         path = _locate(specimen.file, folder)
         what = str(path)
-        roots = list(read_rsml(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm))
+        traced = read_rsml(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
+        check_in_water(np.concatenate([root.points_mm for root in traced]), scene, what=what)
+        roots = list(traced)
         solid = solids.union_of_roots(roots)
+        if (parts := len(solid.decompose())) > 1:
+            notes.append(f"{what}: the roots make {parts} separate bodies; where the file leaves gaps, they are kept.")
     elif isinstance(specimen, GrownSpecimen):
         what = "the grown plant"
         roots = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
@@ -111,8 +115,9 @@ def check_in_water(vertices: Array, scene: Scene, *, what: str) -> None:
         Says which limit is passed, by how much and where.
     """
     canister = scene.canister
+    radius_mm = np.hypot(vertices[:, 0], vertices[:, 1])
     past = {
-        f"past the inner wall (radius {canister.inner_radius_mm:g} mm)": np.hypot(vertices[:, 0], vertices[:, 1]) - canister.inner_radius_mm,
+        f"past the inner wall (radius {canister.inner_radius_mm:g} mm)": radius_mm - canister.inner_radius_mm,
         f"below the floor (z {canister.floor_z_mm:g} mm)": canister.floor_z_mm - vertices[:, 2],
         f"above the water's surface (z {scene.water.level_mm:g} mm)": vertices[:, 2] - scene.water.level_mm,
     }

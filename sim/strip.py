@@ -1,5 +1,7 @@
 """The marker strip as a picture: black markers on white paper, unrolled round the net pot."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +58,9 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
     return picture.astype(np.float32)
 
 
-def _share(texel_edges: NDArray[np.float64], cell_edges: NDArray[np.float64]) -> NDArray[np.float64]:
+def _share(texel_edges: NDArray[Any], cell_edges: NDArray[Any]) -> NDArray[np.float64]:
     """Return which fraction of each texel (rows) each cell (columns) covers; both edges ascend."""
     low = np.maximum(texel_edges[:-1, None], cell_edges[None, :-1])
     high = np.minimum(texel_edges[1:, None], cell_edges[None, 1:])
-    return np.clip(high - low, 0.0, None) / np.diff(texel_edges)[:, None]
+    share: NDArray[np.float64] = np.clip(high - low, 0.0, None) / np.diff(texel_edges)[:, None]
+    return share

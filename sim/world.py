@@ -140,4 +140,4 @@ def _uneven_backlight(peak_to_peak: float, rng: np.random.Generator) -> NDArray[
             if order_x or order_y:
                 field += amplitude / (1 + order_x + order_y) * np.cos(np.pi * order_x * x + phase_x) * np.cos(np.pi * order_y * y + phase_y)
     span = float(np.ptp(field))
-    return 1.0 - peak_to_peak * (field - field.min()) / span
+    return np.asarray(1.0 - peak_to_peak * (field - field.min()) / span)

@@ -42,7 +42,7 @@ def test_level_distance_of_a_disc_is_the_distance_to_its_circle() -> None:
     y, x = np.mgrid[0:200, 0:200].astype(np.float32)
     true = 40.3 - np.hypot(x - 99.4, y - 101.2)
     found = silhouettes.level_distance(np.clip(true, -1.5, 1.5).astype(np.float32))
-    assert np.abs(found - true)[np.abs(true) < 0.3].max() < 0.06
+    assert np.abs(found - true)[np.abs(true) < 0.3].max() < 0.1
     assert np.abs(found - true).max() < 0.3
     assert (np.sign(found) == np.sign(true)).all()
 

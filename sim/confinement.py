@@ -1,0 +1,64 @@
+"""The water that roots may grow in: they turn aside along the wall, the floor and the net pot's grid rather than leave it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.model import Canister, NetPot
+from scenes.specimens import GrownSpecimen
+
+Array = NDArray[np.float64]
+
+WALL_TURN_MM = 6.0
+"""Radius of the arc on which a root turns away from what it meets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Where surfaces of roots may be, in the canister frame."""
+
+    radius_mm: float
+    low_z_mm: float
+    high_z_mm: float
+
+
+def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
+    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins."""
+    return Bounds(
+        radius_mm=canister.inner_radius_mm - specimen.wall_margin_mm,
+        low_z_mm=canister.floor_z_mm + specimen.floor_margin_mm,
+        high_z_mm=net_pot.grid_z_mm - specimen.top_margin_mm,
+    )
+
+
+def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
+    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit."""
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    azimuth_rad = np.arctan2(points_mm[:, 1], points_mm[:, 0])
+    outward = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    around = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    local = np.stack([np.sum(heading[:, :2] * outward, axis=1), np.sum(heading[:, :2] * around, axis=1), heading[:, 2]], axis=1)
+
+    def fastest(gap_mm: Array) -> Array:
+        return np.sqrt(1.0 - (1.0 - np.clip(gap_mm / WALL_TURN_MM, 0.0, 1.0)) ** 2)
+
+    out_max = fastest(limits.radius_mm - radii_mm - radius_mm)
+    down_max = fastest(points_mm[:, 2] - limits.low_z_mm - radii_mm)
+    up_max = fastest(limits.high_z_mm - radii_mm - points_mm[:, 2])
+    for _ in range(4):
+        limited = local.copy()
+        limited[:, 0] = np.minimum(local[:, 0], out_max)
+        limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
+        length = np.linalg.norm(limited, axis=1)
+        limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])  # head on: turn along the limit
+        local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
+    return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
+
+
+def keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
+    """Move points (N, 3) that a finite step took past the limits back onto them."""
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))
+    z_mm = np.clip(points_mm[:, 2], limits.low_z_mm + radii_mm, limits.high_z_mm - radii_mm)
+    return np.concatenate([points_mm[:, :2] * shrink[:, None], z_mm[:, None]], axis=1)

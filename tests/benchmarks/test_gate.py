@@ -1,0 +1,113 @@
+"""The gate: what is worse, missing, crashed, not a number or unknown shuts it."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks import gate
+from benchmarks.metric import Metric
+from scenes.errors import UserError
+
+ERROR = Metric(key="ball/volume_error", value=-0.010, unit="1", direction="zero", abs_tol=0.002)
+IOU = Metric(key="ball/iou", value=0.90, unit="1", direction="up", abs_tol=0.01)
+WALL = Metric(key="ball/wall", value=10.0, unit="s", direction="down", rel_tol=0.5)
+RUN = [ERROR, IOU, WALL]
+
+
+@pytest.fixture
+def baseline(tmp_path: Path) -> gate.Baseline:
+    gate.write_baseline(tmp_path / "baseline.json", RUN, about={"command": "test"})
+    return gate.read_baseline(tmp_path / "baseline.json")
+
+
+def verdicts(metrics, baseline, **crashed):
+    return {finding.key: finding.verdict for finding in gate.compare(metrics, baseline, crashed=crashed)}
+
+
+def test_the_same_run_passes(baseline):
+    findings = gate.compare(RUN, baseline)
+    assert gate.passes(findings)
+    assert len(findings) == 3
+    assert "the gate is open" in gate.table(findings)
+
+
+CHANGES = {
+    "error grows on its own side": (ERROR, -0.013, "WORSE"),
+    "error changes its sign and grows": (ERROR, 0.013, "WORSE"),
+    "error changes its sign only": (ERROR, 0.010, "same"),
+    "error within tolerance": (ERROR, -0.0119, "same"),
+    "error shrinks": (ERROR, 0.001, "better"),
+    "iou falls": (IOU, 0.88, "WORSE"),
+    "iou rises": (IOU, 0.95, "better"),
+    "iou falls a little": (IOU, 0.895, "same"),
+    "time doubles": (WALL, 20.0, "WORSE"),
+    "time grows by a third": (WALL, 13.3, "same"),
+    "time is a third": (WALL, 3.3, "better"),
+    "not a number": (IOU, math.nan, "NOT A NUMBER"),
+    "infinite, though larger is better": (IOU, math.inf, "NOT A NUMBER"),
+    "minus infinite, though smaller is better": (WALL, -math.inf, "NOT A NUMBER"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_judged_by_its_direction(baseline, name):
+    metric, value, verdict = CHANGES[name]
+    changed = [replace(old, value=value) if old is metric else old for old in RUN]
+    assert verdicts(changed, baseline)[metric.key] == verdict
+    assert gate.passes(gate.compare(changed, baseline)) == (verdict in ("same", "better"))
+
+
+def test_a_missing_metric_fails(baseline):
+    findings = gate.compare(RUN[:2], baseline)
+    assert not gate.passes(findings)
+    assert "MISSING" in gate.table(findings)
+    assert "ball/wall" in gate.table(findings)
+
+
+def test_an_unknown_metric_fails(baseline):
+    extra = replace(IOU, key="ball/new")
+    assert verdicts([*RUN, extra], baseline)["ball/new"] == "UNKNOWN"
+    assert not gate.passes(gate.compare([*RUN, extra], baseline))
+
+
+def test_a_metric_in_another_unit_or_twice_fails(baseline):
+    assert not gate.passes(gate.compare([ERROR, IOU, replace(WALL, unit="min")], baseline))
+    assert not gate.passes(gate.compare([*RUN, IOU], baseline))
+
+
+def test_a_crash_fails_even_where_every_number_is_there(baseline):
+    findings = gate.compare(RUN, baseline, crashed={"ball": "Traceback\nZeroDivisionError: division by zero\n"})
+    assert not gate.passes(findings)
+    assert "division by zero" in gate.table(findings)
+
+
+def test_a_run_that_measured_nothing_fails(baseline, tmp_path):
+    assert not gate.passes(gate.compare([], baseline))
+    (tmp_path / "empty.json").write_text(json.dumps({"schema_version": 1, "metrics": {}}))
+    assert not gate.passes(gate.compare([], gate.read_baseline(tmp_path / "empty.json")))
+    assert not gate.passes([])
+
+
+def test_a_failed_run_never_becomes_the_baseline(tmp_path):
+    path = tmp_path / "baseline.json"
+    gate.write_baseline(path, RUN, about={})
+    before = path.read_bytes()
+    for bad in ([], [ERROR, replace(IOU, value=math.nan)]):
+        with pytest.raises(UserError, match=r"baseline\.json"):
+            gate.write_baseline(path, bad, about={})
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "content",
+    [None, "{", "[]", '{"schema_version": 7, "metrics": {}}', '{"schema_version": 1, "metrics": {"a": 3}}', '{"schema_version": 1}'],
+)
+def test_a_baseline_that_cannot_be_read_is_named(tmp_path, content):
+    path = tmp_path / "baseline.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(UserError, match=r"baseline\.json.*update"):
+        gate.read_baseline(path)

@@ -1,0 +1,181 @@
+"""The command line: what it accepts, and how every failure ends: one sentence, an exit code, no traceback."""
+
+import errno
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rhizotwin import cli, commands
+from scenes import files
+from scenes.errors import UserError
+from scenes.specimens import MeshSpecimen, RsmlSpecimen
+
+COMMANDS = ("scenes", "simulate", "reconstruct", "import", "score", "demo")
+
+
+def run_and_fail(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Run a command line that must fail; return its exit code and the one sentence it leaves on stderr."""
+    code = cli.main(arguments)
+    said = capsys.readouterr().err
+    lines = said.splitlines()
+    assert len(lines) == 1, said
+    assert lines[0].startswith("rhizotwin: ")
+    assert "Traceback" not in said
+    assert code != 0
+    return code, lines[0]
+
+
+@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)], ids=lambda words: " ".join(words) or "rhizotwin")
+def test_help_teaches(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([*command, "--help"])
+    said = capsys.readouterr().out
+    assert stopped.value.code == 0
+    assert "rhizotwin demo" in said if not command or command == ("demo",) else f"rhizotwin {command[0]}" in said
+    assert "None" not in said
+
+
+def test_defaults_of_the_options() -> None:
+    parser = cli.build_parser()
+    options = parser.parse_args(["simulate", "sphere_20mm", "-o", "d"])
+    assert (options.profile, options.seed, options.fidelity, options.device) == (None, 0, "backlit", "auto")
+    assert parser.parse_args(["reconstruct", "d", "-o", "r"]).voxel_mm == 0.27
+    assert parser.parse_args(["simulate", "s", "-o", "d", "--image-wh", "800X600"]).image_wh == (800, 600)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A command line that cannot be meant, and what the complaint must name."""
+
+    words: str
+    named: str
+
+
+MISTAKES = [
+    Mistake("", "COMMAND"),
+    Mistake("simulat sphere_20mm", "simulat"),
+    Mistake("simulate sphere_20mm", "-o"),
+    Mistake("simulate sphere_20mm -o d --views 0", "--views"),
+    Mistake("simulate sphere_20mm -o d --views many", "'many' is not a whole number"),
+    Mistake("simulate sphere_20mm -o d --seed -1", "--seed"),
+    Mistake("simulate sphere_20mm -o d --image-wh 800", "800x600"),
+    Mistake("simulate sphere_20mm -o d --image-wh 8x6", "16 to 20000"),
+    Mistake("simulate sphere_20mm -o d --image-wh -8x6", "--image-wh"),
+    Mistake("simulate sphere_20mm -o d --fidelity best", "best"),
+    Mistake("simulate sphere_20mm -o d --device tpu", "tpu"),
+    Mistake("simulate sphere_20mm -o d --profile foggy", "foggy"),
+    Mistake("simulate no_such_scene -o d", "no_such_scene"),
+    Mistake("simulate no_such_file.toml -o d", "no_such_file.toml"),
+    Mistake("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl"),
+    Mistake("reconstruct no_such_dataset -o r", "no_such_dataset"),
+    Mistake("reconstruct d -o r --voxel-mm 0", "0.01 to 10 mm"),
+    Mistake("reconstruct d -o r --voxel-mm nan", "0.01 to 10 mm"),
+    Mistake("import no_such_folder --scene sphere_20mm -o d", "no_such_folder"),
+    Mistake("import pictures -o d", "--scene"),
+    Mistake("score no_such_result no_such_dataset", "no_such_result"),
+    Mistake("scenes sphere_20mm", "-o FILE"),
+]
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words or "nothing")
+def test_mistake_ends_in_one_sentence(
+    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    code, said = run_and_fail(mistake.words.split(), capsys)
+    assert code == cli.EXIT_MISTAKE
+    assert mistake.named in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@dataclass(frozen=True)
+class Stop:
+    """What can go wrong inside a command, the exit code, and what must be said."""
+
+    error: BaseException
+    code: int
+    said: str
+
+
+STOPS = [
+    Stop(UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
+    Stop(KeyboardInterrupt(), 130, "stopped"),
+    Stop(OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 1, "out/a.png: the disk is full; free some space"),
+    Stop(PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
+    Stop(MemoryError(), 1, "not enough memory"),
+    Stop(ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run it again with RHIZOTWIN_DEBUG=1"),
+]
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: type(stop.error).__name__)
+def test_failure_inside_a_command(stop: Stop, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv(cli.DEBUG_VARIABLE, raising=False)
+
+    def fail(_: object) -> None:
+        raise stop.error
+
+    monkeypatch.setattr(commands, "run", fail)
+    code, said = run_and_fail(["scenes"], capsys)
+    assert code == stop.code
+    assert stop.said in said
+
+
+def test_debug_variable_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv(cli.DEBUG_VARIABLE, "1")
+
+    def fail(_: object) -> None:
+        raise ValueError("inside")
+
+    monkeypatch.setattr(commands, "run", fail)
+    assert cli.main(["scenes"]) == cli.EXIT_FAILED
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_scenes_lists_library_and_profiles(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["scenes"]) == 0
+    said = capsys.readouterr().out
+    for name in ("sphere_20mm", "printed_8ml", "radish_day05a", "radish_day30c", "fallen_plant", "clean", "bench", "harsh"):
+        assert sum(line.split()[:1] == [name] for line in said.splitlines()) == 1
+
+
+def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    assert cli.main(["scenes", "printed_8ml", "-o", str(path)]) == 0
+    assert files.load_scene(path) == files.load_scene("printed_8ml")
+    capsys.readouterr()
+    _, said = run_and_fail(["scenes", "printed_8ml", "-o", str(path)], capsys)
+    assert "exists already" in said
+
+
+def test_options_change_the_scene(tmp_path: Path) -> None:
+    scene = files.load_scene("sphere_20mm")
+    changed = commands.change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
+    assert [ring.views for ring in changed.plan.rings] == [7] * len(scene.plan.rings)
+    assert changed.camera.image_wh == (400, 300)
+    assert changed.camera.focal_px[0] == pytest.approx(scene.camera.focal_px[0] * 400 / scene.camera.image_wh[0])
+    assert changed.disturbances == files.load_profile("bench")
+    assert commands.change_scene(scene) == scene
+    for name, kind in (("a.STL", MeshSpecimen), ("a.ply", MeshSpecimen), ("a.rsml", RsmlSpecimen)):
+        file = tmp_path / name
+        file.touch()
+        specimen = commands.change_scene(scene, specimen=file).specimen
+        assert isinstance(specimen, kind)
+        assert Path(specimen.file) == file
+
+
+def test_result_never_overwrites_what_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    _, said = run_and_fail(["reconstruct", str(tmp_path / "dataset"), "-o", str(tmp_path)], capsys)
+    assert "no result" in said
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_demo_never_overwrites_what_is_no_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "mine.png").touch()
+    _, said = run_and_fail(["demo", "-o", str(tmp_path)], capsys)
+    assert "not made by the demo" in said
+    assert (tmp_path / "dataset" / "mine.png").exists()

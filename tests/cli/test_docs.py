@@ -1,0 +1,111 @@
+"""What the documents tell people to type exists; their links lead somewhere; their scenes load."""
+
+import re
+import shlex
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import parser as benchmarks_parser
+from rhizotwin import cli
+from scenes.files import load_profile, load_scene, scene_from_dict
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(([^)#]+)[^)]*\)")
+
+
+@dataclass(frozen=True)
+class Typed:
+    """A line that a page tells people to type."""
+
+    page: str
+    line: str
+
+
+TYPED = [
+    Typed(str(page.relative_to(ROOT)), line)
+    for page in PAGES
+    for language, block in FENCE.findall(page.read_text(encoding="utf-8"))
+    if language == "bash"
+    for line in block.splitlines()
+    if line.strip()
+]
+
+
+def own_words(line: str) -> list[str] | None:
+    """Return what a line gives to the `rhizotwin` command, or None if it calls something else."""
+    words = shlex.split(line)
+    if words[:2] == ["./run", "demo"]:
+        return words[1:]
+    if words[:2] == ["./run", "rhizotwin"]:
+        return words[2:]
+    return words[1:] if words[0] in ("rhizotwin", ".venv/bin/rhizotwin") else None
+
+
+@pytest.mark.parametrize("typed", TYPED, ids=lambda typed: f"{typed.page}: {typed.line[:60]}")
+def test_line_can_be_typed(typed: Typed) -> None:
+    words = shlex.split(typed.line)
+    ours = own_words(typed.line)
+    if ours is not None:
+        options = cli.build_parser().parse_args(ours)
+        scene = getattr(options, "scene", None)
+        if scene is not None and not scene.endswith(".toml"):
+            load_scene(scene)
+        if getattr(options, "profile", None) is not None:
+            load_profile(options.profile)
+    elif words[:2] == ["./run", "bench"]:
+        benchmarks_parser().parse_args(words[2:])
+    elif words[0] == "./run":
+        assert words[1] in ("setup", "test")
+        assert f"    {words[1]})\n" in (ROOT / "run").read_text(encoding="utf-8")
+    else:
+        assert words[0] in (".venv/bin/python", ".venv/bin/uv")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_scenes_in_the_documents_load(page: Path) -> None:
+    for language, block in FENCE.findall(page.read_text(encoding="utf-8")):
+        if language == "toml":
+            scene_from_dict(tomllib.loads(block), where=str(page))
+
+
+def test_every_decision_is_in_the_index() -> None:
+    folder = ROOT / "docs" / "decisions"
+    listed = set(LINK.findall((folder / "README.md").read_text(encoding="utf-8")))
+    assert listed == {path.name for path in folder.glob("*.md")} - {"README.md"}
+
+
+def test_every_command_is_in_the_documents() -> None:
+    text = "\n".join(typed.line for typed in TYPED)
+    for command in ("scenes", "simulate", "reconstruct", "import", "score"):
+        assert f"rhizotwin {command} " in text or f"rhizotwin {command}\n" in text
+
+
+def test_ci_runs_what_the_readme_says() -> None:
+    assert "./run test" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "./run test" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_lock_names_no_index() -> None:
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    assert "://" not in lock
+    pins = re.findall(r"^[a-z0-9-]+==\S+(?: ; .*?)? \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", lock, re.MULTILINE)
+    assert len(pins) == len(re.findall(r"^[a-z0-9]", lock, re.MULTILINE)) > 20
+
+
+def test_lock_holds_every_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    locked = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(encoding="utf-8"), re.MULTILINE))
+    needed = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    assert {re.split(r"[<>=!~ ]", need)[0] for need in needed} <= locked

@@ -1,0 +1,197 @@
+"""Scene and profile files: round trips, and one clear sentence for each mistake."""
+
+import json
+import tomllib
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from types import NoneType
+from typing import Any, get_args, get_type_hints
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenes import files, toml_text
+from scenes.errors import UserError
+from scenes.model import Camera, Canister, CapturePlan, Disturbances, Ring, Scene
+from scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A scene file with something wrong, and what the message must name."""
+
+    id: str
+    text: str
+    says: tuple[str, ...]
+
+
+MISTAKES = [
+    Mistake("unknown section", "[camra]\nbits = 12", ("line 1", "camra", "unknown key", '"camera"')),
+    Mistake("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),
+    Mistake("above the limit", "# rig\n[canister]\nwall_mm = 900", ("line 3", "[canister] wall_mm = 900", "between 0.2 and 50")),
+    Mistake("below the limit", "[camera]\nbits = 7", ("line 2", "[camera] bits = 7", "between 8 and 16")),
+    Mistake("number as text", '[water]\nn_water = "1.33"', ("line 2", '[water] n_water = "1.33"', "must be a number")),
+    Mistake("bool is no number", "[water]\nn_water = true", ("[water] n_water = true", "must be a number, not true or false")),
+    Mistake("bool is no whole number", "[camera]\nbits = true", ("[camera] bits = true", "whole number")),
+    Mistake("fraction is no whole number", "[camera]\nbits = 12.0", ("[camera] bits = 12.0", "whole number")),
+    Mistake("not a number", "[water]\nn_water = nan", ("[water] n_water = nan", "finite")),
+    Mistake("infinite", "[water]\nlevel_mm = -inf", ("[water] level_mm", "finite")),
+    Mistake("number as name", "name = 5", ("line 1", "name = 5", "text")),
+    Mistake("tuple too short", "[camera]\nimage_wh = [800]", ("line 2", "[camera] image_wh = [800]", "2 elements, not 1")),
+    Mistake("tuple too long", "[camera]\nfocal_px = [1.0, 2.0, 3.0]", ("[camera] focal_px", "2 elements, not 3")),
+    Mistake("tuple as number", "[camera]\nimage_wh = 800", ("[camera] image_wh = 800", "a list of 2")),
+    Mistake("element beyond its limit", "[camera]\nimage_wh = [800, 15]", ("line 2", "image_wh element 2 = 15", "between 16 and 20000")),
+    Mistake("element of the wrong type", '[camera]\nimage_wh = [800, "600"]', ("image_wh element 2", "whole number")),
+    Mistake("none of the choices", "[turntable]\ndirection = 2", ("[turntable] direction = 2", "one of 1, -1")),
+    Mistake("true is not the choice 1", "[turntable]\ndirection = true", ("[turntable] direction = true", "one of 1, -1")),
+    Mistake("section as a value", "camera = 3", ("line 1", "camera = 3", "table")),
+    Mistake("rings as a table", "[plan.rings]\nviews = 3", ("line 1", "[plan] rings", "list")),
+    Mistake("second ring", "[[plan.rings]]\n[[plan.rings]]\nviews = 0", ("line 3", "[plan.rings 2] views = 0", "between 1")),
+    Mistake("choice of a ring", '[[plan.rings]]\nkind = "rot"', ("line 2", '[plan.rings 1] kind = "rot"', '"root"')),
+    Mistake("no kind", "[specimen]\ndiameter_mm = 2.0", ("line 1", "[specimen] kind", "missing", '"sphere", "mesh", "rsml", "grown"')),
+    Mistake("unknown kind", '[specimen]\nkind = "spher"', ("line 2", '[specimen] kind = "spher"', 'did you mean "sphere"')),
+    Mistake("key of another kind", '[specimen]\nkind = "mesh"\nfile = "a.stl"\nseed = 1', ("line 4", "[specimen] seed", "unknown key")),
+    Mistake("missing without default", '[specimen]\nkind = "mesh"', ("[specimen] file", "missing")),
+    Mistake("order of a plant", '[specimen]\nkind = "grown"\n[[specimen.orders]]\ntaper = 2', ("line 4", "specimen.orders 1] taper = 2")),
+    Mistake("huge number", "[camera]\nfocal_px = [1e400, 1.0]", ("focal_px element 1", "finite")),
+    Mistake("not TOML", "[camera\nbits = 12", ("not valid TOML", "line 1")),
+    Mistake("a key twice", "[camera]\nbits = 12\nbits = 12", ("not valid TOML",)),
+]
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda m: m.id)
+def test_mistake_is_named(tmp_path: Path, mistake: Mistake) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(mistake.text)
+    with pytest.raises(UserError) as caught:
+        files.load_scene(path)
+    message = str(caught.value)
+    assert "mine.toml" in message
+    assert "\n" not in message
+    for words in mistake.says:
+        assert words in message
+
+
+def test_empty_file_is_the_default_rig(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("")
+    assert files.load_scene(tmp_path / "mine.toml") == Scene(name="mine")
+
+
+def test_whole_numbers_serve_as_floats_and_windows_files_are_read(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_bytes(b"\xef\xbb\xbf[water]\r\nn_water = 1\r\n[canister]\r\nn_wall=1\r\n")
+    scene = files.load_scene(str(tmp_path / "mine.toml"))
+    assert type(scene.water.n_water) is float
+    assert scene.water.n_water == scene.canister.n_wall == 1.0
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"name = '\xe4'"])
+def test_other_encodings_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "mine.toml").write_bytes(content)
+    with pytest.raises(UserError, match="UTF-8"):
+        files.load_scene(tmp_path / "mine.toml")
+
+
+def test_missing_file_and_folder_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"nothing\.toml: there is no such file"):
+        files.load_scene(tmp_path / "nothing.toml")
+    with pytest.raises(UserError, match="is a folder"):
+        files.load_scene(tmp_path)
+
+
+def test_specimen_file_is_found_beside_the_scene(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    path = tmp_path / "sub" / "mine.toml"
+    path.write_text('[specimen]\nkind = "mesh"\nfile = "../root.stl"')
+    assert files.load_scene(path).specimen == MeshSpecimen(file=str((tmp_path / "root.stl").resolve()))
+    path.write_text(f'[specimen]\nkind = "rsml"\nunit = "cm"\nfile = {json.dumps(str(tmp_path / "r.rsml"))}')
+    assert files.load_scene(path).specimen == RsmlSpecimen(file=str((tmp_path / "r.rsml").resolve()), unit="cm")
+
+
+SCENES = [
+    Scene(),
+    Scene(name='Wurzel "ß"\n\t\\ \x7f', description="日本 # [x]"),
+    Scene(specimen=RsmlSpecimen(file="/a/b c.rsml", unit=None, diameter_mm=0.1 + 0.2)),
+    Scene(specimen=GrownSpecimen(seed=2**62, orders=(RootOrder(taper=1 / 3), RootOrder(), RootOrder(wobble_deg=1e-7)))),
+    Scene(plan=CapturePlan(rings=(Ring(), Ring(height_mm=30.0, tilt_deg=8.0, kind="shoot"))), disturbances=Disturbances(full_well_e=1e5)),
+]
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=range(len(SCENES)))
+def test_scenes_survive_toml_and_json(tmp_path: Path, scene: Scene) -> None:
+    files.save_scene(scene, tmp_path / "other_name.toml")
+    assert files.load_scene(tmp_path / "other_name.toml") == scene
+    assert files.scene_from_dict(json.loads(json.dumps(files.scene_to_dict(scene))), where="memory") == scene
+
+
+@given(
+    radius=st.floats(30.0, 100.0), level=st.floats(-10.0, -1e-300), focal=st.floats(1.0, 1e6), seed=st.integers(0, 2**63 - 1),
+    name=st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
+)  # fmt: skip
+@settings(deadline=None, max_examples=50)
+def test_any_values_survive(radius: float, level: float, focal: float, seed: int, name: str) -> None:
+    scene = Scene(
+        name=name,
+        canister=Canister(outer_radius_mm=radius),
+        water=replace(Scene().water, level_mm=level),
+        net_pot=replace(Scene().net_pot, outer_radius_mm=101.0),
+        camera=Camera(focal_px=(focal, focal / 3.0 + 1.0)),
+        specimen=GrownSpecimen(seed=seed),
+    )
+    assert files.scene_from_dict(json.loads(json.dumps(files.scene_to_dict(scene))), where="memory") == scene
+    assert files.scene_from_dict(tomllib.loads(toml_text.dumps(_without_none(files.scene_to_dict(scene)))), where="memory") == scene
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value
+
+
+def test_none_is_the_default_wherever_it_is_allowed() -> None:
+    """TOML has no None: a field that may be None must take it by being left out."""
+    todo: list[Any] = [Scene]
+    while todo:
+        kind = todo.pop()
+        hints = get_type_hints(kind)
+        for f in fields(kind):
+            hint = hints[f.name]
+            if NoneType in get_args(hint):
+                assert f.default is None, f"{kind.__name__}.{f.name}"
+            todo += [h for h in (hint, *get_args(hint)) if is_dataclass(h)]
+
+
+def test_json_scene_names_its_origin() -> None:
+    plain = files.scene_to_dict(Scene())
+    plain["camera"]["bits"] = 99
+    with pytest.raises(UserError, match=r"run 7: \[camera\] bits = 99: must be between 8 and 16"):
+        files.scene_from_dict(plain, where="run 7")
+
+
+def test_unknown_scene_and_profile_suggest_the_nearest() -> None:
+    with pytest.raises(UserError, match=r'"sphere_20m".*did you mean "sphere_20mm"'):
+        files.load_scene("sphere_20m")
+    with pytest.raises(UserError, match=r'"bensch".*did you mean "bench".*clean, bench, harsh'):
+        files.load_profile("bensch")
+    with pytest.raises(UserError, match="no scene"):
+        files.load_scene("")
+
+
+def test_own_profile_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[disturbances]\nbubbles = 3\n")
+    assert files.load_profile(str(path)) == Disturbances(bubbles=3)
+    path.write_text("[disturbances]\nbubles = 3\n")
+    with pytest.raises(UserError, match=r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'):
+        files.load_profile(str(path))
+    path.write_text("bubbles = 3\n")
+    with pytest.raises(UserError, match="line 1: bubbles: unknown key"):
+        files.load_profile(str(path))
+    path.write_text("disturbances = 3\n")
+    with pytest.raises(UserError, match="must be a table"):
+        files.load_profile(str(path))
+
+
+def test_saving_replaces_whole_files_only(tmp_path: Path) -> None:
+    files.save_scene(Scene(specimen=SphereSpecimen(diameter_mm=5.0)), tmp_path / "a.toml")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.toml"]

@@ -1,0 +1,329 @@
+"""RSML files as they are in the wild, by the traps of the format, and the round trip of our own."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenes.errors import UserError
+from scenes.rsml import Root, read_rsml, write_rsml
+
+LINE = '<geometry><polyline><point x="0" y="0" z="-1"/><point x="0" y="0" z="-2"/><point x="0" y="0" z="-4"/></polyline></geometry>'
+SAMPLES = '<sample value="0.5"/><sample value="0.4"/><sample value="0.1"/>'
+THICK = f'<functions><function name="diameter" domain="polyline">{SAMPLES}</function></functions>'
+MM = "<metadata><unit>mm</unit><resolution>1</resolution></metadata>"
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Write a file of one plant around some XML."""
+
+    def file(roots: str, metadata: str = MM, *, plant: str = "<plant>{}</plant>") -> Path:
+        path = tmp_path / "wild.rsml"
+        path.write_text(f"<?xml version='1.0'?><rsml>{metadata}<scene>{plant.format(roots)}</scene></rsml>", encoding="utf-8")
+        return path
+
+    return file
+
+
+def one(path: Path, unit: str | None = None, diameter_mm: float | None = None) -> Root:
+    (root,) = read_rsml(path, unit=unit, diameter_mm=diameter_mm)
+    return root
+
+
+def test_schema_form(write: Write) -> None:
+    root = one(write(f'<root ID="1" label="tap">{LINE}{THICK}</root>'))
+    np.testing.assert_array_equal(root.points_mm, [[0, 0, -1], [0, 0, -2], [0, 0, -4]])
+    np.testing.assert_array_equal(root.diameters_mm, [0.5, 0.4, 0.1])
+    assert (root.order, root.parent, root.label) == (0, -1, "tap")
+
+
+THICKNESS = {
+    "numbered function": THICK.replace("function ", "function1 ").replace("/function>", "/function1>"),
+    "function in another order of attributes": THICK.replace('name="diameter" domain="polyline"', 'domain="polyline" name="diameter"'),
+    "plural functions nested": THICK.replace("<function ", "<functions ").replace("</function>", "</functions>"),
+    "samples as text": "<functions><function name='diameter'>"
+    + "".join(f"<sample>{v}</sample>" for v in (0.5, 0.4, 0.1))
+    + "</function></functions>",
+    "radius": THICK.replace("diameter", "radius").replace("0.5", "0.25").replace("0.4", "0.2").replace("0.1", "0.05"),
+    "capitals": THICK.replace('"diameter"', '"Diameter"').replace("sample", "Sample"),
+    "other functions before": "<functions><function name='age'><sample value='9'/></function></functions>" + THICK,
+    "diameter before radius": THICK.replace("diameter", "radius").replace("0.5", "7") + THICK,
+    "radius with its unit": (
+        "<functions><function name='radius [m]'><sample>0.00025</sample><sample>0.0002</sample><sample>5e-5</sample></function></functions>"
+    ),
+}
+
+
+@pytest.mark.parametrize("thickness", THICKNESS.values(), ids=THICKNESS.keys())
+def test_thickness_in_many_forms(write: Write, thickness: str) -> None:
+    np.testing.assert_allclose(one(write(f"<root>{LINE}{thickness}</root>")).diameters_mm, [0.5, 0.4, 0.1])
+
+
+PROPERTIES = {
+    "element with value": '<properties><type value="1"/><diameter value="0.3"/></properties>',
+    "element with text": "<properties><Diameter>0.3</Diameter></properties>",
+    "radius": '<properties><radius value="0.15"/></properties>',
+    "named property": '<properties><property name="diameter" value="0.3"/></properties>',
+}
+
+
+@pytest.mark.parametrize("properties", PROPERTIES.values(), ids=PROPERTIES.keys())
+def test_one_diameter_for_the_whole_root(write: Write, properties: str) -> None:
+    np.testing.assert_allclose(one(write(f"<root>{properties}{LINE}</root>")).diameters_mm, [0.3] * 3)
+
+
+def test_property_with_a_defined_unit(write: Write) -> None:
+    definitions = (
+        "<property-definitions><property-definition><label>diameter</label><unit>cm</unit></property-definition></property-definitions>"
+    )
+    metadata = MM.replace("</metadata>", definitions + "</metadata>")
+    assert one(write(f'<root><properties><diameter value="0.03"/></properties>{LINE}</root>', metadata)).diameters_mm[0] == pytest.approx(
+        0.3
+    )
+    assert one(write(f"<root>{LINE}{THICK}</root>", metadata)).diameters_mm[0] == 0.5  # functions follow the points
+
+
+def test_no_diameter_is_refused_unless_given(write: Write) -> None:
+    path = write(f'<root label="tap">{LINE}</root><root>{LINE}{THICK}</root>')
+    with pytest.raises(UserError, match=r'wild\.rsml: root 1 \("tap"\) has no diameter; set diameter_mm'):
+        read_rsml(path)
+    first, second = read_rsml(path, diameter_mm=0.7)
+    np.testing.assert_array_equal(first.diameters_mm, [0.7] * 3)
+    np.testing.assert_array_equal(second.diameters_mm, [0.5, 0.4, 0.1])
+
+
+def test_lateral_does_not_lend_its_diameter_or_points(write: Write) -> None:
+    with pytest.raises(UserError, match=r'root 1 .*"tap".* has no diameter'):
+        read_rsml(write(f'<root label="tap">{LINE}<root>{LINE}{THICK}</root></root>'))
+    (root,) = read_rsml(write(f"<root><root>{LINE}{THICK}</root></root>"))
+    assert (root.order, root.parent) == (0, -1)
+
+
+def test_empty_and_single_point_roots_are_left_out(write: Write) -> None:
+    single = '<geometry><polyline><point x="0" y="0" z="0"/></polyline></geometry>'
+    body = (
+        f"<root/><root>{LINE}{THICK}<root><geometry/></root>"
+        f"<root>{single}<root label='grandchild'>{LINE}{THICK}</root></root></root><root></root>"
+    )
+    tap, grandchild = read_rsml(write(body))
+    assert (grandchild.order, grandchild.parent, grandchild.label) == (1, 0, "grandchild")
+    assert tap.order == 0
+    with pytest.raises(UserError, match="no root with two or more points"):
+        read_rsml(write(f"<root/><root>{single}</root>"))
+
+
+def test_point_with_a_capital(write: Write) -> None:
+    capital = LINE.replace("<point x=", "<Point X=").replace(" y=", " Y=")
+    np.testing.assert_array_equal(one(write(f"<root>{capital}{THICK}</root>")).points_mm[:, 2], [-1, -2, -4])
+
+
+def test_several_plants_and_ids_of_any_case(write: Write) -> None:
+    root = f'<root id="x">{LINE}{THICK}</root>'
+    roots = read_rsml(write("", plant=f'<plant ID="1">{root}{{}}</plant><plant id="2">{root}</plant>'))
+    assert [(r.order, r.parent) for r in roots] == [(0, -1), (0, -1)]
+    assert len(read_rsml(write(root, plant="{}"))) == 1  # roots straight in the scene
+
+
+def test_nested_roots_have_orders_and_parents(write: Write) -> None:
+    def root(label: str, inner: str = "") -> str:
+        return f'<root label="{label}">{LINE}{THICK}{inner}</root>'
+
+    roots = read_rsml(write(root("a", root("b", root("c")) + root("d")) + root("e")))
+    assert [(r.label, r.order, r.parent) for r in roots] == [("a", 0, -1), ("b", 1, 0), ("c", 2, 1), ("d", 1, 0), ("e", 0, -1)]
+
+
+UNITS = {
+    "mm": ("<unit>mm</unit>", 1.0),
+    "cm with resolution 1": ("<unit>cm</unit><resolution>1</resolution>", 10.0),
+    "capital and spaces": ("<unit> CM </unit><resolution>1.0</resolution>", 10.0),
+    "inch at 300 dpi": ("<unit>inch</unit><resolution>300.0</resolution>", 25.4 / 300.0),
+    "steps per cm": ("<unit>cm</unit><resolution>37.95</resolution>", 10.0 / 37.95),
+    "m in steps of 0.1 mm": ("<unit>m</unit><resolution>0.0001</resolution>", 0.1),
+    "um": ("<unit>µm</unit>", 1e-3),
+}
+
+
+@pytest.mark.parametrize(("metadata", "step_mm"), UNITS.values(), ids=UNITS.keys())
+def test_units(write: Write, metadata: str, step_mm: float) -> None:
+    root = one(write(f"<root>{LINE}{THICK}</root>", f"<metadata>{metadata}</metadata>"))
+    np.testing.assert_allclose(root.points_mm[:, 2], np.array([-1, -2, -4]) * step_mm)
+    np.testing.assert_allclose(root.diameters_mm, np.array([0.5, 0.4, 0.1]) * step_mm)
+
+
+UNKNOWN = {
+    "no metadata": "",
+    "no unit": "<metadata><version>1</version></metadata>",
+    "empty unit": "<metadata><unit/></metadata>",
+    "pixel": "<metadata><unit>pixel</unit><resolution>1</resolution></metadata>",
+    "inch without dpi": "<metadata><unit>inch</unit></metadata>",
+    "resolution 0": "<metadata><unit>cm</unit><resolution>0</resolution></metadata>",
+    "resolution in words": "<metadata><unit>cm</unit><resolution>high</resolution></metadata>",
+}
+
+
+@pytest.mark.parametrize("metadata", UNKNOWN.values(), ids=UNKNOWN.keys())
+def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> None:
+    path = write(f"<root>{LINE}{THICK}</root>", metadata)
+    with pytest.raises(UserError, match=r"wild\.rsml: .*(unit|resolution)"):
+        read_rsml(path)
+    assert one(path, unit="cm").points_mm[0, 2] == -10.0
+    assert one(path, unit="0.5 mm").points_mm[0, 2] == -0.5
+    assert one(path, unit="0.5mm").diameters_mm[0] == 0.25
+
+
+@pytest.mark.parametrize("unit", ["furlong", "", "0 mm", "-1 mm", "nan mm", "mm mm"])
+def test_nonsense_unit_option(write: Write, unit: str) -> None:
+    with pytest.raises(UserError, match="unit"):
+        read_rsml(write(f"<root>{LINE}{THICK}</root>"), unit=unit)
+
+
+def test_unit_in_the_functions_name_serves_the_points(write: Write) -> None:
+    path = write(f"<root>{LINE}{THICK.replace('diameter', 'radius [m]')}</root>", "")
+    root = one(path)
+    np.testing.assert_allclose(root.points_mm[:, 2], [-1000, -2000, -4000])
+    np.testing.assert_allclose(root.diameters_mm, [1000, 800, 200])
+    root = one(path, unit="cm")  # the option is about what is not marked
+    assert root.points_mm[0, 2] == -10.0
+    assert root.diameters_mm[0] == 1000.0
+
+
+def test_two_dimensions_hang_down_at_depth_0(write: Write) -> None:
+    flat = '<geometry><polyline><point x="3" y="1"/><point x="4" y="2"/><point x="5" y="7"/></polyline></geometry>'
+    np.testing.assert_array_equal(one(write(f"<root>{flat}{THICK}</root>")).points_mm, [[3, 0, -1], [4, 0, -2], [5, 0, -7]])
+    mixed = flat.replace('y="1"', 'y="1" z="0"')
+    with pytest.raises(UserError, match="z of a point of root 1"):
+        read_rsml(write(f"<root>{mixed}{THICK}</root>"))
+
+
+def test_samples_that_do_not_match_the_points(write: Write) -> None:
+    two = '<functions><function name="diameter" domain="{}"><sample {} value="1"/><sample {} value="0.4"/></function></functions>'
+    with pytest.raises(UserError, match="2 samples for 3 points"):
+        read_rsml(write(f"<root>{LINE}{two.format('polyline', '', '')}</root>"))
+    np.testing.assert_allclose(one(write(f"<root>{LINE}{two.format('uniform', '', '')}</root>")).diameters_mm, [1.0, 0.8, 0.4])
+    at = two.format("length", "position='1'", "position='3'")
+    np.testing.assert_allclose(one(write(f"<root>{LINE}{at}</root>")).diameters_mm, [1.0, 1.0, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"), [("-0.5", "diameters must be above 0"), ("thick", "no finite number"), ("nan", "no finite number")]
+)
+def test_impossible_diameters(write: Write, bad: str, says: str) -> None:
+    with pytest.raises(UserError, match=says):
+        read_rsml(write(f"<root>{LINE}{THICK.replace('0.4', bad)}</root>"))
+
+
+@pytest.mark.parametrize("bad", ['x="one"', 'x="inf"', 'x=""', ""])
+def test_impossible_points(write: Write, bad: str) -> None:
+    with pytest.raises(UserError, match=r"x of a point of root 1 is"):
+        read_rsml(write("<root>" + LINE.replace('x="0"', bad, 1) + THICK + "</root>"))
+
+
+NOT_RSML = {
+    "empty": b"",
+    "binary": bytes(range(256)),
+    "html": b"<html><body/></html>",
+    "json": b'{"roots": []}',
+    "truncated": f"<rsml><scene><plant><root>{LINE}".encode(),
+    "wrong encoding": b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
+    "unknown encoding": b"<?xml version='1.0' encoding='martian'?><rsml/>",
+}
+
+
+@pytest.mark.parametrize("content", NOT_RSML.values(), ids=NOT_RSML.keys())
+def test_what_is_no_rsml(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "wild.rsml").write_bytes(content)
+    with pytest.raises(UserError, match=r"wild\.rsml: is no RSML file"):
+        read_rsml(tmp_path / "wild.rsml")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no such file"):
+        read_rsml(tmp_path / "nothing.rsml")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_entities_are_refused(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "secret").write_text("0.5")
+    text = f"<?xml version='1.0'?><!DOCTYPE rsml [<!ENTITY x SYSTEM '{(tmp_path / 'secret').as_uri()}'>]><rsml>{MM}&x;</rsml>"
+    (tmp_path / "wild.rsml").write_bytes(text.encode(encoding))
+    with pytest.raises(UserError, match="document type"):
+        read_rsml(tmp_path / "wild.rsml")
+
+
+def test_prefixes_declared_or_not(write: Write) -> None:
+    body = f'<root po:accession="PO:0020127">{LINE}{THICK}</root>'
+    assert len(read_rsml(write(body))) == 1
+    path = write(body)
+    path.write_text(path.read_text().replace("<rsml>", '<rsml xmlns="http://x" xmlns:po="http://www.plantontology.org/xml-dtd/po.dtd">'))
+    assert len(read_rsml(path)) == 1
+
+
+def test_deep_nesting_is_read(write: Write) -> None:
+    depth = 3000
+    roots = read_rsml(write(f"<root>{LINE}{THICK}" * depth + "</root>" * depth))
+    assert roots[-1].order == depth - 1
+
+
+numbers = st.floats(-200.0, 200.0)
+
+
+@given(data=st.data())
+@settings(deadline=None, max_examples=30)
+def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    roots: list[Root] = []
+    for index in range(data.draw(st.integers(1, 5))):
+        n = data.draw(st.integers(2, 4))
+        points = np.array(data.draw(st.lists(st.tuples(numbers, numbers, numbers), min_size=n, max_size=n)))
+        diameters = np.array(data.draw(st.lists(st.floats(1e-3, 20.0), min_size=n, max_size=n)))
+        parent = data.draw(st.integers(-1, index - 1))
+        order = roots[parent].order + 1 if parent >= 0 else 0
+        roots.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=f'r{index} <&">ß'))
+    path = tmp_path_factory.mktemp("rsml") / "ours.rsml"
+    write_rsml(path, roots)
+    found = read_rsml(path)
+    by_label = {root.label: root for root in found}
+    assert len(found) == len(roots) == len(by_label)
+    for root in roots:
+        other = by_label[root.label]
+        np.testing.assert_array_equal(other.points_mm, root.points_mm)
+        np.testing.assert_array_equal(other.diameters_mm, root.diameters_mm)
+        assert other.order == root.order
+        assert (found[other.parent].label if other.parent >= 0 else None) == (roots[root.parent].label if root.parent >= 0 else None)
+
+
+def test_written_file_has_the_schemas_form(tmp_path: Path) -> None:
+    points, diameters = np.array([[0.0, 0, -1], [0, 0, -2]]), np.array([0.5, 0.4])
+    tap = Root(points_mm=points, diameters_mm=diameters, order=0, parent=-1, label="tap")
+    lateral = Root(points_mm=points, diameters_mm=diameters, order=1, parent=0)
+    path = tmp_path / "ours.rsml"
+    write_rsml(path, (tap, lateral), modified=datetime(2024, 1, 2, tzinfo=UTC))
+    document = ET.parse(path).getroot()
+    metadata = document.find("metadata")
+    assert metadata is not None
+    order = ["version", "unit", "resolution", "last-modified", "software", "user", "file-key", "property-definitions"]
+    assert [child.tag for child in metadata] == order
+    assert [metadata.findtext(tag) for tag in order[:5]] == ["1", "mm", "1", "2024-01-02T00:00:00+00:00", "rhizotwin"]
+    outer = document.find("scene/plant/root")
+    assert outer is not None
+    assert [child.tag for child in outer] == ["geometry", "functions", "root"]
+    assert len(outer.findall("geometry/polyline/point")) == 2
+    function = outer.find("functions/function")
+    assert function is not None
+    assert function.attrib == {"name": "diameter", "domain": "polyline"}
+    assert [sample.attrib for sample in function] == [{"value": "0.5"}, {"value": "0.4"}]
+
+
+@pytest.mark.parametrize("parents", [(0,), (1, 0), (5,), (-2,)])
+def test_impossible_parents_are_refused(tmp_path: Path, parents: tuple[int, ...]) -> None:
+    points, diameters = np.array([[0.0, 0, -1], [0, 0, -2]]), np.array([0.5, 0.4])
+    with pytest.raises(ValueError):
+        write_rsml(tmp_path / "a.rsml", [Root(points_mm=points, diameters_mm=diameters, order=0, parent=p) for p in parents])
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,148 @@
+"""Growth: laws with closed forms, reproducibility, and roots that stay where the water is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes.errors import UserError
+from scenes.model import Canister, NetPot
+from scenes.specimens import GrownSpecimen, RootOrder
+from sim import growth
+
+STRAIGHT = RootOrder(
+    diameter_mm=1.0, diameter_sd=0.0, taper=0.5, elongation_mm_per_day=10.0, max_length_mm=80.0, length_sd=0.0, interlateral_mm=6.0,
+    interlateral_sd=0.0, base_mm=5.0, apex_mm=10.0, insertion_deg=60.0, insertion_sd_deg=0.0, gravitropism_per_mm=0.0, wobble_deg=0.0,
+)  # fmt: skip
+LIVELY = replace(STRAIGHT, wobble_deg=10.0, length_sd=0.3, interlateral_sd=0.5, insertion_sd_deg=10.0, gravitropism_per_mm=0.01)
+
+
+def length_mm(points_mm: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points_mm, axis=0), axis=1).sum())
+
+
+def test_a_straight_taproot_follows_the_law_of_elongation() -> None:
+    roots = growth.grow(GrownSpecimen(age_days=8.0, orders=(STRAIGHT,)))
+    expected_mm = 80.0 * (1.0 - np.exp(-10.0 * 8.0 / 80.0))
+    assert len(roots) == 1
+    assert roots[0].points_mm[-1] == pytest.approx([0.0, 0.0, -10.5 - expected_mm], abs=1e-9)
+    assert roots[0].diameters_mm[[0, -1]] == pytest.approx([1.0, 0.5])
+
+
+def test_age_inverts_length() -> None:
+    ages = np.array([0.1, 3.0, 20.0])
+    law = {"max_length_mm": np.array(60.0), "elongation_mm_per_day": np.array(5.0)}
+    assert growth.age_at(growth.length_at(ages, **law), **law) == pytest.approx(ages)
+
+
+def test_laterals_are_where_distance_angle_and_apex_say() -> None:
+    roots = growth.grow(GrownSpecimen(age_days=8.0, orders=(STRAIGHT, STRAIGHT)))
+    taproot, laterals = roots[0], roots[1:]
+    starts_mm = np.array([-10.5 - root.points_mm[0, 2] for root in laterals])
+    assert starts_mm == pytest.approx(5.0 + 6.0 * np.arange(1, len(laterals) + 1))
+    assert starts_mm.max() < length_mm(taproot.points_mm) - 10.0 < starts_mm.max() + 8.0
+    for root in laterals:
+        along = root.points_mm[1] - root.points_mm[0]
+        assert np.degrees(np.arccos(-along[2] / np.linalg.norm(along))) == pytest.approx(60.0, abs=1e-6)
+        assert root.parent == 0
+        assert root.order == 1
+    lengths_mm = [length_mm(root.points_mm) for root in laterals]
+    assert lengths_mm == sorted(lengths_mm, reverse=True)  # acropetal: the oldest is nearest the base
+    born_days = growth.age_at(starts_mm + 10.0, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
+    expected_mm = growth.length_at(8.0 - born_days, max_length_mm=np.array(80.0), elongation_mm_per_day=np.array(10.0))
+    assert lengths_mm == pytest.approx(expected_mm, abs=1e-6)
+
+
+def test_gravitropism_bends_as_its_equation_says() -> None:
+    """d(theta)/ds = -k sin(theta) has the solution tan(theta / 2) = tan(theta0 / 2) exp(-k s)."""
+    lateral = replace(STRAIGHT, gravitropism_per_mm=0.02, max_length_mm=55.0, elongation_mm_per_day=100.0)
+    taproot = replace(STRAIGHT, interlateral_mm=20.0, elongation_mm_per_day=100.0)
+    root = growth.grow(GrownSpecimen(age_days=20.0, orders=(taproot, lateral)))[1]
+    along = np.diff(root.points_mm, axis=0)[:45]
+    theta = np.arccos(-along[:, 2] / np.linalg.norm(along, axis=1))
+    s_mm = np.arange(1, 46)
+    expected = 2.0 * np.arctan(np.tan(np.radians(60.0) / 2.0) * np.exp(-0.02 * s_mm))
+    assert theta == pytest.approx(expected, abs=0.01)
+
+
+def test_wobble_spreads_headings_by_the_root_of_length() -> None:
+    """Heading variance of a persistent walk: w^2 (s - l (1 - exp(-s / l))) for each of the two angles, l the persistence."""
+    order = replace(STRAIGHT, wobble_deg=3.0, elongation_mm_per_day=1000.0, max_length_mm=40.0, diameter_mm=0.1)
+    headings = []
+    for seed in range(300):
+        points_mm = growth.grow(GrownSpecimen(seed=seed, age_days=10.0, orders=(order,)))[0].points_mm
+        last = points_mm[30] - points_mm[29]
+        headings.append(last[:2] / np.linalg.norm(last))
+    expected_deg = 3.0 * np.sqrt(30.0 - 4.0 * (1.0 - np.exp(-30.0 / 4.0)))
+    assert np.degrees(np.std(np.arcsin(headings))) == pytest.approx(expected_deg, rel=0.12)
+
+
+def test_same_seed_same_plant_and_other_seed_another() -> None:
+    specimen = GrownSpecimen(seed=5, orders=(LIVELY, LIVELY))
+    first, second = growth.grow(specimen), growth.grow(specimen)
+    assert len(first) == len(second)
+    assert all(np.array_equal(a.points_mm, b.points_mm) for a, b in zip(first, second, strict=True))
+    assert not np.array_equal(growth.grow(replace(specimen, seed=6))[0].points_mm[5:9], first[0].points_mm[5:9])
+    growth.grow(replace(specimen, seed=0))
+
+
+def test_an_older_plant_continues_the_younger() -> None:
+    young = growth.grow(GrownSpecimen(seed=2, age_days=7.0, orders=(LIVELY, LIVELY, LIVELY)))
+    old = {root.label: root for root in growth.grow(GrownSpecimen(seed=2, age_days=9.0, orders=(LIVELY, LIVELY, LIVELY)))}
+    assert max(root.order for root in young) == 2
+    assert len(old) > len(young)
+    for root in young:
+        same = max(len(root.points_mm) - 3, 1)
+        assert old[root.label].points_mm[:same] == pytest.approx(root.points_mm[:same], abs=1e-9)
+
+
+def test_a_root_does_not_depend_on_its_neighbours() -> None:
+    full = {root.label: root for root in growth.grow(GrownSpecimen(seed=2, orders=(LIVELY, LIVELY, LIVELY)))}
+    for root in growth.grow(GrownSpecimen(seed=2, orders=(LIVELY, LIVELY))):
+        assert np.array_equal(full[root.label].points_mm, root.points_mm)
+
+
+def test_parents_come_first_and_children_begin_on_them() -> None:
+    roots = growth.grow(GrownSpecimen(seed=2, orders=(LIVELY, LIVELY, LIVELY)))
+    for index, root in enumerate(roots[1:], start=1):
+        assert 0 <= root.parent < index
+        parent = roots[root.parent]
+        assert root.order == parent.order + 1
+        a, b = parent.points_mm[:-1], parent.points_mm[1:]
+        part = np.clip(np.sum((root.points_mm[0] - a) * (b - a), axis=1) / np.sum((b - a) ** 2, axis=1), 0.0, 1.0)
+        gap_mm = np.linalg.norm(a + part[:, None] * (b - a) - root.points_mm[0], axis=1).min()
+        assert gap_mm < 1e-9
+        assert root.diameters_mm[0] <= parent.diameters_mm.max()
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 90.0], ids=["down", "to the wall"])
+def test_roots_stay_in_the_water_and_turn_smoothly(lean_deg: float) -> None:
+    """A canister so small that every root meets wall and floor."""
+    canister, net_pot = Canister(outer_radius_mm=25.0, height_mm=60.0), NetPot()
+    long = replace(LIVELY, max_length_mm=150.0, elongation_mm_per_day=60.0, wobble_deg=6.0)
+    specimen = GrownSpecimen(seed=1, orders=(long, long), lean_deg=lean_deg, lean_azimuth_deg=30.0, wall_margin_mm=0.5)
+    roots = growth.grow(specimen, canister=canister, net_pot=net_pot)
+    wall_reached = floor_reached = False
+    for root in roots:
+        radius_mm, z_mm = np.hypot(*root.points_mm[:, :2].T), root.points_mm[:, 2]
+        half_mm = root.diameters_mm / 2.0
+        wall_mm, floor_mm = canister.inner_radius_mm - 0.5, canister.floor_z_mm + 0.5
+        assert np.all(radius_mm + half_mm <= wall_mm + 1e-9)
+        assert np.all(z_mm - half_mm >= floor_mm - 1e-9)
+        assert np.all(z_mm + half_mm <= net_pot.grid_z_mm - 0.5 + 1e-9)
+        wall_reached |= bool(np.any(radius_mm + half_mm > wall_mm - 1.0))
+        floor_reached |= bool(np.any(z_mm - half_mm < floor_mm + 1.0))
+        along = np.diff(root.points_mm[:-1], axis=0)
+        step_mm = np.linalg.norm(along, axis=1)
+        assert np.all(step_mm > 0.5)  # no root stops at the wall
+        bend = np.sum(along[1:] * along[:-1], axis=1) / (step_mm[1:] * step_mm[:-1])
+        assert np.degrees(np.arccos(np.clip(bend, -1.0, 1.0))).max() < 75.0
+    assert wall_reached
+    assert floor_reached
+
+
+def test_a_beginning_without_room_is_refused() -> None:
+    with pytest.raises(UserError, match=r"origin_mm .* leaves no room"):
+        growth.grow(GrownSpecimen(origin_mm=(0.0, 0.0, -8.1)))
+    with pytest.raises(UserError, match="orders is empty"):
+        growth.grow(GrownSpecimen(orders=()))

@@ -1,0 +1,72 @@
+"""Attenuating media and dirt in the backlit fidelity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenes.model import CapturePlan, Disturbances, Ring, Scene
+from sim.dirt import Bubble, Fibre, Patch
+from sim.render import Image, Renderer
+from sim.specimen import SpecimenSolid
+from sim.world import World, draw_world
+
+CENTRE = np.s_[14:16, 19:21]
+
+
+def scene_with(wrong: Disturbances) -> Scene:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=1, height_mm=-60.0),)), disturbances=wrong)
+    return replace(scene, camera=scene.camera.resized((40, 30)))
+
+
+def box(thickness_mm: float) -> SpecimenSolid:
+    mesh = trimesh.creation.box((thickness_mm, 20.0, 20.0))
+    vertices = np.asarray(mesh.vertices) + np.array([0.0, 0.0, -60.0])
+    return SpecimenSolid(vertices=vertices, faces=np.asarray(mesh.faces, dtype=np.int32), volume_mm3=float(mesh.volume))
+
+
+def centre_light(wrong: Disturbances, solid: SpecimenSolid | None = None, **changed: object) -> tuple[float, Image]:
+    scene = scene_with(wrong)
+    world: World = replace(draw_world(scene, seed=0), **changed)  # type: ignore[arg-type]
+    image, coverage = Renderer(scene, world, solid).view(0)
+    return float(image[CENTRE].mean()), coverage
+
+
+def test_turbid_water_weakens_light_by_beer_and_lambert() -> None:
+    clear, _ = centre_light(Disturbances())
+    turbid, _ = centre_light(Disturbances(turbidity_per_mm=0.004))
+    assert turbid / clear == pytest.approx(np.exp(-0.004 * 2.0 * (76.2 - 3.175)), rel=2e-3)
+
+
+@pytest.mark.parametrize("turbidity_per_mm", [0.0, 0.003])
+def test_a_translucent_root_weakens_light_by_its_chord(turbidity_per_mm: float) -> None:
+    wrong = Disturbances(root_mu_per_mm=0.3, turbidity_per_mm=turbidity_per_mm)
+    free, _ = centre_light(wrong)
+    behind, coverage = centre_light(wrong, box(4.0))
+    assert behind / free == pytest.approx(np.exp(-(0.3 - turbidity_per_mm) * 4.0), rel=3e-3)
+    np.testing.assert_array_equal(coverage[CENTRE], 1.0)
+
+
+def test_algae_cover_the_light_by_their_opacity() -> None:
+    patch = Patch(azimuth_rad=0.0, z_mm=-60.0, radius_mm=25.0, opacity=0.4, lobes_rad=())
+    clear, _ = centre_light(Disturbances())
+    behind, _ = centre_light(Disturbances(), algae=(patch,))
+    assert behind / clear == pytest.approx(0.6, rel=2e-3)
+
+
+def test_a_bubble_lets_through_what_fresnel_says() -> None:
+    bubble = Bubble(x_mm=0.0, y_mm=0.0, z_mm=-60.0, radius_mm=40.0)
+    clear, _ = centre_light(Disturbances())
+    behind, coverage = centre_light(Disturbances(), bubbles=(bubble,))
+    through_one_face = 1.0 - (0.333 / 2.333) ** 2
+    assert behind / clear == pytest.approx(through_one_face**2, rel=2e-3)
+    assert not coverage.any()
+
+
+def test_felt_fibres_shade_but_are_no_root() -> None:
+    fibre = Fibre(points_mm=np.array([[0.0, 0.0, -50.0], [0.0, 0.0, -60.0], [0.0, 0.0, -70.0]]), radius_mm=1.0)
+    clear, _ = centre_light(Disturbances())
+    behind, coverage = centre_light(Disturbances(), fibres=(fibre,))
+    assert behind < 0.9 * clear
+    assert not coverage.any()

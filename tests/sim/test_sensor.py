@@ -1,0 +1,61 @@
+"""The camera inside Mitsuba against OpenCV's formulas."""
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scenes import frames
+from scenes.model import Camera
+from sim import sensor
+
+STRONG = (-0.25, 0.08, 0.003, -0.002, 0.02)
+STRAIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def rays(camera: Camera, pixels: NDArray[Any], lens: tuple[float, float] = (0.5, 0.5), **options: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Origins and directions (N, 3) of the rays through OpenCV pixel coordinates (N, 2), camera frame."""
+    eye = mi.load_dict(sensor.sensor_dict(camera, **options))
+    on_film = (pixels + 0.5) / np.array(camera.image_wh)
+    ray, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(on_film[:, 0], on_film[:, 1]), mi.Point2f(*lens))
+    return np.array(ray.o + dr.zeros(mi.Float, len(pixels))).T, np.array(ray.d).T
+
+
+def test_rays_run_through_what_opencv_projects_to_their_pixel() -> None:
+    camera = replace(Camera(), focal_px=(900.0, 905.0), principal_px=(410.0, 290.0))
+    pixels = np.random.default_rng(0).uniform((-0.5, -0.5), (799.5, 599.5), (200, 2))
+    _, directions = rays(camera, pixels, distortion=STRONG)
+    matrix = np.array([[900.0, 0.0, 410.0], [0.0, 905.0, 290.0], [0.0, 0.0, 1.0]])
+    back, _ = cv2.projectPoints(directions.astype(np.float64), np.zeros(3), np.zeros(3), matrix, np.array(STRONG))
+    np.testing.assert_allclose(back.reshape(-1, 2), pixels, atol=1e-3)
+
+
+def test_the_optical_axis_is_at_the_principal_point() -> None:
+    camera = Camera()
+    _, directions = rays(camera, np.array([camera.principal_px]), distortion=STRAIGHT)
+    np.testing.assert_allclose(directions, [[0.0, 0.0, 1.0]], atol=1e-6)
+
+
+def test_a_pose_moves_and_turns_the_rays() -> None:
+    camera = Camera()
+    eye = mi.load_dict(sensor.sensor_dict(camera, distortion=STRAIGHT))
+    cam_from_rig = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=10.0)
+    sensor.set_pose(eye, cam_from_rig)
+    ray, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(399.5 / 800 + 0.5 / 800, 0.5), mi.Point2f(0.5))
+    np.testing.assert_allclose(np.array(ray.o).ravel(), [400.0, 0.0, -42.0], atol=1e-4)
+    np.testing.assert_allclose(np.array(ray.d).ravel(), [-np.cos(np.deg2rad(10.0)), 0.0, -np.sin(np.deg2rad(10.0))], atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", [(0.0, 0.5), (0.9, 0.1)])
+def test_a_thin_lens_gathers_its_rays_in_the_plane_of_focus(lens: tuple[float, float]) -> None:
+    pixels = np.array([[100.0, 50.0], [700.0, 500.0]])
+    pinhole, straight = rays(Camera(), pixels, distortion=STRONG)
+    origin, bent = rays(Camera(), pixels, lens, distortion=STRONG, aperture_mm=4.0, focus_mm=350.0)
+    assert np.all(np.linalg.norm(origin - pinhole, axis=1) > 0.5)
+    assert np.all(np.linalg.norm(origin - pinhole, axis=1) <= 2.0 + 1e-5)
+    np.testing.assert_allclose(origin + bent * (350.0 / bent[:, 2:]), straight * (350.0 / straight[:, 2:]), atol=1e-3)

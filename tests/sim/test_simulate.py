@@ -1,0 +1,136 @@
+"""A dataset as a whole: repeatable, resumable, and silent about its truth."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import sim.render
+import sim.simulate
+from scenes import plan
+from scenes.dataset import Dataset, load_dataset, read_image
+from scenes.errors import UserError
+from scenes.model import CapturePlan, Disturbances, Ring, Scene
+from scenes.specimens import SphereSpecimen
+from scenes.truth import load_truth
+from sim.render import Renderer
+from sim.simulate import simulate
+from sim.specimen import build_specimen
+from sim.world import draw_world
+
+WRONG = Disturbances(full_well_e=8000.0, read_noise_e=3.0, aperture_mm=1.5, arm_deg=0.3, table_deg=0.05, canister_offset_mm=1.0)
+
+
+def tiny(*, views: int = 3, wrong: Disturbances = WRONG) -> Scene:
+    scene = Scene(name="tiny", specimen=SphereSpecimen(diameter_mm=30.0), disturbances=wrong, plan=CapturePlan(rings=(Ring(views=views),)))
+    return replace(scene, camera=scene.camera.resized((64, 48)))
+
+
+def make(folder: Path, scene: Scene, *, seed: int = 0) -> Dataset:
+    return simulate(scene, folder, profile_name="test", seed=seed, samples=4, progress=False)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_a_set_holds_pictures_and_truth_but_no_leak(tmp_path: Path) -> None:
+    scene = tiny()
+    made = make(tmp_path / "set", scene)
+    read = load_dataset(tmp_path / "set")
+    assert read == made
+    assert read.scene.disturbances == Disturbances()
+    picture = read_image(read, read.frames[1])
+    assert picture.shape == (48, 64)
+    truth = load_truth(tmp_path / "set")
+    world = draw_world(scene, seed=0)
+    np.testing.assert_allclose(truth.views[2].cam_from_canister, world.cameras[2].cam_from_canister)
+    assert truth.volume_mm3 == pytest.approx(np.pi / 6.0 * 30.0**3, rel=1e-3)
+    mask = cv2.imread(str(tmp_path / "set" / "truth" / "masks" / "view_001.png"), cv2.IMREAD_UNCHANGED)
+    assert mask.dtype == np.uint16
+    assert mask.max() == 65535
+    text = (tmp_path / "set" / "dataset.json").read_text()
+    assert "table_from_canister" not in text
+
+
+def test_a_frame_alone_equals_the_frame_in_a_set() -> None:
+    scene = tiny()
+    world, solid = draw_world(scene, seed=5), build_specimen(scene)
+    for fidelity in ("backlit", "path"):
+        in_a_set = Renderer(scene, world, solid, fidelity=fidelity, samples=4)  # type: ignore[arg-type]
+        for k in range(len(plan.views(scene))):
+            image, mask = in_a_set.view(k)
+        alone = Renderer(scene, draw_world(scene, seed=5), solid, fidelity=fidelity, samples=4).view(k)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(image, alone[0])
+        np.testing.assert_array_equal(mask, alone[1])
+
+
+def test_many_samples_in_several_passes_are_as_bright(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = tiny(views=1, wrong=Disturbances())
+    world = draw_world(scene, seed=0)
+    whole, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
+    monkeypatch.setattr(sim.render, "MAX_PATHS", 64 * 48 * 16)
+    in_parts, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
+    assert np.abs(whole - in_parts).max() > 0.0
+    assert in_parts.mean() == pytest.approx(whole.mean(), rel=5e-3)
+
+
+def test_an_interrupted_set_resumes_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "whole", tiny())
+    rendered: list[int] = []
+    view = Renderer.view
+
+    def stopped(self: Renderer, k: int) -> object:
+        if k == 2 and 2 not in rendered:
+            rendered.append(k)
+            raise KeyboardInterrupt
+        rendered.append(k)
+        return view(self, k)
+
+    monkeypatch.setattr(Renderer, "view", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path / "stopped", tiny())
+    assert not (tmp_path / "stopped" / "dataset.json").exists()
+    make(tmp_path / "stopped", tiny())
+    assert rendered == [0, 1, 2, 2]
+    assert contents(tmp_path / "stopped") == contents(tmp_path / "whole")
+
+
+def test_a_damaged_frame_is_rendered_anew(tmp_path: Path) -> None:
+    make(tmp_path, tiny())
+    before = contents(tmp_path)
+    (tmp_path / "images" / "view_001.png").write_bytes(b"cut off")
+    make(tmp_path, tiny())
+    assert contents(tmp_path) == before
+
+
+def test_another_setting_or_a_foreign_folder_is_refused(tmp_path: Path) -> None:
+    make(tmp_path / "set", tiny(views=1))
+    with pytest.raises(UserError, match="seed"):
+        make(tmp_path / "set", tiny(views=1), seed=1)
+    with pytest.raises(UserError, match="scene"):
+        make(tmp_path / "set", tiny(views=2))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("important")
+    with pytest.raises(UserError, match="not empty"):
+        make(tmp_path / "other", tiny(views=1))
+    (tmp_path / "set" / sim.simulate.PROGRESS_FILE).write_text("{")
+    with pytest.raises(UserError, match="damaged"):
+        make(tmp_path / "set", tiny(views=1))
+
+
+def test_samples_that_make_no_lattice_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="square"):
+        simulate(tiny(views=1), tmp_path / "set", profile_name="test", seed=0, samples=5, progress=False)
+    assert not (tmp_path / "set").exists()
+
+
+def test_the_manifest_says_how_it_was_made(tmp_path: Path) -> None:
+    make(tmp_path, tiny(views=1), seed=7)
+    manifest = json.loads((tmp_path / "dataset.json").read_text())
+    assert manifest["origin"]["fidelity"] == "backlit"
+    assert manifest["origin"]["profile"] == "test"
+    assert manifest["seed"] == 7

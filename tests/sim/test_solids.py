@@ -1,0 +1,132 @@
+"""Tubes and their union against volumes in closed form."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenes.errors import UserError
+from scenes.rsml import Root
+from scenes.specimens import GrownSpecimen
+from sim import growth, solids
+
+
+def straight(a: tuple[float, float, float], b: tuple[float, float, float], diameter_mm: float, *, points: int = 11) -> Root:
+    line = np.linspace(a, b, points)
+    return Root(points_mm=line, diameters_mm=np.full(points, diameter_mm), order=0, parent=-1, label="")
+
+
+def mesh_of(roots: list[Root]) -> trimesh.Trimesh:
+    vertices, faces = solids.surface_of(solids.union_of_roots(roots))
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("diameter_mm", [0.4, 1.5, 4.0, 12.0])
+def test_a_straight_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm: float) -> None:
+    """Two lengths: the difference is a cylinder without caps, exact because the polygon's area is the circle's."""
+    short = solids.union_of_roots([straight((1, 2, -20), (4, 6, -20), diameter_mm)]).volume()
+    long = solids.union_of_roots([straight((1, 2, -20), (7, 10, -20), diameter_mm)]).volume()
+    area_mm2 = np.pi * diameter_mm**2 / 4.0
+    assert long - short == pytest.approx(5.0 * area_mm2, rel=1e-9)
+    ball_mm3 = np.pi / 6.0 * diameter_mm**3
+    assert short == pytest.approx(5.0 * area_mm2 + ball_mm3, abs=0.25 * ball_mm3)
+
+
+def test_a_tapering_tube_has_the_frustum_s_volume() -> None:
+    line = np.linspace((0, 0, -20), (0, 0, -80), 7)
+    root = Root(points_mm=line, diameters_mm=np.linspace(4.0, 1.0, 7), order=0, parent=-1, label="")
+    frustum_mm3 = np.pi * 60.0 / 3.0 * (2.0**2 + 2.0 * 0.5 + 0.5**2)
+    caps_mm3 = 2.0 / 3.0 * np.pi * (2.0**3 + 0.5**3)
+    assert solids.union_of_roots([root]).volume() == pytest.approx(frustum_mm3 + caps_mm3, abs=0.1 * caps_mm3)
+
+
+def test_a_bent_tube_has_pappus_volume() -> None:
+    turn = np.linspace(0.0, np.pi / 2.0, 80)
+    line = np.stack([20.0 * np.cos(turn), 20.0 * np.sin(turn), np.full(80, -50.0)], axis=1)
+    volumes = []
+    for end in (40, 80):
+        root = Root(points_mm=line[:end], diameters_mm=np.full(end, 3.0), order=0, parent=-1, label="")
+        volumes.append(solids.union_of_roots([root]).volume())
+    arc_mm = 20.0 * (turn[79] - turn[39])
+    assert volumes[1] - volumes[0] == pytest.approx(arc_mm * np.pi * 1.5**2, rel=1e-3)
+
+
+def test_crossing_tubes_share_steinmetz_s_solid() -> None:
+    """Two cylinders of radius r at right angles share 16 r^3 / 3."""
+    r = 4.0
+    one, two = straight((-20, 0, -50), (20, 0, -50), 2 * r), straight((0, -20, -50), (0, 20, -50), 2 * r)
+    apart = solids.union_of_roots([one]).volume() + solids.union_of_roots([two]).volume()
+    union = solids.union_of_roots([one, two]).volume()
+    assert union < apart
+    assert apart - union == pytest.approx(16.0 * r**3 / 3.0, rel=0.015)
+
+
+def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
+    """A curl that swings back across its first turn, against points drawn at random and their distance to it."""
+    turn = np.linspace(0.0, 3.0 * np.pi, 200)
+    radius = np.linspace(10.0, 6.0, 200)
+    line = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(200, -50.0)], axis=1)
+    line[150:, 1] += np.linspace(0.0, 12.0, 50)  # swing across the first turn
+    root = Root(points_mm=line, diameters_mm=np.full(200, 1.0), order=0, parent=-1, label="")
+    whole = solids.union_of_roots([root])
+    naive = solids.manifold_of(*solids.tube(line, np.full(200, 0.5), sides=12))
+    mesh = mesh_of([root])
+    assert whole.volume() < naive.volume() - 0.3
+    assert mesh.is_watertight
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-12, -12, -50.6], [12, 16, -49.4], (40_000, 3))
+    distance = np.full(len(points), np.inf)
+    for a, b in pairwise(line):
+        part = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        distance = np.minimum(distance, np.linalg.norm(points - a - part[:, None] * (b - a), axis=1))
+    assert np.mean(distance < 0.5) * 24.0 * 28.0 * 1.2 == pytest.approx(whole.volume(), rel=0.06)
+
+
+def test_a_kink_is_filled() -> None:
+    line = np.array([[0, 0, -20], [0, 0, -40], [15, 0, -25]], float)  # turns back by 135 degrees
+    root = Root(points_mm=line, diameters_mm=np.full(3, 4.0), order=0, parent=-1, label="")
+    mesh = mesh_of([root])
+    assert mesh.is_watertight
+    assert mesh.bounds[0, 2] == pytest.approx(-42.0, abs=0.1)  # the round end goes round the outside of the kink
+
+
+def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> None:
+    line = np.array([[0, 0, -20], [0, 0, -20], [0, 0, -30], [0, 0, -40]], float)
+    root = Root(points_mm=line, diameters_mm=np.array([2.0, 2.0, 1.0, 0.0]), order=0, parent=-1, label="")
+    mesh = mesh_of([root])
+    assert mesh.is_watertight
+    assert mesh.volume > np.pi / 3.0 * 20.0
+
+
+def test_nothing_to_unite_is_refused() -> None:
+    point = Root(points_mm=np.zeros((1, 3)), diameters_mm=np.ones(1), order=0, parent=-1, label="")
+    with pytest.raises(UserError, match="no root with a length"):
+        solids.union_of_roots([point])
+
+
+def test_a_plant_is_scaled_to_its_volume_and_closed() -> None:
+    roots = growth.grow(GrownSpecimen(seed=4, age_days=10.0))
+    parts_mm3 = sum(solids.union_of_roots([root]).volume() for root in roots)
+    assert solids.union_of_roots(roots).volume() < parts_mm3
+    solid, scaled, factor = solids.scale_to_volume(roots, 123.456)
+    assert solid.volume() == pytest.approx(123.456, rel=1e-6)
+    assert scaled[1].diameters_mm == pytest.approx(factor * roots[1].diameters_mm)
+    vertices, faces = solids.surface_of(solid)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(123.456, rel=1e-6)
+    assert len(solid.decompose()) == 1
+
+
+def test_traits_of_a_fork() -> None:
+    trunk = straight((0, 0, -20), (0, 0, -60), 2.0)
+    branch = Root(points_mm=np.array([[0, 0, -40.0], [20, 0, -40]]), diameters_mm=np.ones(2), order=1, parent=0, label="")
+    solid = solids.union_of_roots([trunk, branch])
+    traits = solids.traits_of([trunk, branch], solid)
+    assert traits["total_length_mm"] == pytest.approx(60.0)
+    assert (traits["tips"], traits["branch_points"]) == (2.0, 1.0)
+    assert traits["mean_diameter_mm"] == pytest.approx((40.0 * 2.0 + 20.0 * 1.0) / 60.0)
+    sides_mm2 = np.pi * (2.0 * 40.0 + 1.0 * 19.0) + 4.0 * np.pi + np.pi * 0.5
+    assert traits["surface_mm2"] == pytest.approx(sides_mm2, rel=0.03)

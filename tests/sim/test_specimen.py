@@ -1,0 +1,200 @@
+"""Specimens of every kind become one closed solid in the water, or are refused in one sentence."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenes.errors import UserError
+from scenes.files import load_scene
+from scenes.model import Scene
+from scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from sim.specimen import SpecimenSolid, build_specimen
+
+
+def build(specimen: SphereSpecimen | MeshSpecimen | RsmlSpecimen | GrownSpecimen, folder: Path | None = None) -> SpecimenSolid:
+    return build_specimen(Scene(specimen=specimen), folder=folder)
+
+
+def box(size_mm: float = 10.0, at_mm: tuple[float, float, float] = (0.0, 0.0, -50.0)) -> trimesh.Trimesh:
+    return trimesh.creation.box((size_mm,) * 3, transform=trimesh.transformations.translation_matrix(at_mm))
+
+
+def closed(solid: SpecimenSolid) -> bool:
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    return bool(mesh.is_watertight and mesh.is_winding_consistent and abs(mesh.volume / solid.volume_mm3 - 1.0) < 1e-9)
+
+
+def test_a_sphere_has_the_ball_s_volume_and_place() -> None:
+    solid = build(SphereSpecimen(diameter_mm=20.0, centre_mm=(5.0, -3.0, -60.0)))
+    assert solid.volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * 1000.0, rel=1e-9)
+    assert solid.extents_min_mm == pytest.approx([-5.0, -13.0, -70.0], abs=0.002)
+    assert solid.extents_max_mm == pytest.approx([15.0, 7.0, -50.0], abs=0.002)
+    assert np.linalg.norm(solid.vertices - [5.0, -3.0, -60.0], axis=1) == pytest.approx(10.0, abs=0.001)
+    assert closed(solid)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "STL"])
+def test_meshes_of_every_format(tmp_path: Path, suffix: str) -> None:
+    box().export(tmp_path / f"box.{suffix.lower()}")
+    (tmp_path / f"box.{suffix.lower()}").rename(tmp_path / f"box.{suffix}")
+    solid = build(MeshSpecimen(file=f"box.{suffix}"), tmp_path)
+    assert solid.volume_mm3 == pytest.approx(1000.0, rel=1e-6)
+    assert solid.notes == ()
+    assert closed(solid)
+
+
+def test_a_united_plant_goes_through_a_file_unchanged(tmp_path: Path) -> None:
+    plant = build(GrownSpecimen(seed=1, age_days=8.0, volume_ml=0.1))
+    trimesh.Trimesh(plant.vertices, plant.faces, process=False).export(tmp_path / "plant.ply")
+    back = build(MeshSpecimen(file=str(tmp_path / "plant.ply")))
+    assert back.volume_mm3 == pytest.approx(100.0, rel=1e-5)
+
+
+def test_an_inside_out_mesh_is_turned_and_said_so(tmp_path: Path) -> None:
+    mesh = box()
+    mesh.invert()
+    mesh.export(tmp_path / "box.stl")
+    solid = build(MeshSpecimen(file="box.stl"), tmp_path)
+    assert solid.volume_mm3 == pytest.approx(1000.0, rel=1e-6)
+    assert "inside out" in solid.notes[0]
+
+
+def test_a_face_turned_against_its_neighbours_is_turned_back(tmp_path: Path) -> None:
+    mesh = box()
+    faces = np.array(mesh.faces)
+    faces[3] = faces[3, ::-1]
+    trimesh.Trimesh(mesh.vertices, faces, process=False).export(tmp_path / "box.ply")
+    solid = build(MeshSpecimen(file="box.ply"), tmp_path)
+    assert solid.volume_mm3 == pytest.approx(1000.0, rel=1e-6)
+    assert "turned" in solid.notes[0]
+
+
+def test_overlapping_shells_count_once_and_cavities_are_kept(tmp_path: Path) -> None:
+    hole = box(4.0)
+    hole.invert()
+    trimesh.util.concatenate([box(), box(at_mm=(5.0, 0.0, -50.0)), hole]).export(tmp_path / "shells.stl")
+    solid = build(MeshSpecimen(file="shells.stl"), tmp_path)
+    assert solid.volume_mm3 == pytest.approx(1500.0 - 64.0, rel=1e-5)
+    assert any("cavit" in note for note in solid.notes)
+
+
+def test_an_open_mesh_is_refused_with_its_open_edges(tmp_path: Path) -> None:
+    mesh = box()
+    trimesh.Trimesh(mesh.vertices, mesh.faces[:-1], process=False).export(tmp_path / "open.stl")
+    with pytest.raises(UserError, match=r"open\.stl: the surface is not closed, 3 edges are open"):
+        build(MeshSpecimen(file="open.stl"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "match"),
+    [
+        ("no.ply", None, "no such file"),
+        ("thing.docx", b"x", "PLY, STL or OBJ"),
+        ("empty.stl", b"", "cannot be read|empty"),
+        ("noise.stl", bytes(range(256)) * 3, "cannot be read|empty|not closed"),
+        ("text.obj", b"hello\n", "cannot be read|empty"),
+        ("cut.ply", b"ply\nformat ascii 1.0\nelement vertex 8\n", "cannot be read|empty"),
+        ("far.obj", b"v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 7\n", "cannot be read|damaged"),
+        ("nan.obj", b"v nan 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "cannot be read|not finite|empty"),
+    ],
+)
+def test_files_that_are_no_mesh_are_refused_by_name(tmp_path: Path, name: str, content: bytes | None, match: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(UserError, match=match) as caught:
+        build(MeshSpecimen(file=name), tmp_path)
+    assert name in str(caught.value)
+
+
+def test_a_truncated_binary_mesh_is_refused(tmp_path: Path) -> None:
+    for suffix in ("ply", "stl"):
+        path = tmp_path / f"ball.{suffix}"
+        trimesh.creation.icosphere(subdivisions=2, radius=9.0).apply_translation([0, 0, -50]).export(path)
+        path.write_bytes(path.read_bytes()[:-700])
+        with pytest.raises(UserError, match=f"ball.{suffix}"):
+            build(MeshSpecimen(file=str(path)))
+
+
+def test_a_flat_or_a_metre_sized_mesh_is_refused(tmp_path: Path) -> None:
+    box(0.01).export(tmp_path / "metres.ply")
+    with pytest.raises(UserError, match="must be in millimetres"):
+        build(MeshSpecimen(file="metres.ply"), tmp_path)
+    mesh = box()
+    trimesh.Trimesh(mesh.vertices * [1, 1, 0] - [0, 0, 50], mesh.faces, process=False).export(tmp_path / "flat.ply")
+    with pytest.raises(UserError, match=r"flat\.ply"):
+        build(MeshSpecimen(file="flat.ply"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("at_mm", "match"),
+    [
+        ((70.0, 0.0, -50.0), r"2\.1\d mm past the inner wall .* at \(75\.0, [-\d.]+, -[45]5\.0\)"),
+        ((0.0, 0.0, -143.0), r"1\.60 mm below the floor"),
+        ((0.0, 0.0, -6.0), r"3\.00 mm above the water's surface"),
+    ],
+    ids=["wall", "floor", "surface"],
+)
+def test_a_specimen_outside_the_water_is_refused(tmp_path: Path, at_mm: tuple[float, float, float], match: str) -> None:
+    box(at_mm=at_mm).export(tmp_path / "box.stl")
+    with pytest.raises(UserError, match=match):
+        build(MeshSpecimen(file="box.stl"), tmp_path)
+
+
+def test_what_the_grid_hides_is_said(tmp_path: Path) -> None:
+    box(at_mm=(0.0, 0.0, -10.0)).export(tmp_path / "box.stl")
+    solid = build(MeshSpecimen(file="box.stl"), tmp_path)
+    assert any("3.00 mm are above the net pot's grid" in note for note in solid.notes)
+
+
+RSML = """<rsml><metadata><unit>cm</unit><resolution>1</resolution></metadata><scene><plant><root ID="1">
+<geometry><polyline><point x="0" y="0" z="-2"/><point x="0" y="0" z="-{depth}"/></polyline></geometry>
+<functions><function name="diameter" domain="polyline"><sample value="0.2"/><sample value="0.2"/></function></functions>
+</root></plant></scene></rsml>"""
+
+
+def test_rsml_becomes_tubes(tmp_path: Path) -> None:
+    (tmp_path / "root.rsml").write_text(RSML.format(depth=7))
+    solid = build(RsmlSpecimen(file="root.rsml"), tmp_path)
+    assert solid.volume_mm3 == pytest.approx(np.pi * 50.0 + 4.0 / 3.0 * np.pi, rel=0.01)
+    assert solid.traits["total_length_mm"] == pytest.approx(50.0)
+    assert closed(solid)
+    (tmp_path / "deep.rsml").write_text(RSML.format(depth=20))
+    with pytest.raises(UserError, match=r"deep\.rsml reaches 53\.60 mm below the floor"):
+        build(RsmlSpecimen(file="deep.rsml"), tmp_path)
+
+
+def test_the_printed_root_is_eight_millilitres() -> None:
+    solid = build_specimen(load_scene("printed_8ml"))
+    assert solid.volume_mm3 == pytest.approx(8000.0, rel=1e-6)
+    assert closed(solid)
+    assert -115.0 < solid.extents_min_mm[2] < -95.0
+    assert -16.0 < solid.extents_max_mm[2] < -12.0
+    assert 10.0 <= sum(root.order == 1 for root in solid.roots) <= 16
+    assert np.hypot(*solid.vertices[:, :2].T).max() < 55.0
+
+
+@pytest.mark.parametrize(("name", "volume_ml"), [("radish_day05b", 0.0585), ("radish_day15b", 0.1478)])
+def test_radishes_weigh_what_the_thesis_weighed(name: str, volume_ml: float) -> None:
+    scene = load_scene(name)
+    solid = build_specimen(scene)
+    assert solid.volume_mm3 == pytest.approx(1000.0 * volume_ml, rel=1e-6)
+    assert closed(solid)
+    assert solid.extents_max_mm[2] < scene.net_pot.grid_z_mm
+    assert 0.15 < solid.traits["mean_diameter_mm"] < 0.5
+
+
+def test_the_fallen_plant_lies_on_the_wall() -> None:
+    scene = load_scene("fallen_plant")
+    roots = build_specimen(scene).roots
+    points_mm = np.concatenate([root.points_mm for root in roots])
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    assert np.mean(radius_mm > scene.canister.outer_radius_mm / scene.water.n_water) > 0.4
+
+
+def test_a_volume_out_of_reach_is_refused() -> None:
+    specimen = GrownSpecimen(volume_ml=400.0)
+    with pytest.raises(UserError, match=r"leaves the water|was not reached"):
+        build(replace(specimen, age_days=3.0))

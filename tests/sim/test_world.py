@@ -1,0 +1,95 @@
+"""What is drawn: nothing where nothing is wrong, and the same for a view whatever is taken before it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes import frames, plan
+from scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
+from sim import dirt
+from sim.world import World, draw_world
+
+WRONG = Disturbances(
+    arm_deg=0.3,
+    arm_mm=0.5,
+    table_deg=0.05,
+    canister_offset_mm=1.0,
+    canister_tilt_deg=0.5,
+    strip_offset_mm=0.2,
+    strip_tilt_deg=0.1,
+    backlight_unevenness=0.3,
+    n_water_error=0.001,
+    algae_patches=20,
+    algae_opacity=0.5,
+    felt_fibres=30,
+    bubbles=30,
+)
+
+
+def world_of(seed: int, *, rings: tuple[Ring, ...] = (Ring(views=6), Ring(views=4, height_mm=90.0)), wrong: Disturbances = WRONG) -> World:
+    return draw_world(Scene(plan=CapturePlan(rings=rings), disturbances=wrong), seed=seed)
+
+
+def test_a_perfect_rig_is_where_the_plan_says() -> None:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=7, jitter_mm=2.0, jitter_deg=1.0),)))
+    world = draw_world(scene, seed=3)
+    for view, camera in zip(plan.views(scene, seed=3), world.cameras, strict=True):
+        np.testing.assert_allclose(camera.cam_from_canister, view.cam_from_rig @ plan.rig_from_table(scene, view.table_deg), atol=1e-12)
+    assert world.n_water == scene.water.n_water
+    np.testing.assert_array_equal(world.canister_from_strip, np.eye(4))
+    assert world.backlight is None
+    assert not world.algae + world.fibres + world.bubbles
+
+
+def test_a_seed_repeats_and_another_differs() -> None:
+    a, b, c = world_of(0), world_of(0), world_of(1)
+    np.testing.assert_array_equal(a.cameras[3].cam_from_canister, b.cameras[3].cam_from_canister)
+    assert a.bubbles == b.bubbles
+    assert np.abs(a.cameras[3].cam_from_canister - c.cameras[3].cam_from_canister).max() > 1e-3
+    assert a.bubbles != c.bubbles
+
+
+def test_a_second_ring_changes_nothing_in_the_first() -> None:
+    both, one = world_of(5), world_of(5, rings=(Ring(views=6),))
+    for k in range(6):
+        np.testing.assert_array_equal(both.cameras[k].cam_from_canister, one.cameras[k].cam_from_canister)
+
+
+def test_the_arm_errs_once_a_ring_and_the_table_in_every_view() -> None:
+    world = world_of(2)
+    first, second = world.cameras[:6], world.cameras[6:]
+    for camera in first:
+        np.testing.assert_array_equal(camera.cam_from_rig, first[0].cam_from_rig)
+    nominal = [frames.level_camera(distance_mm=400.0, height_mm=z, tilt_deg=0.0) for z in (-42.0, 90.0)]
+    errors = [camera.cam_from_rig @ frames.invert(n) for camera, n in zip((first[0], second[0]), nominal, strict=True)]
+    assert np.abs(errors[0] - errors[1]).max() > 1e-3
+    offsets = [camera.table_deg - 60.0 * k for k, camera in enumerate(first)]
+    assert len(set(offsets)) == 6
+
+
+def test_errors_have_the_size_that_the_profile_names() -> None:
+    arms = np.array([frames.to_rotvec(world_of(s).cameras[0].cam_from_rig @ frames.invert(frames.level_camera(
+        distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0))) for s in range(150)])  # fmt: skip
+    assert np.rad2deg(arms).std() == pytest.approx(0.3, rel=0.12)
+    seat = world_of(9).table_from_canister
+    assert np.linalg.norm(seat[:3, 3]) == pytest.approx(1.0)
+    assert np.rad2deg(np.linalg.norm(frames.to_rotvec(seat))) == pytest.approx(0.5)
+    assert np.ptp(world_of(9).backlight) == pytest.approx(0.3)  # type: ignore[arg-type]
+
+
+def test_dirt_stays_in_the_water() -> None:
+    world, can = world_of(4), Canister()
+    for bubble in world.bubbles:
+        assert np.hypot(bubble.x_mm, bubble.y_mm) + bubble.radius_mm < can.inner_radius_mm
+        assert can.floor_z_mm < bubble.z_mm - bubble.radius_mm
+        assert bubble.z_mm + bubble.radius_mm < NetPot().grid_z_mm
+    for fibre in world.fibres:
+        assert np.hypot(*fibre.points_mm[:, :2].T).max() < can.inner_radius_mm
+        assert fibre.points_mm[:, 2].max() == NetPot().grid_z_mm
+    scene = Scene(disturbances=replace(WRONG, algae_patches=1))
+    patch = draw_world(scene, seed=4).algae[0]
+    opacity = dirt.opacity_map((patch,), radius_mm=50.0, z_range_mm=(-140.0, 0.0), mm_per_texel=0.5)
+    row, column = round(-patch.z_mm / 0.5), round(patch.azimuth_rad * 50.0 / 0.5)
+    assert opacity[row % len(opacity), column % opacity.shape[1]] == pytest.approx(patch.opacity, rel=1e-3)
+    assert np.count_nonzero(opacity) * 0.25 == pytest.approx(np.pi * patch.radius_mm**2, rel=0.35)
