@@ -19,7 +19,7 @@ class Pictures:
     scene: str
     profile: str = "clean"
     views: int = 40
-    """In each ring of the scene's plan."""
+    """In all, shared evenly between the rings of the scene's plan."""
     image_wh: tuple[int, int] = (800, 600)
     seed: int = 0
 
@@ -31,7 +31,8 @@ class Pictures:
     def scene_to_render(self) -> Scene:
         """Return the library's scene with these views, this sensor and the profile's disturbances."""
         scene = load_scene(self.scene)
-        rings = tuple(replace(ring, views=self.views) for ring in scene.plan.rings)
+        share, more = divmod(self.views, len(scene.plan.rings))
+        rings = tuple(replace(ring, views=share + (k < more)) for k, ring in enumerate(scene.plan.rings))
         camera = scene.camera if scene.camera.image_wh == self.image_wh else scene.camera.resized(self.image_wh)
         plan = replace(scene.plan, rings=rings)
         return replace(scene, plan=plan, camera=camera, disturbances=load_profile(self.profile))

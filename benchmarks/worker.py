@@ -13,12 +13,13 @@ from typing import Any, Literal
 def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
     """Return the seconds of the first view (scene and kernels made) and of each one more, of `printed_8ml` at 800x600."""
     from benchmarks.cases import Pictures
+    from scenes.model import CapturePlan
     from sim.simulate import simulate
 
     walls = []
     for views in (1, 3):
-        scene = Pictures(scene="printed_8ml", views=views).scene_to_render()
-        scene = replace(scene, plan=replace(scene.plan, rings=scene.plan.rings[:1]))
+        scene = Pictures(scene="printed_8ml").scene_to_render()
+        scene = replace(scene, plan=CapturePlan(rings=(replace(scene.plan.rings[0], views=views),)))
         began = time.perf_counter()
         simulate(scene, working / str(views), profile_name="clean", seed=0, fidelity=fidelity, progress=False)
         walls.append(time.perf_counter() - began)

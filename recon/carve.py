@@ -113,7 +113,7 @@ def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
     return linear * (1.0 + 0.03 * half_mm) + 0.02
 
 
-def _look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any) -> tuple[projection.Projected, Any, Any]:
+def look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any) -> tuple[projection.Projected, Any, Any]:
     """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
     p = projection.project(bank, view, point, active)
     width, height = maps.image_wh
@@ -127,7 +127,7 @@ def _mark(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px
     """Look at nodes from every view: whether empty, whether partly outside, and how many views see the centre."""
 
     def body(view: Any, empty: Any, partial: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
-        p, distance, seen = _look(bank, maps, view, point, ~empty)
+        p, distance, seen = look(bank, maps, view, point, ~empty)
         reach = _footprint_px(p, half_mm)
         outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
         if ignore_blindness:
@@ -144,7 +144,7 @@ def _depth(bank: ViewBank, maps: DistanceMaps, point: Any, ignore_blindness: boo
     """Return the signed distance in mm of points to the hull (least over the views that see them), px per mm, and the votes."""
 
     def body(view: Any, depth: Any, scale: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
-        p, distance, seen = _look(bank, maps, view, point, mi.Bool(True))
+        p, distance, seen = look(bank, maps, view, point, mi.Bool(True))
         px_per_mm = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
         here = dr.select(seen, distance / px_per_mm, -1e3 if ignore_blindness else 1e3)
         scale = dr.select(here < depth, px_per_mm, scale)

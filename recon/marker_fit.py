@@ -17,10 +17,11 @@ MARGIN: Final = 0.16
 """How much of the quiet zone takes part, in half sides."""
 TARGET_PX: Final = 90.0
 """Larger markers are averaged down to at most this side."""
-GRID: Final = np.linspace(-1.32, 1.32, 265)
+GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
 START_BLUR: Final = 1.2
 BLUR_PX: Final = (0.25, 6.0)
+LEAST_PIXELS: Final = 60
 MOST_STEPS: Final = 15
 MOST_MOVE: Final = 0.15
 """A step moves no corner by more than this, in half sides."""
@@ -69,12 +70,12 @@ def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.
     fitted = None if window is None else _gauss_newton(window, white)
     if window is None or fitted is None:
         return None
-    h, bend, blur, covariance, correlation = fitted
-    corners = _project(_matrix(h), CORNERS)
+    warp, blur, covariance, correlation = fitted
+    corners = _project(_matrix(warp), CORNERS)
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
-    if shift_px > max(2.5, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.linalg.norm(bend) > 0.5:
+    if shift_px > max(2.5, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > 0.5:
         return None
-    corners_from_h = _by_homography(h, CORNERS).reshape(8, 8)
+    corners_from_h = _corners_by_homography(warp)
     return MarkerFit(
         corners_px=corners * window.scale_px + window.centre_px,
         covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
@@ -90,7 +91,7 @@ class _Window:
     light: Array
     """(P,) fraction of full scale."""
     xy: Array
-    """(P, 2)."""
+    """(2, P)."""
     start: Array
     """(4, 2) first corners."""
     centre_px: Array
@@ -116,81 +117,70 @@ def _window(image: NDArray[np.uint8] | NDArray[np.uint16], start_px: Array, side
     light = crop.reshape(count[1], fold, count[0], fold).mean(axis=(1, 3)) / full
     u, v = (low[k] + fold * np.arange(count[k]) + (fold - 1) / 2.0 for k in (0, 1))
     scale_px = side_px / 2.0
-    xy = (np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2) - centre_px) / scale_px
+    xy = (np.stack(np.meshgrid(u, v)).reshape(2, -1) - centre_px[:, None]) / scale_px
     unsaturated = light.ravel() < 0.985
     return _Window(
-        light.ravel()[unsaturated], xy[unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px
+        light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px
     )
 
 
-def _gauss_newton(window: _Window, white: NDArray[np.bool_]) -> tuple[Array, Array, float, Array, float] | None:
-    """Return h (8,), b (2,), blur, covariance of (h, b, blur, ...) and the correlation, or None where the fit runs away."""
-    h, bend, blur = _homography_through(window.start), np.zeros(3), START_BLUR * window.pixel
-    st = _invert(h, bend, window.xy, _project(np.linalg.inv(_matrix(h)), window.xy))
-    inside = np.all(np.abs(st) < 1.0 + MARGIN, axis=1)
+def _gauss_newton(window: _Window, white: NDArray[np.bool_]) -> tuple[Array, float, Array, float] | None:
+    """Return H and b (11,), blur, covariance of them all (18, 18) and the correlation, or None where the fit runs away."""
+    warp, blur = np.append(_homography_through(window.start), np.zeros(3)), START_BLUR * window.pixel
+    table, tabled = None, np.zeros(2)
+    xy, light = window.xy, window.light
+    s, t = _project(np.linalg.inv(_matrix(warp)), xy.T).T
     for iteration in range(MOST_STEPS):
-        if iteration in (1, 3):
-            st = _invert(h, bend, window.xy, _project(np.linalg.inv(_matrix(h)), window.xy))
-            inside = np.all(np.abs(st) < 1.0 + MARGIN, axis=1)
-            if np.count_nonzero(inside) < 60:
+        if iteration < 2:
+            inside = np.maximum(np.abs(s), np.abs(t)) < 1.0 + MARGIN
+            if np.count_nonzero(inside) < LEAST_PIXELS:
                 return None
-        xy, light = window.xy[inside], window.light[inside]
-        st = _invert(h, bend, xy, st[inside] if len(st) == len(inside) else st)
-        model = _Linearised.at(h, bend, blur, st, white)
-        shades = np.stack([np.ones(len(st)), st[:, 0], st[:, 1]], axis=1)
-        photometric = np.concatenate([shades, shades * model.pattern[:, None]], axis=1)
-        amounts = np.linalg.lstsq(photometric, light, rcond=None)[0]
-        contrast = shades @ amounts[3:]
-        design = np.concatenate([contrast[:, None] * model.slopes, photometric], axis=1)
-        residual = light - photometric @ amounts
-        normal = design.T @ design
+            xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
+        sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
+        if table is None or np.any(np.abs(sigma - tabled) > 0.02 * tabled):
+            table, tabled = _pattern(white, float(sigma[0]), float(sigma[1])), sigma
+        s, t, to_h = _invert(warp, xy, s, t)
+        at = [((c - GRID[0]) / (GRID[1] - GRID[0])).astype(np.float32) for c in (s, t)]
+        pattern, by_s, by_t, by_log_blur = cv2.remap(table, *at, cv2.INTER_LINEAR).reshape(-1, 4).T.astype(np.float64)
+        rows = np.empty((18, len(s)))
+        rows[12], rows[13], rows[14] = 1.0, s, t
+        rows[15:] = rows[12:15] * pattern
+        amounts = np.linalg.solve(rows[12:] @ rows[12:].T + 1e-12 * np.eye(6), rows[12:] @ light)
+        contrast = amounts[3:] @ rows[12:15]
+        _by_warp(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
+        rows[11] = contrast * by_log_blur / blur
+        residual = light - amounts @ rows[12:]
+        normal = rows @ rows.T
         try:
-            step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), design.T @ residual)[:12]
+            step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), rows @ residual)[:12]
         except np.linalg.LinAlgError:
             return None
-        moved = np.abs(_project(_matrix(h + step[:8]), CORNERS) - _project(_matrix(h), CORNERS)).max()
+        moved = np.abs(_project(_matrix(warp + step[:11]), CORNERS) - _project(_matrix(warp), CORNERS)).max()
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
-        h, bend = h + step[:8], bend + step[8:11]
+        warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
-        if not np.isfinite(moved) or np.abs(h).max() > 10.0 or contrast.mean() <= 0.0:
+        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:
             return None
-        if iteration > 3 and moved * window.scale_px < ENOUGH_PX:
+        if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break
-    variance = float(residual @ residual) / max(len(residual) - 18, 1)
-    spread = float(np.var(light))
+    variance, spread = float(residual @ residual) / (len(light) - 18), float(np.var(light))
     correlation = float(np.sqrt(max(0.0, 1.0 - variance / spread))) if spread > 0.0 else 0.0
-    return h, bend, blur, np.linalg.pinv(normal) * variance, correlation
+    return warp, blur, np.linalg.pinv(normal) * variance, correlation
 
 
-@dataclass(frozen=True)
-class _Linearised:
-    """The pattern at pixels, and its change with (h, b, blur)."""
-
-    pattern: Array
-    """(P,)."""
-    slopes: Array
-    """(P, 12)."""
-
-    @classmethod
-    def at(cls, h: Array, bend: Array, blur: float, st: Array, white: NDArray[np.bool_]) -> "_Linearised":
-        """Evaluate at pixels whose pattern coordinates are ``st`` (P, 2)."""
-        along_s, along_t = _jacobian(h, bend, st)
-        middle = _jacobian(h, bend, np.zeros((1, 2)))
-        sigma = blur / np.linalg.norm(middle[0]), blur / np.linalg.norm(middle[1])
-        table = _pattern(white, float(sigma[0]), float(sigma[1]))
-        at = ((st - GRID[0]) / (GRID[1] - GRID[0])).astype(np.float32)
-        pattern, by_s, by_t, by_log_blur = cv2.remap(table, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR).reshape(-1, 4).T
-        area = along_s[:, 0] * along_t[:, 1] - along_s[:, 1] * along_t[:, 0]
-        by_x = (by_s * along_t[:, 1] - by_t * along_s[:, 1]) / area
-        by_y = (by_t * along_s[:, 0] - by_s * along_t[:, 0]) / area
-        s, t = st.T
-        xy, depth = _warp(h, bend, st)
-        by_hx, by_hy = -by_x / depth, -by_y / depth
-        by_depth = -(by_hx * xy[:, 0] + by_hy * xy[:, 1])
-        bulge = 1.0 - s * s
-        columns = (by_hx * s, by_hx * t, by_hx, by_hy * s, by_hy * t, by_hy, by_depth * s, by_depth * t)
-        bends = (by_hx * bulge, by_hy * bulge, by_depth * bulge)
-        return cls(pattern.astype(np.float64), np.stack([*columns, *bends, by_log_blur / blur], axis=1))
+def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]) -> None:
+    """Fill rows 0 to 10 with the change of the model by H and b, at fixed pixels."""
+    s_x, s_y, t_x, t_y = to_h
+    bulge = 1.0 - s * s
+    depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
+    rows[2] = -(by_s * s_x + by_t * t_x) / depth
+    rows[5] = -(by_s * s_y + by_t * t_y) / depth
+    by_depth = -(rows[2] * xy[0] + rows[5] * xy[1])
+    for first, change in ((0, rows[2]), (3, rows[5]), (6, by_depth)):
+        np.multiply(change, s, out=rows[first])
+        np.multiply(change, t, out=rows[first + 1])
+    for row, change in ((8, rows[2]), (9, rows[5]), (10, by_depth)):
+        np.multiply(change, bulge, out=rows[row])
 
 
 def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArray[np.float32]:
@@ -213,8 +203,8 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArra
     return np.stack([t0 @ cells_s0, t0 @ (cells @ s1.T), t1 @ cells_s0, by_log_blur], axis=-1).astype(np.float32)
 
 
-def _matrix(h: Array) -> Array:
-    return np.append(h, 1.0).reshape(3, 3)
+def _matrix(warp: Array) -> Array:
+    return np.append(warp[:8], 1.0).reshape(3, 3)
 
 
 def _project(matrix: Array, points: Array) -> Array:
@@ -232,44 +222,39 @@ def _homography_through(corners: Array) -> Array:
     return np.linalg.solve(np.concatenate([rows_x, rows_y]), np.concatenate([x, y]))
 
 
-def _by_homography(h: Array, st: Array) -> Array:
-    """Return dH(s, t)/dh (P, 2, 8)."""
-    s, t = st[:, 0], st[:, 1]
-    depth = h[6] * s + h[7] * t + 1.0
-    xy = _project(_matrix(h), st)
-    found = np.zeros((len(st), 2, 8))
-    for k, factor in enumerate((s / depth, t / depth, 1.0 / depth)):
-        found[:, 0, k] = found[:, 1, k + 3] = factor
-        if k < 2:
-            found[:, :, k + 6] = -xy * factor[:, None]
-    return found
+def _corners_by_homography(warp: Array) -> Array:
+    """Return how the corners (8: x, y of each) change with h (8); the bulge does not move them."""
+    found = np.zeros((4, 2, 8))
+    for k, ((s, t), (x, y)) in enumerate(zip(CORNERS, _project(_matrix(warp), CORNERS), strict=True)):
+        depth = warp[6] * s + warp[7] * t + 1.0
+        found[k, 0] = np.array([s, t, 1.0, 0.0, 0.0, 0.0, -s * x, -t * x]) / depth
+        found[k, 1] = np.array([0.0, 0.0, 0.0, s, t, 1.0, -s * y, -t * y]) / depth
+    return found.reshape(8, 8)
 
 
-def _warp(h: Array, bend: Array, st: Array) -> tuple[Array, Array]:
-    """Return W(s, t) (P, 2) and its homogeneous coordinate (P,)."""
-    s, t = st.T
+def _warp(warp: Array, s: Array, t: Array) -> tuple[Array, Array, Array]:
+    """Return x, y and the homogeneous coordinate of W(s, t)."""
     bulge = 1.0 - s * s
-    depth = h[6] * s + h[7] * t + 1.0 + bend[2] * bulge
-    x = (h[0] * s + h[1] * t + h[2] + bend[0] * bulge) / depth
-    y = (h[3] * s + h[4] * t + h[5] + bend[1] * bulge) / depth
-    return np.stack([x, y], axis=1), depth
+    depth = warp[6] * s + warp[7] * t + 1.0 + warp[10] * bulge
+    x = (warp[0] * s + warp[1] * t + warp[2] + warp[8] * bulge) / depth
+    return x, (warp[3] * s + warp[4] * t + warp[5] + warp[9] * bulge) / depth, depth
 
 
-def _jacobian(h: Array, bend: Array, st: Array) -> tuple[Array, Array]:
-    """Return dW/ds and dW/dt, (P, 2) each."""
-    xy, depth = _warp(h, bend, st)
-    s = st[:, :1]
-    along_s = (h[[0, 3]] - 2.0 * s * bend[:2] - xy * (h[6] - 2.0 * s * bend[2])) / depth[:, None]
-    return along_s, (h[[1, 4]] - xy * h[7]) / depth[:, None]
+def _slope(warp: Array, s: Array, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return (dx/ds, dy/ds), (dx/dt, dy/dt)."""
+    x, y, depth = _warp(warp, s, t)
+    depth_s = warp[6] - 2.0 * warp[10] * s
+    by_s = (warp[0] - 2.0 * warp[8] * s - x * depth_s) / depth, (warp[3] - 2.0 * warp[9] * s - y * depth_s) / depth
+    return by_s, ((warp[1] - x * warp[7]) / depth, (warp[4] - y * warp[7]) / depth)
 
 
-def _invert(h: Array, bend: Array, xy: Array, st: Array) -> Array:
-    """Solve W(s, t) = xy from a start ``st`` (P, 2) by two Newton steps."""
+def _invert(warp: Array, xy: Array, s: Array, t: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
+    """Solve W(s, t) = xy from a near start by two Newton steps; return s, t and ds/dx, ds/dy, dt/dx, dt/dy."""
     for _ in range(2):
-        off = xy - _warp(h, bend, st)[0]
-        along_s, along_t = _jacobian(h, bend, st)
-        area = along_s[:, 0] * along_t[:, 1] - along_s[:, 1] * along_t[:, 0]
-        s = (off[:, 0] * along_t[:, 1] - off[:, 1] * along_t[:, 0]) / area
-        t = (off[:, 1] * along_s[:, 0] - off[:, 0] * along_s[:, 1]) / area
-        st = st + np.stack([s, t], axis=1)
-    return st
+        x, y, _depth = _warp(warp, s, t)
+        (x_s, y_s), (x_t, y_t) = _slope(warp, s, t)
+        area = x_s * y_t - y_s * x_t
+        s_x, s_y, t_x, t_y = y_t / area, -x_t / area, -y_s / area, x_s / area
+        off_x, off_y = xy[0] - x, xy[1] - y
+        s, t = s + s_x * off_x + s_y * off_y, t + t_x * off_x + t_y * off_y
+    return s, t, (s_x, s_y, t_x, t_y)

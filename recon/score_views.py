@@ -12,6 +12,9 @@ from scenes import frames
 from scenes.errors import UserError
 from scenes.truth import Truth
 
+HALF = 0.49
+"""Half coverage, a little less: sampled coverage is often exactly one half, and rounding must not decide."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PoseScore:
@@ -112,8 +115,8 @@ def mask_errors(found: np.ndarray[Any, Any], true: np.ndarray[Any, Any], seen: n
     total = float(true.sum(dtype=np.float64))
     found_area = float(found[seen].sum(dtype=np.float64))
     difference = float(np.abs(found - true)[seen].sum(dtype=np.float64))
-    either = int(((found >= 0.5) | (true >= 0.5))[seen].sum())
-    both = int(((found >= 0.5) & (true >= 0.5))[seen].sum())
+    either = int(((found >= HALF) | (true >= HALF))[seen].sum())
+    both = int(((found >= HALF) & (true >= HALF))[seen].sum())
     unseen = 1.0 - area / total if total > 0.0 else 0.0
     if area == 0.0:  # nothing to see: anything found is wrong without bound, nothing found is perfect
         return (0.0, 1.0, 0.0, unseen) if found_area == 0.0 else (float("inf"), 0.0, float("inf"), unseen)

@@ -38,7 +38,7 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
     return index, size, np.concatenate([leaves.occupancy[large], np.minimum(filled, 1.0)])
 
 
-def _paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
+def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
     """Write leaves into a dense block, clipped to it; one vectorised write a leaf size."""
     for edge in np.unique(size):
         chosen = size == edge
@@ -59,7 +59,7 @@ def _bricks(
         if not touching.any():
             continue
         block = np.zeros((_BRICK + 1,) * 3, np.float32)
-        _paint(block, index[touching] - corner.astype(np.int32), size[touching], occupancy[touching])
+        paint(block, index[touching] - corner.astype(np.int32), size[touching], occupancy[touching])
         yield corner.astype(np.int64), block
 
 

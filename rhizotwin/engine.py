@@ -152,13 +152,13 @@ def start(device: str = "auto") -> str:
         library, version = choose_llvm(None if given == NO_LLVM else given, usual_folders())
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     except UserError as error:
-        if device == "cpu":
+        if device == "cpu" or (device == "auto" and not _has_cuda_driver()):
             raise
         missing = error
         os.environ["DRJIT_LIBLLVM_PATH"] = NO_LLVM
 
     dr, mi = _load()
-    if device != "cpu" and (missing is None or _has_cuda_driver()) and dr.has_backend(dr.JitBackend.CUDA):
+    if device != "cpu" and dr.has_backend(dr.JitBackend.CUDA):
         mi.set_variant("cuda_ad_mono")
         return "computing on the NVIDIA card (CUDA)"
     if device == "cuda":

@@ -42,11 +42,6 @@ def expose(
     return np.asarray(stored)
 
 
-def stored_full_scale(camera: Camera) -> int:
-    """Return the stored number that stands for full scale."""
-    return 255 if camera.bits <= 8 else (2**camera.bits - 1) << (16 - camera.bits)
-
-
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:
     """Return coverage (H, W) in [0, 1] as 16-bit numbers."""
     return np.asarray(np.rint(np.clip(coverage, 0.0, 1.0) * 65535.0), dtype=np.uint16)

@@ -23,6 +23,8 @@ STEP_MM = 1.0
 """Length of a growth step, and of a segment of the finished root."""
 BEND_LENGTH_MM = 4.0
 """Distance over which a random curvature persists: headings are smooth."""
+MOST_ROOTS = 20_000
+"""Beyond this a specimen is refused: its solid would take many minutes and gigabytes."""
 HEADING_FAN_DEG = 137.5
 """Mean azimuth from one lateral to the next (the golden angle keeps sides evenly used) ..."""
 HEADING_FAN_SD_DEG = 40.0
@@ -60,7 +62,7 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     Raises
     ------
     UserError
-        The taproot's beginning has no room between the limits.
+        The taproot's beginning has no room between the limits, or there would be more than `MOST_ROOTS` roots.
     """
     limits = bounds(specimen, canister=canister or Canister(), net_pot=net_pot or NetPot())
     _check_origin(specimen, limits)
@@ -79,6 +81,11 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
                 children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, order, following, specimen.seed)
             if root is not None:
                 roots.append(root)
+        if len(roots) + len(children) > MOST_ROOTS:
+            raise UserError(
+                f"specimen.orders would grow {len(roots) + len(children)} roots by day {specimen.age_days:g}, above the limit of "
+                f"{MOST_ROOTS}: raise interlateral_mm or lower max_length_mm."
+            )
         buds = children
     return roots
 

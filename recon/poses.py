@@ -1,0 +1,290 @@
+"""Where the camera stood for every picture, found from the markers of all pictures together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon import view_fit
+from recon.markers import Markers
+from recon.rig_fit import Rig, RigFit, fit_rig
+from recon.view_fit import LEAST_MARKERS, Sightings
+from scenes import frames
+from scenes.dataset import Frame
+from scenes.errors import UserError
+from scenes.frames import Array
+from scenes.model import Scene
+
+WORST_PX = 1.0
+"""A view is left out above this reprojection error when it is also above `WORST_FACTOR` times the median of all views."""
+WORST_FACTOR = 6.0
+HOPELESS_PX = 5.0
+"""A view is left out above this reprojection error in any case."""
+AGREE_RAD = np.deg2rad(5.0)
+"""Commanded table angles are believed when the pictures agree within this."""
+
+
+STILL_PX = 2.0
+"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for moving."""
+LEAST_RING = 5
+"""Views of a ring among which a moved one can be told."""
+OUTLIER_WEIGHT = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPose:
+    """Where the camera stood for one picture."""
+
+    used: bool
+    reason: str | None = None
+    """Why the view is left out."""
+    cam_from_canister: Array | None = None
+    """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
+    reprojection_px: float | None = None
+    """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
+    single_view_px: float | None = None
+    """The same for the pose from this picture alone."""
+    markers: int = 0
+    outliers: int = 0
+    """Markers that count for nearly nothing, since they lie far off."""
+    table_deg: float | None = None
+    """Table angle as the pictures tell it."""
+    covariance: Array | None = None
+    """(6, 6) of the left-hand twist of cam_from_canister: rotation vector (rad), shift (mm), in the camera's frame."""
+    position_sigma_mm: float | None = None
+    """Standard deviation of the camera's centre, all axes together."""
+    rotation_sigma_deg: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingPose:
+    """Where the camera stood for one turn of the table."""
+
+    ring: int
+    cam_from_rig: Array
+    covariance: Array
+    """(6, 6) as in `ViewPose`."""
+    own_deg: float
+    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still camera."""
+    own_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses:
+    """Cameras of all views, in the order of the frames, and what they say about the rig."""
+
+    views: tuple[ViewPose, ...]
+    rings: tuple[RingPose, ...] = ()
+    table_from_canister: Array | None = None
+    """(4, 4) how the canister is seated on the table: tilt and offset."""
+    seat_sigma: Array | None = None
+    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
+    inset_px: float = 0.0
+    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
+    before_px: float | None = None
+    """Median reprojection error of the views with the commanded table angles and one nominal seat."""
+    after_px: float | None = None
+    """Median reprojection error of the views at the end."""
+    warnings: tuple[str, ...] = field(default=())
+
+
+def find_poses(
+    detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame], *, single_view: bool = False
+) -> Poses:
+    """Find the camera of every picture from its markers.
+
+    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
+    every table angle, the canister's seat on the table and what the camera moved between views (`recon.rig_fit`). Views that do not
+    fit are left out with the reason.
+
+    Parameters
+    ----------
+    detected : markers of each picture.
+    scene : camera with lens distortion, strip and net pot as given.
+    captured : the pictures' frames: ring and commanded table angle (None: free).
+    single_view : stop at each picture's own pose, corners unweighted (the thesis's way).
+
+    Raises
+    ------
+    UserError
+        When no picture gives a camera.
+    """
+    if len(detected) != len(captured):
+        raise ValueError(f"{len(detected)=} but {len(captured)=}")
+    views: list[ViewPose] = []
+    seen: dict[int, Sightings] = {}
+    for k, markers in enumerate(detected):
+        view, sight = _alone(markers, scene, polish=not single_view)
+        views.append(view)
+        if sight is not None:
+            seen[k] = sight
+    if not seen:
+        raise UserError(
+            f"{captured[0].file}: {views[0].reason}; no camera can be found in any of the {len(captured)} pictures: "
+            "check focus, light and the strip in the scene file, or give the cameras"
+        )
+    median_px = float(np.median([views[k].reprojection_px for k in seen]))
+    for k in list(seen):
+        reason = _misfit(views[k].reprojection_px, median_px)
+        if reason:
+            views[k] = replace(views[k], used=False, reason=reason)
+            if not single_view and len(seen) > 1:
+                del seen[k]
+    if single_view:
+        _need_one(views, captured)
+        return Poses(views=tuple(views), after_px=median_px)
+    return _together(views, seen, scene, captured)
+
+
+def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, Sightings | None]:
+    """Find a view's pose from its own markers."""
+    count = len(markers.ids)
+    if count < LEAST_MARKERS:
+        reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
+        return ViewPose(used=False, reason=reason, markers=count), None
+    seen = view_fit.sightings(markers, scene)
+    pose = view_fit.single_view(seen, polish=polish)
+    if pose is None:
+        reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
+        return ViewPose(used=False, reason=reason, markers=count), None
+    local = view_fit.linearise(seen, pose)
+    view = _view(pose, local, np.linalg.inv(local.normal[:6, :6]), count)
+    return replace(view, single_view_px=local.rms_px), seen
+
+
+def _view(pose: Array, local: view_fit.Linearised, covariance: Array, count: int) -> ViewPose:
+    return ViewPose(
+        used=True,
+        cam_from_canister=pose,
+        reprojection_px=local.rms_px,
+        markers=count,
+        outliers=int(np.count_nonzero(local.weight < OUTLIER_WEIGHT)),
+        covariance=covariance,
+        position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+        rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
+    )
+
+
+def _misfit(error_px: float | None, median_px: float) -> str | None:
+    """Return why a view is left out, or None."""
+    if error_px is None or error_px <= min(max(WORST_PX, WORST_FACTOR * median_px), HOPELESS_PX):
+        return None
+    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or the camera moved, or the picture is blurred"
+
+
+def _need_one(views: Sequence[ViewPose], captured: Sequence[Frame]) -> None:
+    if not any(view.used for view in views):
+        raise UserError(
+            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check the strip and the camera (focal_px, distortion) in the scene"
+        )
+
+
+def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
+    """Fit the rig to the views, leave out those that moved, fit again."""
+    keys, warnings = sorted(seen), []
+    while True:
+        start, command_rad, known, warnings = _start([views[k] for k in keys], [captured[k] for k in keys], scene)
+        fit = fit_rig([seen[k] for k in keys], start, command_rad, known)
+        worst = _moved(fit, keys)
+        if not worst:
+            break
+        for k, reason in worst.items():
+            views[k] = replace(views[k], used=False, reason=reason)
+        keys = [k for k in keys if k not in worst]
+    for i, k in enumerate(keys):
+        view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
+        turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
+        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])))
+        views[k] = replace(
+            view, used=reason is None, reason=reason, single_view_px=views[k].single_view_px, table_deg=float(turn) if known[i] else None
+        )
+    _need_one(views, captured)
+    numbers = sorted({captured[k].ring for k in keys})
+    sigma = np.sqrt(np.diag(fit.offset_covariance))
+    return Poses(
+        views=tuple(views),
+        rings=tuple(
+            RingPose(
+                ring=ring,
+                cam_from_rig=fit.rig.cam_from_rig[r],
+                covariance=fit.ring_covariance[r],
+                own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
+                own_mm=float(fit.rig.spread[r, 1]),
+            )
+            for r, ring in enumerate(numbers)
+        ),
+        table_from_canister=fit.rig.table_from_canister,
+        seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
+        inset_px=fit.rig.inset_px,
+        before_px=_before(seen, keys, start),
+        after_px=float(np.median([local.rms_px for local in fit.views])),
+        warnings=tuple(warnings),
+    )
+
+
+def _before(seen: dict[int, Sightings], keys: Sequence[int], start: Rig) -> float:
+    return float(np.median([view_fit.linearise(seen[k], start.rig_pose(i)).rms_px for i, k in enumerate(keys)]))
+
+
+def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
+    """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
+    found: dict[int, str] = {}
+    for ring in range(len(fit.rig.cam_from_rig)):
+        members = np.flatnonzero(fit.rig.ring == ring)
+        if len(members) < LEAST_RING:
+            continue
+        median_px = float(np.median(fit.rig_px[members]))
+        for i in members:
+            reason = _misfit(float(fit.rig_px[i]), median_px) if median_px < STILL_PX else None
+            if reason:
+                found[keys[i]] = reason
+    return found
+
+
+def _start(
+    views: Sequence[ViewPose], captured: Sequence[Frame], scene: Scene
+) -> tuple[Rig, Array, NDArray[np.bool_], list[str]]:
+    """Put a first rig together from the single views; also the commanded angles (V,), whether they count, and warnings."""
+    poses = np.array([view.cam_from_canister for view in views])
+    numbers = sorted({frame.ring for frame in captured})
+    ring = np.array([numbers.index(frame.ring) for frame in captured])
+    centres = np.array([frames.invert(pose)[:3, 3] for pose in poses])
+    angle = -np.arctan2(centres[:, 1], centres[:, 0])
+    command, known, warnings = angle.copy(), np.zeros(len(views), bool), []
+    for r, number in enumerate(numbers):
+        of = np.flatnonzero((ring == r) & np.array([frame.table_deg is not None for frame in captured]))
+        if not len(of):
+            continue
+        asked = scene.turntable.direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
+        if _scatter(angle[of] - asked) < AGREE_RAD:
+            command[of], known[of] = asked, True
+        else:
+            other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
+            warnings.append(f"ring {number}: the commanded table angles do not agree with the pictures{other}; the pictures' angles are used")
+    turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
+    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(numbers))])
+    own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
+    spread = np.array([_spread(own[ring == r]) for r in range(len(numbers))])
+    rig = Rig(
+        ring=ring, cam_from_rig=cam_from_rig, angle_rad=command, own=own, table_from_canister=np.eye(4), inset_px=0.0, spread=spread
+    )
+    return rig, command, known, warnings
+
+
+def _scatter(angles: Array) -> float:
+    """Return the median distance of angles from their middle direction."""
+    middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
+    return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
+
+
+def _middle(poses: Array) -> Array:
+    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as much as shifts of an arm of 100 mm)."""
+    flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * 100.0, poses[:, :3, 3]], axis=1)
+    return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
+
+
+def _spread(own: Array) -> Array:
+    """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
+    turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
+    return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + [1e-3, 0.1]
