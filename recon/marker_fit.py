@@ -19,8 +19,9 @@ TARGET_PX: Final = 90.0
 """Larger markers are averaged down to at most this side."""
 GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
-START_BLUR: Final = 1.2
 BLUR_PX: Final = (0.25, 6.0)
+RETABLE: Final = 0.03
+"""Relative change of the blur after which the pattern is tabulated anew."""
 LEAST_PIXELS: Final = 60
 MOST_STEPS: Final = 15
 MOST_MOVE: Final = 0.15
@@ -46,7 +47,7 @@ class MarkerFit:
     """Between the picture and the fitted pattern."""
 
 
-def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.bool_], start_px: Array) -> MarkerFit | None:
+def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
     The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by a Gaussian in the
@@ -59,6 +60,7 @@ def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.
     image : (H, W) grey levels, linear in light.
     white : (n, n) True where the pattern is white, border included, row 0 at the top.
     start_px : (4, 2) corners, good to about two pixels.
+    blur_px : first guess of the blur; take a neighbour's.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.
     """
     side_px = float(np.mean(np.linalg.norm(np.roll(start_px, -1, axis=0) - start_px, axis=1)))
     window = _window(image, start_px, side_px)
-    fitted = None if window is None else _gauss_newton(window, white)
+    fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px)
     if window is None or fitted is None:
         return None
     warp, blur, covariance, correlation = fitted
@@ -124,9 +126,9 @@ def _window(image: NDArray[np.uint8] | NDArray[np.uint16], start_px: Array, side
     )
 
 
-def _gauss_newton(window: _Window, white: NDArray[np.bool_]) -> tuple[Array, float, Array, float] | None:
+def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float] | None:
     """Return H and b (11,), blur, covariance of them all (18, 18) and the correlation, or None where the fit runs away."""
-    warp, blur = np.append(_homography_through(window.start), np.zeros(3)), START_BLUR * window.pixel
+    warp = np.append(_homography_through(window.start), np.zeros(3))
     table, tabled = None, np.zeros(2)
     xy, light = window.xy, window.light
     s, t = _project(np.linalg.inv(_matrix(warp)), xy.T).T
@@ -137,7 +139,7 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_]) -> tuple[Array, flo
                 return None
             xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
         sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
-        if table is None or np.any(np.abs(sigma - tabled) > 0.02 * tabled):
+        if table is None or np.any(np.abs(sigma - tabled) > RETABLE * tabled):
             table, tabled = _pattern(white, float(sigma[0]), float(sigma[1])), sigma
         s, t, to_h = _invert(warp, xy, s, t)
         at = [((c - GRID[0]) / (GRID[1] - GRID[0])).astype(np.float32) for c in (s, t)]
@@ -188,19 +190,25 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArra
 
     A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second one by s (heat equation).
     """
-    cells = np.pad(white.astype(np.float64), 1, constant_values=1.0)
+    cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
-    factors = []
+    factors: list[list[NDArray[np.float32]]] = []
     for sigma in (sigma_s, sigma_t):
         z = (GRID[:, None] - edges) / sigma
-        step = 0.5 * (1.0 + erf(z * np.sqrt(0.5)))
-        slope = np.exp(-0.5 * z * z) / (sigma * np.sqrt(2.0 * np.pi))
-        bounded = np.pad(step, ((0, 0), (1, 1)), constant_values=((0, 0), (1.0, 0.0)))
-        factors.append((bounded, np.pad(slope, ((0, 0), (1, 1))), np.pad(-z * slope * sigma, ((0, 0), (1, 1)))))
-    (s0, s1, s2), (t0, t1, t2) = ((f[0][:, :-1] - f[0][:, 1:], f[1][:, :-1] - f[1][:, 1:], f[2][:, :-1] - f[2][:, 1:]) for f in factors)
-    cells_s0 = cells @ s0.T
-    by_log_blur = t0 @ (cells @ s2.T) + t2 @ cells_s0
-    return np.stack([t0 @ cells_s0, t0 @ (cells @ s1.T), t1 @ cells_s0, by_log_blur], axis=-1).astype(np.float32)
+        step = np.ones((len(GRID), len(edges) + 2))
+        step[:, 1:-1], step[:, -1] = 0.5 * (1.0 + erf(z * np.sqrt(0.5))), 0.0
+        slope, bend = np.zeros_like(step), np.zeros_like(step)
+        slope[:, 1:-1] = np.exp(-0.5 * z * z) / (sigma * np.sqrt(2.0 * np.pi))
+        bend[:, 1:-1] = -z * slope[:, 1:-1] * sigma
+        factors.append([(f[:, :-1] - f[:, 1:]).astype(np.float32) for f in (step, slope, bend)])
+    (s0, s1, s2), (t0, t1, t2) = factors
+    cells_s0, t0_cells = cells @ s0.T, t0 @ cells
+    table = np.empty((len(GRID), len(GRID), 4), np.float32)
+    table[..., 0] = t0 @ cells_s0
+    table[..., 1] = t0_cells @ s1.T
+    table[..., 2] = t1 @ cells_s0
+    table[..., 3] = t0_cells @ s2.T + t2 @ cells_s0
+    return table
 
 
 def _matrix(warp: Array) -> Array:

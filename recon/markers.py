@@ -79,11 +79,12 @@ def detect_markers(image: NDArray[np.uint8] | NDArray[np.uint16], strip: MarkerS
     found: list[int] = []
     corners: list[Array] = []
     covariances: list[Array] = []
-    side = dictionary.markerSize + 2
+    side, blur_px = dictionary.markerSize + 2, 1.2
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
-        fit = fit_marker(image, white, start_px)
+        fit = fit_marker(image, white, start_px, blur_px=blur_px)
         if fit is not None:
+            blur_px = fit.blur_px
             found.append(int(marker_id))
             corners.append(fit.corners_px)
             covariances.append(fit.covariance_px2)

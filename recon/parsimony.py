@@ -9,7 +9,7 @@ roots thinner than the skeleton's voxels), the hull is kept.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -35,6 +35,7 @@ _BIN_MM = 4.0
 _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there."""
 _AGREEING_VIEWS = 2
+_REACH_PX = 0.75
 
 
 @dataclass(frozen=True)
@@ -52,32 +53,22 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> tuple[Leaves, Ba
 
     Returns
     -------
-    leaves : the trimmed shape, cut down to the finest nodes; its occupancies are at most the hull's.
+    leaves : the trimmed shape; its occupancies are at most the hull's, and `Leaves.occupancy_low` and ``_high`` are still the hull's.
     balls : the balls along the centre lines.
     """
     balls = grow_balls(bank, maps, centre_lines(leaves))
-    index, occupancy = _finest(leaves)
     if not len(balls.radius_mm):
         return leaves, balls
-    inside = _inside_balls(balls, leaves, index)
-    kept = np.minimum(occupancy, inside)
-    missing = occupancy - kept > 0.02
+    index, size, hull, inside = _against_balls(balls, leaves)
+    kept = np.minimum(hull, inside)
+    missing = hull - kept > 0.02
     if missing.any():
-        needed = _needed(bank, maps, leaves, index, kept, missing)
-        kept[needed] = occupancy[needed]
+        trimmed = replace(leaves, index=index, size=size, occupancy=kept)
+        needed = np.zeros(len(kept), bool)
+        needed[missing] = _needed(bank, maps, trimmed, index[missing])
+        kept[needed] = hull[needed]
     some = kept > 0
-    return (
-        Leaves(
-            grid=leaves.grid,
-            index=index[some],
-            size=np.ones(int(some.sum()), np.int32),
-            occupancy=kept[some],
-            occupancy_low=kept[some],
-            occupancy_high=kept[some],
-            blind_mm3=leaves.blind_mm3,
-        ),
-        balls,
-    )
+    return replace(leaves, index=index[some], size=size[some], occupancy=kept[some]), balls
 
 
 def centre_lines(leaves: Leaves) -> Array:
@@ -122,96 +113,122 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
         better = tried.max(axis=1) > radius
         points = np.where(better[:, None], points + offset[np.arange(len(points)), best], points)
         radius = np.maximum(radius, tried.max(axis=1))
+    radius = np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = (radius > 0) & (radius < 1e3)
     return Balls(points[good], radius[good])
 
 
-def _radius(bank: ViewBank, maps: DistanceMaps, points: Array) -> Array:
+def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
     """Return the radius in mm of the largest ball about each point that every view allows.
 
     In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the outline has the
     normal g = a du + b dv in space, so the ball's radius is D / |g|. On a root's centre line D has a crease: |a| and |b| are taken from
-    the steeper of the two sides.
+    the steeper of the two sides. The sampled map rounds the crease off; ``sharpen`` restores its height from the slopes on both sides,
+    for points that lie on it.
     """
-    reach_px = 1.0
 
-    def body(view: Any, least: Any, votes: Any) -> tuple[Any, Any, Any]:
+    def body(view: Any, least: Any) -> tuple[Any, Any]:
         p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
-        slope = []
-        for shift in (mi.Vector2f(reach_px, 0), mi.Vector2f(0, reach_px)):
-            sides = [dr.abs(maps.at(view, p.px + sign * shift, seen) - distance) for sign in (1.0, -1.0)]
-            slope.append(dr.maximum(sides[0], sides[1]))
-        norm_2 = slope[0] * slope[0] + slope[1] * slope[1] + 1e-9
-        g_2 = (slope[0] * slope[0] * dr.squared_norm(p.du) + slope[1] * slope[1] * dr.squared_norm(p.dv)) / norm_2
-        flat = norm_2 < 0.01
-        g = dr.select(flat, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
-        least = dr.minimum(least, dr.select(seen, distance / g, 1e4))
-        return view + 1, least, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        slopes, peak = [], distance
+        for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
+            near = [maps.at(view, p.px + sign * unit, seen) for sign in (1.0, -1.0)]
+            slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
+            if sharpen:
+                falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
+                peak = dr.maximum(peak, 0.5 * (near[0] + near[1]) + dr.maximum(dr.minimum(falls[0], falls[1]), 0.0))
+        norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
+        g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
+        g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
+        return view + 1, dr.minimum(least, dr.select(seen, peak / g, 1e4))
 
     point = mi.Point3f(points.T.astype(np.float32))
-    state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
-    _, least, _ = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    _, least = dr.while_loop((mi.UInt32(0), dr.full(mi.Float, 1e4, len(points))), lambda view, _: view < bank.count, body)
     return np.array(least, dtype=np.float64)
 
 
-def _finest(leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Cut all leaves to the finest nodes: (N, 3) index and (N,) occupancy."""
-    indices, occupancies = [], []
-    for edge in np.unique(leaves.size):
+def _against_balls(
+    balls: Balls, leaves: Leaves
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Cut leaves until each lies wholly inside the balls or is a finest node.
+
+    Returns
+    -------
+    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the balls (N,).
+    """
+    listed = _Listed.of(balls, leaves)
+    done: list[tuple[NDArray[Any], ...]] = []
+    carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+    for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
         chosen = leaves.size == edge
-        offset = np.stack(np.meshgrid(*[np.arange(edge, dtype=np.int32)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        indices.append((leaves.index[chosen][:, None] + offset).reshape(-1, 3))
-        occupancies.append(np.repeat(leaves.occupancy[chosen], len(offset)))
-    return np.concatenate(indices), np.concatenate(occupancies)
+        index = np.concatenate([carried[0], leaves.index[chosen]])
+        hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
+        depth = listed.depth_mm(index, edge)
+        size_mm = edge * leaves.grid.size_mm
+        inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
+        whole = depth > 0.87 * size_mm if edge > 1 else np.ones(len(index), bool)
+        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
+        offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
+        carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
+    index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
+    return index, size, hull, inside
 
 
-def _inside_balls(balls: Balls, leaves: Leaves, index: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the fraction (N,) of each finest node inside the union of the balls."""
-    size_mm = leaves.grid.size_mm
-    low = np.asarray(leaves.grid.origin_mm) + index.min(axis=0) * size_mm
-    high = np.asarray(leaves.grid.origin_mm) + (index.max(axis=0) + 1) * size_mm
-    shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
-    # list the balls that reach into each bin
-    first = np.clip(np.floor((balls.centre_mm - balls.radius_mm[:, None] - size_mm - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
-    last = np.clip(np.floor((balls.centre_mm + balls.radius_mm[:, None] + size_mm - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
-    extent = last - first + 1
-    count = extent.prod(axis=1)
-    ball = np.repeat(np.arange(len(count)), count)
-    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    ex = extent[ball]
-    offset = np.stack([place // (ex[:, 1] * ex[:, 2]), place // ex[:, 2] % ex[:, 1], place % ex[:, 2]], axis=1)
-    bins = ((first[ball] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
-    order = np.argsort(bins, kind="stable")
-    starts = np.searchsorted(bins[order], np.arange(shape.prod() + 1))
-    packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
-    listed, begins = mi.Float(packed.ravel()), mi.UInt32(starts.astype(np.uint32))
-    result = np.empty(len(index), np.float32)
-    chunk = 1 << 22
-    for at in range(0, len(index), chunk):
-        part = index[at : at + chunk]
-        q = [mi.Float(part[:, a].astype(np.float32)) * size_mm + float(leaves.grid.origin_mm[a] + 0.5 * size_mm) for a in range(3)]
-        cell = [dr.clip(mi.Int32((q[a] - float(low[a])) / _BIN_MM), 0, int(shape[a]) - 1) for a in range(3)]
+@dataclass(frozen=True)
+class _Listed:
+    """Balls listed by the cubic bins they reach into."""
+
+    leaves: Leaves
+    low_mm: Array
+    shape: NDArray[np.int64]
+    entries: Any
+    """mi.Float, x y z r of the balls of one bin after the other."""
+    begins: Any
+    """mi.UInt32, first entry of each bin, and the end."""
+
+    @staticmethod
+    def of(balls: Balls, leaves: Leaves) -> _Listed:
+        """List balls in bins that cover the leaves."""
+        size_mm, origin = leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
+        low = origin + leaves.index.min(axis=0) * size_mm
+        high = origin + (leaves.index + leaves.size[:, None]).max(axis=0) * size_mm
+        shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
+        reach = balls.radius_mm[:, None] + size_mm
+        first = np.clip(np.floor((balls.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        extent = np.clip(np.floor((balls.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
+        count = extent.prod(axis=1)
+        ball = np.repeat(np.arange(len(count)), count)
+        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[ball]
+        offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
+        bins = ((first[ball] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
+        order = np.argsort(bins, kind="stable")
+        begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
+        packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
+        return _Listed(leaves, low, shape, mi.Float(packed.ravel()), mi.UInt32(begins))
+
+    def depth_mm(self, index: NDArray[np.int32], edge: int) -> NDArray[np.float32]:
+        """Return how deep (N,) the centres of nodes of an edge lie inside the union of the balls; negative outside."""
+        if not len(index):
+            return np.zeros(0, np.float32)
+        size_mm, origin, shape = self.leaves.grid.size_mm, self.leaves.grid.origin_mm, self.shape
+        q = [mi.Float(index[:, a].astype(np.float32)) * size_mm + float(origin[a] + 0.5 * edge * size_mm) for a in range(3)]
+        cell = [dr.clip(mi.Int32((q[a] - float(self.low_mm[a])) / _BIN_MM), 0, int(shape[a]) - 1) for a in range(3)]
         bin_ = mi.UInt32((cell[0] * int(shape[1]) + cell[1]) * int(shape[2]) + cell[2])
-        end = dr.gather(mi.UInt32, begins, bin_ + 1)
-        centre = mi.Point3f(*q)
+        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(*q)
 
-        def body(k: Any, depth: Any, centre: Any = centre) -> tuple[Any, Any]:
-            entry = dr.gather(mi.Vector4f, listed, k)
-            return k + 1, dr.maximum(depth, entry.w - dr.norm(centre - mi.Point3f(entry.x, entry.y, entry.z)))
+        def body(k: Any, depth: Any) -> tuple[Any, Any]:
+            ball = dr.gather(mi.Vector4f, self.entries, k)
+            return k + 1, dr.maximum(depth, ball.w - dr.norm(centre - mi.Point3f(ball.x, ball.y, ball.z)))
 
-        state = (dr.gather(mi.UInt32, begins, bin_), dr.full(mi.Float, -1e3, len(part)))
-        _, depth = dr.while_loop(state, lambda k, _, end=end: k < end, body)
-        result[at : at + chunk] = np.array(dr.clip(0.5 + depth / size_mm, 0.0, 1.0))
-    return result
+        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(index)))
+        return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
 
 
-def _needed(
-    bank: ViewBank, maps: DistanceMaps, leaves: Leaves, index: NDArray[np.int32], kept: NDArray[np.float32], missing: Mask
-) -> Mask:
-    """Tell which nodes the balls leave out although silhouettes need them: (N,)."""
+def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> Mask:
+    """Tell which of the doubted finest nodes (N, 3) silhouettes need that the trimmed shape does not explain: (N,)."""
     width, height = maps.image_wh[0] * UPSAMPLING, maps.image_wh[1] * UPSAMPLING
-    solid = _points(leaves, index[kept >= 0.5])
-    doubtful = _points(leaves, index[missing])
+    voxel, size, filled = to_voxels(trimmed, 2)
+    solid = _points(trimmed, 2 * _even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
+    doubtful = _points(trimmed, doubted, 1)
     votes = dr.zeros(mi.UInt32, dr.width(doubtful))
     values = np.array(maps.values).reshape(bank.count, height, width)
     for view in range(bank.count):
@@ -226,14 +243,21 @@ def _needed(
         u, v, seen = _sample(bank, view, doubtful, width, height)
         votes += mi.UInt32(dr.gather(mi.UInt8, lacking, v * width + u, seen))
         dr.eval(votes)
-    needed = np.zeros(len(index), bool)
-    needed[missing] = np.array(votes) >= _AGREEING_VIEWS
-    return needed
+    return np.array(votes) >= _AGREEING_VIEWS
 
 
-def _points(leaves: Leaves, index: NDArray[np.int32]) -> Any:
-    """Return the centres of finest nodes on the device."""
-    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5) * leaves.grid.size_mm
+def _even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
+    parts = []
+    for edge in np.unique(size):
+        offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
+        parts.append((index[size == edge][:, None] + offset).reshape(-1, 3))
+    return np.concatenate(parts) if parts else index
+
+
+def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Any:
+    """Return the centres of nodes of an edge on the device."""
+    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
     return mi.Point3f(centres.T.astype(np.float32))
 
 

@@ -97,9 +97,9 @@ def reconstruct(
         raise UserError(f"{dataset_folder}: only {len(used)} of {len(found)} pictures have a camera pose and at least 3 are needed ({reasons}).")
     views = {k: View(camera=dataset.scene.camera, cam_from_canister=np.array(found[k].cam_from_canister)) for k in used}
     drawn = _silhouettes(run, images, views, optics, method)
-    leaves = _carve(run, drawn, views, optics, voxel_mm, method)
+    hull, leaves = _carve(run, drawn, views, optics, voxel_mm, method)
     shape = _surface(run, leaves, voxel_mm)
-    numbers = _numbers(run, leaves, shape, method)
+    numbers = _numbers(run, hull, leaves, shape, method)
     for k in used:
         seen = drawn[k].seen
         found[k] = _with_fill(found[k], float((drawn[k].coverage[seen] > 0.5).mean()) if seen.any() else 0.0)
@@ -163,6 +163,7 @@ def _poses(run: _Run, images: list[NDArray[np.generic]], *, single_view: bool) -
         )
         for frame, view, markers_ in zip(run.frames, solved.views, detected, strict=True)
     ]
+    run.warnings += solved.warnings
     run.warnings += [f"{view.file} is left out: {view.reason}" for view in found if not view.used]
     return found
 
@@ -236,8 +237,8 @@ def _still(run: _Run, views: list[View], taken: list[Frame]) -> bool:
 
 def _carve(
     run: _Run, drawn: dict[int, silhouettes.Silhouette], views: dict[int, View], optics: Optics, voxel_mm: float, method: Method
-) -> carve.Leaves:
-    """Carve the hull."""
+) -> tuple[carve.Leaves, carve.Leaves]:
+    """Carve the hull, and trim it to what the silhouettes need: (hull, shape)."""
     scene, keys = run.dataset.scene, list(views)
     thesis = method == "thesis"
     with run.stage("distance"):
@@ -274,12 +275,7 @@ def _carve(
         )
         bar.update(grid.levels + 1 - bar.n)
         bar.close()
-    if not len(leaves.size) or leaves.volume_mm3() == 0.0:
-        raise UserError(
-            f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not fit the pictures."
-        )
-    return leaves
+    return hull, leaves
 
 
 def _spread(count: int) -> list[int]:
@@ -299,14 +295,16 @@ def _surface(run: _Run, leaves: carve.Leaves, voxel_mm: float) -> result.Shape:
     return result.Shape(index=index, size=size, occupancy=occupancy, origin_mm=origin, voxel_mm=voxel_mm, mesh=mesh)
 
 
-def _numbers(run: _Run, leaves: carve.Leaves, shape: result.Shape, method: Method) -> dict[str, float | tuple[float, ...]]:
+def _numbers(run: _Run, hull: carve.Leaves, leaves: carve.Leaves, shape: result.Shape, method: Method) -> dict[str, float | tuple[float, ...]]:
     """Return volume, its interval and the extents."""
     if method == "thesis":
         counted = float((leaves.size.astype(np.float64) ** 3).sum() * leaves.grid.size_mm**3)
         volume, low, high = counted, counted, counted
     else:
         volume = leaves.volume_mm3()
-        low, high = leaves.volume_mm3(leaves.occupancy_low), leaves.volume_mm3(leaves.occupancy_high)
+        # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
+        high = hull.volume_mm3(hull.occupancy_high)
+        low = volume - (hull.volume_mm3() - hull.volume_mm3(hull.occupancy_low))
     if len(shape.mesh.vertices):
         bounds = np.asarray(shape.mesh.bounds, np.float64)
     else:

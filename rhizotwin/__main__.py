@@ -1,7 +1,14 @@
-"""`python -m rhizotwin` is the `rhizotwin` command."""
+"""The program: `rhizotwin` and `python -m rhizotwin` begin here.
 
+Until `rhizotwin.cli.main` can say so in a sentence, Ctrl-C ends the program without a word instead of with a traceback.
+"""
+
+import signal
 import sys
 
-from rhizotwin.cli import main
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-sys.exit(main())
+from rhizotwin.cli import main  # noqa: E402 - first the signal
+
+if __name__ == "__main__":
+    sys.exit(main())

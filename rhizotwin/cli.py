@@ -3,10 +3,13 @@
 import argparse
 import errno
 import os
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
 from typing import NoReturn, TypeAlias
 
 from scenes.errors import UserError
@@ -29,49 +32,58 @@ class Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done, 1 failed, 2 a mistake in the input, 130 stopped by Ctrl-C."""
+    stops: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        stops.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, stop) if threading.current_thread() is threading.main_thread() else None
     try:
         options = build_parser().parse_args(arguments)
         from rhizotwin import commands  # what it needs takes time to load, and --help should not
 
         commands.run(options)
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        return _fail("stopped; the same command takes it up again", EXIT_STOPPED)
-    except UserError as error:
-        return _fail(str(error), EXIT_MISTAKE)
     except BrokenPipeError:
         # The reader of the output (head, less) has left: nobody is there to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
-    except MemoryError:
-        return _fail("not enough memory; use larger voxels (--voxel-mm) or smaller pictures", EXIT_FAILED)
-    except OSError as error:
-        return _fail(_explain(error), EXIT_FAILED)
-    except Exception as error:  # noqa: BLE001 - the last line of defence: a person never sees a traceback unasked
-        return _fail(
-            f"stopped by an unexpected error ({type(error).__name__}: {_one_line(error)}); "
-            f"run it again with {DEBUG_VARIABLE}=1 to see where",
-            EXIT_FAILED,
-        )
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last line of defence: nobody sees a traceback unasked
+        # A library that is stopped while it loads may report an error of its own instead.
+        return _fail(*_explain(KeyboardInterrupt() if stops else error))
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGINT, before)
     return 0
 
 
 def _fail(sentence: str, code: int) -> int:
+    if "tqdm" in sys.modules:  # the sentence begins on a line of its own, not behind an unfinished bar
+        for bar in list(getattr(sys.modules["tqdm"].tqdm, "_instances", ())):
+            bar.close()
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
     sys.stderr.write(f"rhizotwin: {' '.join(sentence.split())}\n")
     return code
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:300]
-
-
-def _explain(error: OSError) -> str:
-    where = f"{error.filename}: " if error.filename else ""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"{where}the disk is full; free some space and run the same command again"
-    return f"{where}{error.strerror or _one_line(error)}; check the path and your rights to it"
+def _explain(error: BaseException) -> tuple[str, int]:
+    """Return the sentence that explains an error, and the exit code."""
+    if isinstance(error, KeyboardInterrupt):
+        return "stopped; the same command takes it up again", EXIT_STOPPED
+    if isinstance(error, UserError):
+        return str(error), EXIT_MISTAKE
+    if isinstance(error, MemoryError):
+        return "not enough memory; use larger voxels (--voxel-mm) or smaller pictures", EXIT_FAILED
+    text = " ".join(str(error).split())[:300]
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return f"{where}the disk is full; free some space and run the same command again", EXIT_FAILED
+        return f"{where}{error.strerror or text}; check the path and your rights to it", EXIT_FAILED
+    what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
+    return f"{what}; run it again with {DEBUG_VARIABLE}=1 to see where", EXIT_FAILED
 
 
 def build_parser() -> Parser:

@@ -10,7 +10,8 @@ from scenes.atomic import write_json
 from scenes.errors import UserError
 
 SCENE = "printed_8ml"
-VIEWS = 30
+VIEWS = 41
+"""Odd: opposite views of an even ring see nearly the same outline twice."""
 IMAGE_WH = (600, 450)
 VOXEL_MM = 0.27
 

@@ -81,11 +81,11 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
                 children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, order, following, specimen.seed)
             if root is not None:
                 roots.append(root)
-        if len(roots) + len(children) > MOST_ROOTS:
-            raise UserError(
-                f"specimen.orders would grow {len(roots) + len(children)} roots by day {specimen.age_days:g}, above the limit of "
-                f"{MOST_ROOTS}: raise interlateral_mm or lower max_length_mm."
-            )
+            if len(roots) + len(children) > MOST_ROOTS:
+                raise UserError(
+                    f"specimen.orders would grow more than {MOST_ROOTS} roots by day {specimen.age_days:g}, the most that is allowed: "
+                    "raise interlateral_mm or lower max_length_mm."
+                )
         buds = children
     return roots
 

@@ -1,6 +1,10 @@
 """The command line: what it accepts, and how every failure ends: one sentence, an exit code, no traceback."""
 
 import errno
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +16,7 @@ from scenes import files
 from scenes.errors import UserError
 from scenes.specimens import MeshSpecimen, RsmlSpecimen
 
+ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = ("scenes", "simulate", "reconstruct", "import", "score", "demo")
 
 
@@ -121,6 +126,40 @@ def test_failure_inside_a_command(stop: Stop, monkeypatch: pytest.MonkeyPatch, c
     code, said = run_and_fail(["scenes"], capsys)
     assert code == stop.code
     assert stop.said in said
+
+
+def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ctrl-C while an extension loads comes out of it as an ImportError."""
+
+    def load(_: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("the extension could not be initialised") from None
+
+    monkeypatch.setattr(commands, "run", load)
+    before = signal.getsignal(signal.SIGINT)
+    code, said = run_and_fail(["scenes"], capsys)
+    assert code == cli.EXIT_STOPPED
+    assert "stopped" in said
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["simulate", "sphere_20mm", "-o", str(out), "--views", "2000", "--image-wh", "64x48", "--device", "cpu"]
+    process = subprocess.Popen([sys.executable, "-m", "rhizotwin", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, cwd=ROOT)
+    deadline = time.monotonic() + 60.0
+    while not list(out.glob("images/*.png")) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == cli.EXIT_STOPPED
+    assert said.decode().splitlines()[-1] == "rhizotwin: stopped; the same command takes it up again"
+    assert "Traceback" not in said.decode()
+    assert not (out / "dataset.json").exists()
+    assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".tmp")]
+    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.glob("images/*.png"))
 
 
 def test_debug_variable_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

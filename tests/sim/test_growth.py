@@ -141,11 +141,12 @@ def test_roots_stay_in_the_water_and_turn_smoothly(lean_deg: float) -> None:
     assert floor_reached
 
 
-def test_impossible_plants_are_refused() -> None:
+def test_impossible_plants_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growth, "MOST_ROOTS", 100)
     with pytest.raises(UserError, match=r"origin_mm .* leaves no room"):
         growth.grow(GrownSpecimen(origin_mm=(0.0, 0.0, -8.1)))
     crowded = replace(LIVELY, interlateral_mm=0.1, max_length_mm=500.0, elongation_mm_per_day=100.0)
-    with pytest.raises(UserError, match="above the limit of 20000"):
+    with pytest.raises(UserError, match="more than 100 roots"):
         growth.grow(GrownSpecimen(age_days=30.0, orders=(crowded, crowded, crowded)))
     with pytest.raises(UserError, match="orders is empty"):
         growth.grow(GrownSpecimen(orders=()))
