@@ -47,13 +47,15 @@ class MarkerFit:
     """Between the picture and the fitted pattern."""
 
 
-def fit_marker(image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2) -> MarkerFit | None:
+def fit_marker(
+    image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2
+) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
     The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by a Gaussian in the
-    picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 - s^2)``: a homography H through the corners
-    and a bulge b (3,), which is what a cylinder about an axis along t adds to a flat marker. All 18 parameters (8 of H, b, the blur, 3 of k,
-    3 of w) are fitted together by Gauss-Newton.
+    picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 - s^2)``: a homography H through the
+    corners and a bulge b (3,), which is what a cylinder about an axis along t adds to a flat marker. All 18 parameters (8 of H, b, the
+    blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
 
     Parameters
     ----------
@@ -121,17 +123,18 @@ def _window(image: NDArray[np.uint8] | NDArray[np.uint16], start_px: Array, side
     scale_px = side_px / 2.0
     xy = (np.stack(np.meshgrid(u, v)).reshape(2, -1) - centre_px[:, None]) / scale_px
     unsaturated = light.ravel() < 0.985
-    return _Window(
-        light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px
-    )
+    return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
 def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float] | None:
-    """Return H and b (11,), blur, covariance of them all (18, 18) and the correlation, or None where the fit runs away."""
+    """Return H and b (11,), blur, covariance of them all (18, 18) and the correlation, or None where the fit runs away.
+
+    Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other pictures.
+    """
     warp = np.append(_homography_through(window.start), np.zeros(3))
-    table, tabled = None, np.zeros(2)
+    table, tabled = np.empty(0, np.float32), np.zeros(2)
     xy, light = window.xy, window.light
-    s, t = _project(np.linalg.inv(_matrix(warp)), xy.T).T
+    s, t = _start_st(warp, xy)
     for iteration in range(MOST_STEPS):
         if iteration < 2:
             inside = np.maximum(np.abs(s), np.abs(t)) < 1.0 + MARGIN
@@ -139,25 +142,27 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
                 return None
             xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
         sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
-        if table is None or np.any(np.abs(sigma - tabled) > RETABLE * tabled):
+        if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
             table, tabled = _pattern(white, float(sigma[0]), float(sigma[1])), sigma
         s, t, to_h = _invert(warp, xy, s, t)
         at = [((c - GRID[0]) / (GRID[1] - GRID[0])).astype(np.float32) for c in (s, t)]
         pattern, by_s, by_t, by_log_blur = cv2.remap(table, *at, cv2.INTER_LINEAR).reshape(-1, 4).T.astype(np.float64)
-        rows = np.empty((18, len(s)))
-        rows[12], rows[13], rows[14] = 1.0, s, t
-        rows[15:] = rows[12:15] * pattern
-        amounts = np.linalg.solve(rows[12:] @ rows[12:].T + 1e-12 * np.eye(6), rows[12:] @ light)
-        contrast = amounts[3:] @ rows[12:15]
+        rows = np.empty((19, len(s)))
+        rows[12], rows[13], rows[14], rows[18] = 1.0, s, t, light
+        np.multiply(rows[12:15], pattern, out=rows[15:18])
+        products = _products(rows[12:])
+        amounts = np.linalg.solve(products[:6, :6] + 1e-12 * np.eye(6), products[:6, 6])
+        contrast = amounts[3] + amounts[4] * s + amounts[5] * t
         _by_warp(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
         rows[11] = contrast * by_log_blur / blur
-        residual = light - amounts @ rows[12:]
-        normal = rows @ rows.T
+        products = _products(rows)
+        normal = products[:18, :18]
+        left = np.concatenate([np.zeros(12), -amounts, [1.0]])
         try:
-            step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), rows @ residual)[:12]
+            step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), products[:18] @ left)[:12]
         except np.linalg.LinAlgError:
             return None
-        moved = np.abs(_project(_matrix(warp + step[:11]), CORNERS) - _project(_matrix(warp), CORNERS)).max()
+        moved = float(np.abs(_project(_matrix(warp + step[:11]), CORNERS) - _project(_matrix(warp), CORNERS)).max())
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
         warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
@@ -165,9 +170,21 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break
-    variance, spread = float(residual @ residual) / (len(light) - 18), float(np.var(light))
+    variance, spread = float(left @ products @ left) / (len(light) - 18), float(np.var(light))
     correlation = float(np.sqrt(max(0.0, 1.0 - variance / spread))) if spread > 0.0 else 0.0
-    return warp, blur, np.linalg.pinv(normal) * variance, correlation
+    return warp, blur, np.asarray(np.linalg.pinv(normal) * variance, np.float64), correlation
+
+
+def _products(rows: Array) -> Array:
+    """Return ``rows @ rows.T`` on one thread."""
+    return np.asarray(cv2.mulTransposed(rows, aTa=False), np.float64)
+
+
+def _start_st(warp: Array, xy: Array) -> tuple[Array, Array]:
+    """Return the pattern coordinates of pixels (2, P) by the homography alone."""
+    back = np.linalg.inv(_matrix(warp))
+    s, t, _ = _warp(np.append(back.ravel()[:8] / back[2, 2], np.zeros(3)), xy[0], xy[1])
+    return s, t
 
 
 def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Array, xy: Array, to_h: tuple[Array, ...]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from recon import background, carve, markers, poses, projection, result, silhouettes, surface
+from recon import background, carve, markers, parsimony, poses, projection, result, silhouettes, surface
 from recon.cameras import View
 from recon.refraction import Optics
 from scenes import frames
@@ -275,6 +275,15 @@ def _carve(
         )
         bar.update(grid.levels + 1 - bar.n)
         bar.close()
+    if leaves.volume_mm3() == 0.0:
+        raise UserError(
+            f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
+            "the poses or the scene file do not fit the pictures."
+        )
+    hull = leaves
+    if not thesis:
+        with run.stage("trim"):
+            leaves, _ = parsimony.trim(bank, device_maps, hull)
     return hull, leaves
 
 

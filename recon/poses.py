@@ -89,9 +89,7 @@ class Poses:
     warnings: tuple[str, ...] = field(default=())
 
 
-def find_poses(
-    detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame], *, single_view: bool = False
-) -> Poses:
+def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame], *, single_view: bool = False) -> Poses:
     """Find the camera of every picture from its markers.
 
     Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
@@ -149,7 +147,7 @@ def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, S
         reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
         return ViewPose(used=False, reason=reason, markers=count), None
     local = view_fit.linearise(seen, pose)
-    view = _view(pose, local, np.linalg.inv(local.normal[:6, :6]), count)
+    view = _view(pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64), count)
     return replace(view, single_view_px=local.rms_px), seen
 
 
@@ -170,27 +168,27 @@ def _misfit(error_px: float | None, median_px: float) -> str | None:
     """Return why a view is left out, or None."""
     if error_px is None or error_px <= min(max(WORST_PX, WORST_FACTOR * median_px), HOPELESS_PX):
         return None
-    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or the camera moved, or the picture is blurred"
+    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
 
 
 def _need_one(views: Sequence[ViewPose], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check the strip and the camera (focal_px, distortion) in the scene"
+            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
         )
 
 
 def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
     """Fit the rig to the views, leave out those that moved, fit again."""
-    keys, warnings = sorted(seen), []
+    keys = sorted(seen)
     while True:
         start, command_rad, known, warnings = _start([views[k] for k in keys], [captured[k] for k in keys], scene)
         fit = fit_rig([seen[k] for k in keys], start, command_rad, known)
         worst = _moved(fit, keys)
         if not worst:
             break
-        for k, reason in worst.items():
-            views[k] = replace(views[k], used=False, reason=reason)
+        for k, moved in worst.items():
+            views[k] = replace(views[k], used=False, reason=moved)
         keys = [k for k in keys if k not in worst]
     for i, k in enumerate(keys):
         view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
@@ -231,7 +229,7 @@ def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
     """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
-        members = np.flatnonzero(fit.rig.ring == ring)
+        members = np.flatnonzero(fit.rig.ring == ring).tolist()
         if len(members) < LEAST_RING:
             continue
         median_px = float(np.median(fit.rig_px[members]))
@@ -242,33 +240,30 @@ def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
     return found
 
 
-def _start(
-    views: Sequence[ViewPose], captured: Sequence[Frame], scene: Scene
-) -> tuple[Rig, Array, NDArray[np.bool_], list[str]]:
+def _start(views: Sequence[ViewPose], captured: Sequence[Frame], scene: Scene) -> tuple[Rig, Array, NDArray[np.bool_], list[str]]:
     """Put a first rig together from the single views; also the commanded angles (V,), whether they count, and warnings."""
     poses = np.array([view.cam_from_canister for view in views])
     numbers = sorted({frame.ring for frame in captured})
     ring = np.array([numbers.index(frame.ring) for frame in captured])
     centres = np.array([frames.invert(pose)[:3, 3] for pose in poses])
     angle = -np.arctan2(centres[:, 1], centres[:, 0])
-    command, known, warnings = angle.copy(), np.zeros(len(views), bool), []
+    command, known = angle.copy(), np.zeros(len(views), bool)
+    warnings: list[str] = []
     for r, number in enumerate(numbers):
-        of = np.flatnonzero((ring == r) & np.array([frame.table_deg is not None for frame in captured]))
-        if not len(of):
+        of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
+        if not of:
             continue
         asked = scene.turntable.direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
         if _scatter(angle[of] - asked) < AGREE_RAD:
             command[of], known[of] = asked, True
         else:
             other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the commanded table angles do not agree with the pictures{other}; the pictures' angles are used")
+            warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
     cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(numbers))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
     spread = np.array([_spread(own[ring == r]) for r in range(len(numbers))])
-    rig = Rig(
-        ring=ring, cam_from_rig=cam_from_rig, angle_rad=command, own=own, table_from_canister=np.eye(4), inset_px=0.0, spread=spread
-    )
+    rig = Rig(ring=ring, cam_from_rig=cam_from_rig, angle_rad=command, own=own, table_from_canister=np.eye(4), inset_px=0.0, spread=spread)
     return rig, command, known, warnings
 
 
@@ -287,4 +282,4 @@ def _middle(poses: Array) -> Array:
 def _spread(own: Array) -> Array:
     """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
     turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
-    return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + [1e-3, 0.1]
+    return np.array([turns + 1e-3, np.median(np.linalg.norm(own[:, :3, 3], axis=1)) + 0.1])

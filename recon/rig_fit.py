@@ -51,11 +51,11 @@ class Rig:
     def rig_pose(self, view: int) -> Array:
         """Return ``cam_from_canister`` of a view without its own movement."""
         turned = frames.rotation_z(float(self.angle_rad[view])) @ self.table_from_canister
-        return self.cam_from_rig[self.ring[view]] @ turned
+        return np.asarray(self.cam_from_rig[self.ring[view]] @ turned)
 
     def pose(self, view: int) -> Array:
         """Return ``cam_from_canister`` of a view."""
-        return self.own[view] @ self.rig_pose(view)
+        return np.asarray(self.own[view] @ self.rig_pose(view))
 
 
 @dataclass(frozen=True, kw_only=True)
