@@ -12,14 +12,14 @@ Mask = NDArray[np.bool_]
 
 _DIM = 0.25
 """A background darker than this fraction of the ring's typical one says nothing (flanks, shadows)."""
-_SKIRT_MARGIN_MM = 1.5
+_SKIRT_MARGIN_MM = 0.5
 _STEP = 4
 
 
 def water_mask(view: cameras.View, optics: refraction.Optics, scene: Scene) -> Mask:
     """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water.
 
-    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of 1.5 mm
+    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of 0.5 mm
     at the skirt, the grid or water surface and the floor. Lines of sight are followed for one pixel in four each way.
     """
     width, height = view.camera.image_wh

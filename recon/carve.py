@@ -164,7 +164,7 @@ def carve(
     min_votes: int,
     slack_px: float = 0.3,
     ignore_blindness: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[], object] | None = None,
 ) -> Leaves:
     """Carve the hull of the silhouettes out of the water.
 
@@ -174,7 +174,7 @@ def carve(
     min_votes : views that must see a node for it to count as part of the shape.
     slack_px : outline uncertainty; moves the outlines in and out for `Leaves.occupancy_low` and ``occupancy_high``.
     ignore_blindness : the thesis's way: a view that does not see a node carves it.
-    progress : called with (level, levels + 1).
+    progress : called when a level is done.
     """
     shape = grid.coarse_shape
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in shape), indexing="ij"))
@@ -183,8 +183,6 @@ def carve(
     blind_mm3 = 0.0
     nodes = [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
     for level in range(grid.levels + 1):
-        if progress:
-            progress(level, grid.levels + 1)
         units = 2 ** (grid.levels - level)
         edge_mm = grid.size_mm * units
         kept: list[list[Any]] = []
@@ -210,6 +208,8 @@ def carve(
             full_size.append(np.full(len(chosen), units, np.int32))
             kept.append(_compress(part, split))
         nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
+        if progress:
+            progress()
         if dr.width(nodes[0]) == 0:
             break
         if level < grid.levels:

@@ -135,7 +135,7 @@ def _detector(dictionary: cv2.aruco.Dictionary) -> cv2.aruco.ArucoDetector:
 
 def _linear(image: Picture) -> Bytes:
     """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
-    return cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, 99.5), 1.0)).astype(np.uint8)
+    return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, 99.5), 1.0)), np.uint8)
 
 
 def _root(image: Picture) -> Bytes:
@@ -151,7 +151,7 @@ def _percentile(image: Picture, percent: float) -> float:
 
 def _equalised(image: Picture) -> Bytes:
     """Equalise the local contrast of the square root."""
-    return cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)).astype(np.uint8)
+    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)), np.uint8)
 
 
 def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:

@@ -8,6 +8,7 @@
 """
 
 import io
+import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,12 +30,15 @@ class ViewResult:
     file: str
     ring: int
     used: bool
-    reason: str | None
+    reason: str | None = None
     """Why it was left out."""
-    cam_from_canister: list[list[float]] | None
-    reprojection_px: float | None
-    markers: int
-    table_deg: float | None
+    cam_from_canister: list[list[float]] | None = None
+    reprojection_px: float | None = None
+    position_sigma_mm: float | None = None
+    """Standard deviation of the camera's centre."""
+    rotation_sigma_deg: float | None = None
+    markers: int = 0
+    table_deg: float | None = None
     fill: float | None = None
     """Fraction of the seen water that roots cover."""
 
@@ -80,6 +84,7 @@ class Result:
 
 def write(result: Result, folder: Path) -> None:
     """Write a result folder; ``result.json`` comes last, so that a folder with one is whole."""
+    begin = time.perf_counter()
     buffer = io.BytesIO()
     shape = result.shape
     np.savez_compressed(
@@ -97,4 +102,5 @@ def write(result: Result, folder: Path) -> None:
         name = Path(file).stem + ".png"
         atomic.write_image(folder / "silhouettes" / name, np.round(silhouette.coverage * 65535.0).astype(np.uint16))
         atomic.write_image(folder / "seen" / name, silhouette.seen.astype(np.uint8) * 255)
+    result.timings_s["write"] = time.perf_counter() - begin
     atomic.write_json(folder / "result.json", result.summary())

@@ -16,7 +16,8 @@ SEAT_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
 """How far a canister may be seated wrongly: rad, rad, mm, mm."""
 TABLE_PRIOR_RAD = np.deg2rad(0.1)
 """How far a table angle may be from the commanded one; the pictures know it a hundred times better."""
-FREE_PRIOR_RAD = 10.0
+FREE_PRIOR_RAD = 0.3
+"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a tilted, shifted seat changes."""
 INSET_PRIOR_PX = 0.05
 TAIL = 4.0
 """Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
@@ -118,6 +119,13 @@ def _misfit(views: Sequence[Linearised]) -> float:
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / 7.34))
 
 
+def _inverse(normal: Array) -> Array:
+    """Invert normal matrices (..., n, n) whose unknowns differ in unit: scaled to a diagonal of ones first."""
+    size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
+    outer = size[..., :, None] * size[..., None, :]
+    return np.asarray(np.linalg.inv(normal / outer) / outer, np.float64)
+
+
 def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
     """Move a rig by a step of the shared (1 + 6 R + 4) and the local (V, 7) unknowns."""
     rings = shared[1:-4].reshape(-1, 6)
@@ -184,10 +192,10 @@ class _System:
         shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
         shared_right[0] -= shared_prior[0] * self.rig.inset_px
         shared_right[-4:] -= shared_prior[-4:] * seat
-        inverse = np.linalg.inv(local_normal)
+        inverse = _inverse(local_normal)
         gain = inverse @ cross
         reduced = np.sum(shared_from @ self.by_shared - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(shared_prior)
-        covariance = np.linalg.inv(reduced)
+        covariance = _inverse(reduced)
         shared = covariance @ (shared_right - np.einsum("vij,vi->j", gain, right))
         local = np.einsum("vij,vj->vi", inverse, right) - gain @ shared
         return shared, local, covariance, inverse + gain @ covariance @ gain.transpose(0, 2, 1), -covariance @ gain.transpose(0, 2, 1)

@@ -48,7 +48,22 @@ def measure(image: Image, background: Image, seen: Mask) -> Silhouette:
     weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
     reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
-    return Silhouette(np.clip(opacity / np.maximum(reference, 0.3), 0.0, 1.0).astype(np.float32), seen)
+    coverage = opacity / np.maximum(reference, 0.3)
+    return Silhouette(np.clip(np.where(_above_noise(coverage, seen), coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
+
+
+def _above_noise(coverage: Image, seen: Mask) -> Mask:
+    """Tell the pixels whose surroundings (Gaussian of a pixel) are covered by more than four standard deviations of the noise.
+
+    The noise is that of the empty backlight: the median absolute deviation of the smoothed coverage, most of which is empty.
+    """
+    smooth = cv2.GaussianBlur(coverage, (0, 0), 1.0)
+    if not seen.any():
+        return seen
+    values = smooth[seen][::7]
+    middle = np.median(values)
+    noise = 1.4826 * np.median(np.abs(values - middle))
+    return np.asarray(smooth > middle + 4.0 * noise + 1e-4)
 
 
 def thesis(image: Image, seen: Mask) -> Silhouette:

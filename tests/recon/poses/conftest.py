@@ -67,9 +67,7 @@ def _is_white(scene: Scene, azimuth: Array, z: Array) -> NDArray[np.bool_]:
     strip, radius_mm = scene.strip, scene.net_pot.outer_radius_mm
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{strip.dictionary}"))
     side = dictionary.markerSize + 2
-    cells = np.stack(
-        [cv2.aruco.generateImageMarker(dictionary, strip.first_id + k, side) > 127 for k in range(strip.rows * strip.columns)]
-    )
+    cells = np.stack([cv2.aruco.generateImageMarker(dictionary, strip.first_id + k, side) > 127 for k in range(strip.rows * strip.columns)])
     pitch = 2.0 * np.pi / strip.columns
     column = np.clip((azimuth / pitch).astype(int), 0, strip.columns - 1)
     across = ((azimuth - (column + 0.5) * pitch) * radius_mm / strip.marker_mm + 0.5) * side

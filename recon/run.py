@@ -1,0 +1,60 @@
+"""What the stages of a reconstruction share: the data at hand, the bars, the clock, and what is to be said at the end."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal, TypeVar
+
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from scenes.dataset import Dataset, Frame
+
+T = TypeVar("T")
+Method = Literal["coverage", "thesis"]
+
+
+@dataclass
+class Run:
+    """One reconstruction under way."""
+
+    dataset: Dataset
+    frames: list[Frame]
+    """The pictures of the root."""
+    method: Method
+    progress: bool
+    images: "list[NDArray]" = field(default_factory=list, repr=False)
+    """Grey pictures (H, W) as stored, one a frame."""
+    timings_s: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage."""
+        begin = time.perf_counter()
+        yield
+        self.timings_s[name] = time.perf_counter() - begin
+
+    def bar(self, name: str, total: int, unit: str) -> "tqdm[None]":
+        """Return a progress bar with the time left on stderr."""
+        return tqdm(total=total, desc=name, unit=unit, disable=not self.progress, dynamic_ncols=True)
+
+    def each(self, work: Callable[[int], T], name: str, indices: list[int]) -> list[T]:
+        """Do something for views in parallel, with a bar."""
+        with ThreadPoolExecutor(max_workers=_threads()) as pool, self.bar(name, len(indices), "view") as bar:
+            done = []
+            try:
+                for item in pool.map(work, indices):
+                    done.append(item)
+                    bar.update()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            return done
+
+
+def _threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
