@@ -48,7 +48,7 @@ class MarkerFit:
 
 
 def fit_marker(
-    image: NDArray[np.uint8] | NDArray[np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2
+    image: NDArray[np.uint8 | np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2
 ) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
@@ -104,7 +104,7 @@ class _Window:
     """Width of one (averaged) pixel in units of scale_px."""
 
 
-def _window(image: NDArray[np.uint8] | NDArray[np.uint16], start_px: Array, side_px: float) -> _Window | None:
+def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: float) -> _Window | None:
     """Cut out a marker with its margin, averaged down to below `TARGET_PX`; None where it leaves the picture."""
     fold = int(np.ceil(side_px / TARGET_PX))
     centre_px = start_px.mean(axis=0)

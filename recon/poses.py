@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recon import view_fit
 from recon.markers import Markers
-from recon.rig_fit import Rig, RigFit, fit_rig
+from recon.rig_fit import RigFit, fit_rig
+from recon.rig_start import first_rig
 from recon.view_fit import LEAST_MARKERS, Sightings
-from scenes import frames
 from scenes.dataset import Frame
 from scenes.errors import UserError
 from scenes.frames import Array
@@ -21,12 +20,10 @@ WORST_PX = 1.0
 WORST_FACTOR = 6.0
 HOPELESS_PX = 5.0
 """A view is left out above this reprojection error in any case."""
-AGREE_RAD = np.deg2rad(5.0)
-"""Commanded table angles are believed when the pictures agree within this."""
-
-
 STILL_PX = 2.0
 """A camera that moves more than this between the views was not meant to stand still: none of its views is left out for moving."""
+LOOSE = np.array([np.deg2rad(3.0), 10.0])
+"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for itself."""
 LEAST_RING = 5
 """Views of a ring among which a moved one can be told."""
 OUTLIER_WEIGHT = 0.1
@@ -179,11 +176,13 @@ def _need_one(views: Sequence[ViewPose], captured: Sequence[Frame]) -> None:
 
 
 def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
-    """Fit the rig to the views, leave out those that moved, fit again."""
-    keys = sorted(seen)
+    """Fit the rig to the views, leave out those that moved, fit again. Views of cameras that went about freely keep their own pose."""
+    keys = _rig_keys(views, sorted(seen), scene, captured)
+    if not keys:
+        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))
     while True:
-        start, command_rad, known, warnings = _start([views[k] for k in keys], [captured[k] for k in keys], scene)
-        fit = fit_rig([seen[k] for k in keys], start, command_rad, known)
+        first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+        fit = fit_rig([seen[k] for k in keys], first.rig, first.command_rad, first.known)
         worst = _moved(fit, keys)
         if not worst:
             break
@@ -195,10 +194,13 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])))
         views[k] = replace(
-            view, used=reason is None, reason=reason, single_view_px=views[k].single_view_px, table_deg=float(turn) if known[i] else None
+            view,
+            used=reason is None,
+            reason=reason,
+            single_view_px=views[k].single_view_px,
+            table_deg=float(turn) if first.known[i] else None,
         )
     _need_one(views, captured)
-    numbers = sorted({captured[k].ring for k in keys})
     sigma = np.sqrt(np.diag(fit.offset_covariance))
     return Poses(
         views=tuple(views),
@@ -210,19 +212,26 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
                 own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
                 own_mm=float(fit.rig.spread[r, 1]),
             )
-            for r, ring in enumerate(numbers)
+            for r, ring in enumerate(first.numbers)
         ),
         table_from_canister=fit.rig.table_from_canister,
         seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
-        before_px=_before(seen, keys, start),
+        before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
-        warnings=tuple(warnings),
+        warnings=first.warnings,
     )
 
 
-def _before(seen: dict[int, Sightings], keys: Sequence[int], start: Rig) -> float:
-    return float(np.median([view_fit.linearise(seen[k], start.rig_pose(i)).rms_px for i, k in enumerate(keys)]))
+def _found(views: Sequence[ViewPose], keys: Sequence[int]) -> list[Array]:
+    return [pose for k in keys if (pose := views[k].cam_from_canister) is not None]
+
+
+def _rig_keys(views: Sequence[ViewPose], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
+    """Return the views of those rings whose camera stood still, but for small movements."""
+    first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+    loose = np.any(first.rig.spread > LOOSE, axis=1)
+    return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
 def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
@@ -238,48 +247,3 @@ def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
             if reason:
                 found[keys[i]] = reason
     return found
-
-
-def _start(views: Sequence[ViewPose], captured: Sequence[Frame], scene: Scene) -> tuple[Rig, Array, NDArray[np.bool_], list[str]]:
-    """Put a first rig together from the single views; also the commanded angles (V,), whether they count, and warnings."""
-    poses = np.array([view.cam_from_canister for view in views])
-    numbers = sorted({frame.ring for frame in captured})
-    ring = np.array([numbers.index(frame.ring) for frame in captured])
-    centres = np.array([frames.invert(pose)[:3, 3] for pose in poses])
-    angle = -np.arctan2(centres[:, 1], centres[:, 0])
-    command, known = angle.copy(), np.zeros(len(views), bool)
-    warnings: list[str] = []
-    for r, number in enumerate(numbers):
-        of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
-        if not of:
-            continue
-        asked = scene.turntable.direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
-        if _scatter(angle[of] - asked) < AGREE_RAD:
-            command[of], known[of] = asked, True
-        else:
-            other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
-    turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
-    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(numbers))])
-    own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
-    spread = np.array([_spread(own[ring == r]) for r in range(len(numbers))])
-    rig = Rig(ring=ring, cam_from_rig=cam_from_rig, angle_rad=command, own=own, table_from_canister=np.eye(4), inset_px=0.0, spread=spread)
-    return rig, command, known, warnings
-
-
-def _scatter(angles: Array) -> float:
-    """Return the median distance of angles from their middle direction."""
-    middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
-    return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
-
-
-def _middle(poses: Array) -> Array:
-    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as much as shifts of an arm of 100 mm)."""
-    flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * 100.0, poses[:, :3, 3]], axis=1)
-    return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
-
-
-def _spread(own: Array) -> Array:
-    """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
-    turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
-    return np.array([turns + 1e-3, np.median(np.linalg.norm(own[:, :3, 3], axis=1)) + 0.1])

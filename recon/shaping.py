@@ -20,7 +20,8 @@ SLACK_PX = 0.3
 """Outline uncertainty that the volume's interval allows for."""
 VOTES = 0.3
 """Share of the views that must see a node for it to count."""
-_FINE_SURFACE_LEAVES = 1_000_000
+_SURFACE_LEAVES = 1_000_000
+"""More finest leaves than this are gathered before the surface is drawn."""
 Triple = tuple[float, float, float]
 
 
@@ -121,14 +122,14 @@ def _carve(run: Run, bank: projection.ViewBank, maps: carve.DistanceMaps, optics
 
 
 def _surface(leaves: carve.Leaves, voxel_mm: float) -> Shape:
-    """Gather leaves into voxels and draw the surface, at the finest size where that stays small."""
-    units = round(voxel_mm / leaves.grid.size_mm)
-    index, size, occupancy = surface.to_voxels(leaves, units)
-    origin = np.asarray(leaves.grid.origin_mm, np.float64)
-    if units > 1 and len(leaves.size) < _FINE_SURFACE_LEAVES:
-        mesh = surface.surface(leaves.index, leaves.size, leaves.occupancy, origin_mm=origin, voxel_mm=leaves.grid.size_mm)
-    else:
-        mesh = surface.surface(index, size, occupancy, origin_mm=origin, voxel_mm=voxel_mm)
+    """Gather leaves into voxels, and draw the surface."""
+    origin, finest_mm = np.asarray(leaves.grid.origin_mm, np.float64), leaves.grid.size_mm
+    index, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / finest_mm))
+    units, parts = 1, (leaves.index, leaves.size, leaves.occupancy)
+    while len(parts[1]) > _SURFACE_LEAVES:
+        units *= 2
+        parts = surface.to_voxels(leaves, units)
+    mesh = surface.surface(*parts, origin_mm=origin, voxel_mm=units * finest_mm)
     return Shape(index=index, size=size, occupancy=occupancy, origin_mm=origin, voxel_mm=voxel_mm, mesh=mesh)
 
 

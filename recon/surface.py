@@ -53,13 +53,24 @@ def _bricks(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
     """Yield (lowest corner, dense block) of the parts of space that hold leaves; blocks overlap by one layer and are padded."""
-    low, high = index.min(axis=0) - 1, (index + size[:, None]).max(axis=0) + 1
-    for corner in np.stack(np.meshgrid(*(np.arange(a, b, _BRICK) for a, b in zip(low, high, strict=True)), indexing="ij"), -1).reshape(-1, 3):
-        touching = ((index <= corner + _BRICK) & (index + size[:, None] > corner)).all(axis=1)
-        if not touching.any():
-            continue
+    low = index.min(axis=0) - 1
+    # a leaf, smaller than a brick, touches one or two bricks a way
+    first, last = -((low - index) // _BRICK) - 1, (index + size[:, None] - 1 - low) // _BRICK
+    shape = last.max(axis=0) + 2
+    touched = []
+    for corner in np.ndindex(2, 2, 2):
+        brick = np.where(corner, last, first)
+        repeated = ((first == last) & np.array(corner, bool)).any(axis=1)
+        key = ((brick[:, 0] + 1) * shape[1] + brick[:, 1] + 1) * shape[2] + brick[:, 2] + 1
+        touched.append(np.stack([key[~repeated], np.flatnonzero(~repeated)]))
+    key, leaf = np.concatenate(touched, axis=1)
+    order = np.argsort(key, kind="stable")
+    keys, starts = np.unique(key[order], return_index=True)
+    for k, members in zip(keys, np.split(leaf[order], starts[1:]), strict=True):
+        place = np.array([k // (shape[1] * shape[2]), k // shape[2] % shape[1], k % shape[2]]) - 1
+        corner = low + place * _BRICK
         block = np.zeros((_BRICK + 1,) * 3, np.float32)
-        paint(block, index[touching] - corner.astype(np.int32), size[touching], occupancy[touching])
+        paint(block, index[members] - corner.astype(np.int32), size[members], occupancy[members])
         yield corner.astype(np.int64), block
 
 

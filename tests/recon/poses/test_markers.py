@@ -19,6 +19,8 @@ from scenes.model import Camera, MarkerStrip, Scene
 
 @dataclass(frozen=True)
 class Shot:
+    """A picture with its truth and what was found."""
+
     scene: Scene
     cam_from_canister: frames.Array
     picture: NDArray[np.uint16]
@@ -26,6 +28,7 @@ class Shot:
 
     @property
     def true_px(self) -> frames.Array:
+        """Return the corners of the found markers (M, 4, 2)."""
         where = plan.marker_corners(self.scene.strip, self.scene.net_pot)
         points = np.concatenate([where[int(k)] for k in self.markers.ids])
         turn = cv2.Rodrigues(self.cam_from_canister[:3, :3])[0]
@@ -35,7 +38,7 @@ class Shot:
 
 @pytest.fixture(scope="session")
 def shot(strip_renderer) -> Shot:
-    """A blurred, noisy picture through a bent lens, by a camera that is not quite level."""
+    """Take a blurred, noisy picture through a bent lens, by a camera that is not quite level."""
     scene = Scene(camera=Camera(distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)))
     pose = plan.views(scene)[0].cam_from_rig @ frames.from_rotvec(np.array([0.01, -0.015, 0.4]), np.array([0.5, -0.8, 0.3]))
     picture = strip_renderer(scene, pose, blur_px=1.0, full_well_e=8000.0, seed=3)
@@ -54,6 +57,13 @@ def test_blur_does_not_pull_corners_inwards(shot):
     off = shot.markers.corners_px - shot.true_px
     outwards = np.sign(shot.true_px - shot.true_px.mean(axis=1, keepdims=True))
     assert abs(np.median(np.mean(off * outwards, axis=(1, 2)))) < 0.015
+
+
+def test_corners_are_much_better_than_opencvs(shot):
+    theirs = replace(shot, markers=detect_markers(shot.picture, shot.scene.strip, measure=False))
+    assert set(shot.markers.ids) <= set(theirs.markers.ids)
+    ours_px, theirs_px = (np.median(np.abs(k.markers.corners_px - k.true_px)) for k in (shot, theirs))
+    assert ours_px < 0.2 * theirs_px
 
 
 def test_covariance_tells_the_errors_apart(shot):
@@ -81,7 +91,7 @@ def test_a_flat_marker_on_the_pixel_grid_is_measured_at_its_edges():
     true_px = np.array([[99.5, 79.5], [291.5, 79.5], [291.5, 271.5], [99.5, 271.5]])
     fit = fit_marker(picture, white, true_px + np.array([[1.0, -0.7], [-0.5, 0.8], [0.9, 0.4], [0.0, -1.0]]))
     assert fit is not None
-    np.testing.assert_allclose(fit.corners_px, true_px, atol=0.02)
+    np.testing.assert_allclose(fit.corners_px, true_px, atol=0.04)
 
 
 def test_what_does_not_look_like_the_marker_is_refused():

@@ -38,6 +38,8 @@ def shoot(scene: Scene, pose: frames.Array, rng: np.random.Generator, *, noise_p
 
 @dataclass
 class Scan:
+    """Markers of views whose cameras are known."""
+
     scene: Scene
     poses: list[frames.Array]
     markers: list[Markers]
@@ -52,7 +54,7 @@ class Scan:
 def scan(
     *, rings: tuple[Ring, ...] = (Ring(views=12),), jitter: float = 0.0, table_deg: float = 0.05, seed: int = 0, scene: Scene = SCENE
 ) -> Scan:
-    """A bench-like scan: arm wrong for each ring, table wrong for each view, canister tilted and off the axis."""
+    """Make a bench-like scan: arm wrong for each ring, table wrong for each view, canister tilted and off the axis."""
     rng = np.random.default_rng(seed)
     scene = Scene(turntable=scene.turntable, plan=CapturePlan(rings=rings))
     table_from_canister = frames.from_rotvec(np.array([0.006, -0.005, 0.0]), np.array([0.8, -0.6, 0.0]))

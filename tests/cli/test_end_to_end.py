@@ -1,0 +1,150 @@
+"""The commands one after the other, as a person types them, and what they say to bad input."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin import cli
+from scenes import files, frames
+from scenes.dataset import load_dataset
+from scenes.truth import load_truth
+
+SIZE = ["--views", "11", "--image-wh", "280x210"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Simulate a ball from an STL file beside the axis."""
+    folder = tmp_path_factory.mktemp("end_to_end")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
+    ball.apply_translation((12.0, -5.0, -60.0))
+    ball.export(folder / "ball.stl")
+    out = folder / "dataset"
+    assert cli.main(["simulate", "sphere_20mm", "--specimen", str(folder / "ball.stl"), "-o", str(out), "--device", "cpu", *SIZE]) == 0
+    return out
+
+
+def reconstruct_and_score(dataset: Path, result: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert cli.main(["reconstruct", str(dataset), "-o", str(result), "--device", "cpu", "--voxel-mm", "0.6"]) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    assert cli.main(["score", str(result), str(truth), "--json"]) == 0
+    found: dict[str, object] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_simulate_reconstruct_score(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = reconstruct_and_score(dataset, tmp_path / "result", dataset, capsys)
+    assert found["volume_true_mm3"] == pytest.approx(4.0 / 3.0 * np.pi * 1000.0, rel=0.005)
+    assert found["volume_error"] == pytest.approx(0.0, abs=0.05)
+    assert {"volume_mm3", "extents_error", "recall", "precision", "iou", "timings_s"} <= set(found)
+    for name in ("inputs.png", "cameras.png", "shape.png", "shape_and_truth.png"):
+        assert (tmp_path / "result" / "pictures" / name).stat().st_size > 5000
+    assert cli.main(["score", str(tmp_path / "result"), str(dataset)]) == 0
+    assert "volume" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_import_of_masks_with_cameras_gives_the_same_shape(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The true silhouettes and cameras, in nerfstudio's form, lead to the true volume: axes, pixel centres and frames agree."""
+    scene, truth = load_dataset(dataset).scene, load_truth(dataset)
+    files.save_scene(scene, tmp_path / "rig.toml")
+    poses = []
+    for view in truth.views:
+        world_from_gl = frames.invert(np.array(view.cam_from_canister)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        poses.append({"file_path": view.file, "transform_matrix": world_from_gl.tolist()})
+    (fx, fy), (cx, cy), (w, h) = scene.camera.focal_px, scene.camera.principal_px, scene.camera.image_wh
+    lens = {"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "w": w, "h": h}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": poses}))
+    masks, cameras, out = dataset / "truth" / "masks", tmp_path / "transforms.json", tmp_path / "dataset"
+    words = ["import", str(masks), "--scene", str(tmp_path / "rig.toml"), "--cameras", str(cameras), "--masks", "-o", str(out)]
+    assert cli.main(words) == 0, capsys.readouterr().err
+    shutil.copytree(dataset / "truth", out / "truth")
+    found = reconstruct_and_score(out, tmp_path / "result", out, capsys)
+    assert found["volume_error"] == pytest.approx(0.0, abs=0.03)
+    assert found["iou"] > 0.93
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What is wrong with a dataset, and what the complaint must name."""
+
+    name: str
+    spoil: Callable[[Path], object]
+    named: str
+
+
+def _rewrite(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+DAMAGES = [
+    Damage("missing picture", lambda d: (d / "images/view_003.png").unlink(), "view_003.png"),
+    Damage(
+        "truncated picture",
+        lambda d: (d / "images/view_003.png").write_bytes((d / "images/view_004.png").read_bytes()[:999]),
+        "view_003.png",
+    ),
+    Damage("no picture", lambda d: (d / "images/view_003.png").write_text("hello"), "view_003.png"),
+    Damage("another picture", lambda d: shutil.copy(d / "images/view_004.png", d / "images/view_003.png"), "view_003.png"),
+    Damage("unknown version", lambda d: _rewrite(d / "dataset.json", '"schema_version": 1', '"schema_version": 99'), "99"),
+    Damage("manifest cut short", lambda d: (d / "dataset.json").write_text('{"schema_version": 1,'), "dataset.json"),
+    Damage("no manifest", lambda d: (d / "dataset.json").unlink(), "dataset.json"),
+    Damage("unknown key", lambda d: _rewrite(d / "dataset.json", '"level_mm"', '"levle_mm"'), "levle_mm"),
+    Damage("markers of another strip", lambda d: _rewrite(d / "dataset.json", '"first_id": 0', '"first_id": 100'), "another strip"),
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.name)
+def test_damaged_dataset_is_named(damage: Damage, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = tmp_path / "dataset"
+    shutil.copytree(dataset, copy, ignore=shutil.ignore_patterns("truth"))
+    damage.spoil(copy)
+    assert cli.main(["reconstruct", str(copy), "-o", str(tmp_path / "result"), "--device", "cpu"]) == cli.EXIT_MISTAKE
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rhizotwin: ")]
+    assert len(said) == 1
+    assert damage.named in said[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["dataset"]
+
+
+@pytest.mark.parametrize(
+    ("name", "named"),
+    [("open.stl", "not closed"), ("outside.ply", "leaves the water"), ("empty.obj", "empty.obj"), ("text.stl", "text.stl")],
+)
+def test_bad_specimen_is_named(name: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
+    ball.apply_translation((90.0 if name.startswith("outside") else 0.0, 0.0, -60.0))
+    if name.startswith("open"):
+        ball.update_faces(np.arange(len(ball.faces)) > 3)
+    if name.startswith(("empty", "text")):
+        path.write_text("" if name.startswith("empty") else "this is no mesh")
+    else:
+        ball.export(path)
+    out = tmp_path / "out"
+    assert cli.main(["simulate", "sphere_20mm", "--specimen", str(path), "-o", str(out), "--device", "cpu"]) == cli.EXIT_MISTAKE
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert named in said[0]
+    assert not out.exists()
+
+
+def test_no_llvm_is_said_with_the_command_to_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from rhizotwin import engine
+
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(engine, "usual_folders", lambda: [tmp_path])
+    assert cli.main(["simulate", "sphere_20mm", "-o", str(tmp_path / "out"), "--device", "cpu"]) == cli.EXIT_MISTAKE
+    said = capsys.readouterr().err
+    assert "LLVM" in said
+    assert "install" in said
+    assert not (tmp_path / "out").exists()
