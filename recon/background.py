@@ -114,7 +114,9 @@ def estimate_single(image: Image, inside: Mask) -> Image:
 
     For cameras that moved from view to view. Parameters and result as in `estimate`.
     """
-    closed = cv2.morphologyEx(np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31)))
+    closed = cv2.morphologyEx(
+        np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
+    )
     closed[~inside] = 0.0
     smooth = _smooth_surface(closed, inside)
     covered = inside & (smooth > 0)

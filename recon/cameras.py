@@ -82,10 +82,7 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
     line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), w, p_z)
     with np.errstate(invalid="ignore"):
         enters = (
-            inside
-            & (line.entry_z_mm < optics.water_z_mm)
-            & (line.entry_z_mm > optics.floor_z_mm)
-            & (line.outer_z_mm > optics.bottom_z_mm)
+            inside & (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
         )
     return line, enters
 

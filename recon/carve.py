@@ -251,7 +251,14 @@ def _children(nodes: list[Any]) -> list[Any]:
 
 
 def _measure(
-    bank: ViewBank, maps: DistanceMaps, grid: Grid, nodes: list[Any], radius_mm: float, min_votes: int, slack_px: float, ignore_blindness: bool
+    bank: ViewBank,
+    maps: DistanceMaps,
+    grid: Grid,
+    nodes: list[Any],
+    radius_mm: float,
+    min_votes: int,
+    slack_px: float,
+    ignore_blindness: bool,
 ) -> tuple[Index, NDArray[np.float32]]:
     """Measure the occupancy of the finest undecided nodes: (N, 3) indices and (3, N) fractions (best, low, high)."""
     indices, fractions = [np.zeros((0, 3), np.int32)], [np.zeros((3, 0), np.float32)]

@@ -92,5 +92,3 @@ def _still(run: Run, views: list[View]) -> bool:
     column, row = focal * axis[:, 0] / axis[:, 2], focal * axis[:, 1] / axis[:, 2]
     few_mm_px = 4.0 * focal / float(np.median(axis[:, 2]))
     return bool(np.ptp(column) < 2.0 * few_mm_px and np.ptp(row) < 2.0 * few_mm_px and np.ptp(axis[:, 2]) < 8.0)
-
-

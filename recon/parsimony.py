@@ -146,9 +146,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     return np.array(least, dtype=np.float64)
 
 
-def _against_balls(
-    balls: Balls, leaves: Leaves
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Cut leaves until each lies wholly inside the balls or is a finest node.
 
     Returns
@@ -227,7 +225,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
     """Tell which of the doubted finest nodes (N, 3) silhouettes need that the trimmed shape does not explain: (N,)."""
     width, height = maps.image_wh[0] * UPSAMPLING, maps.image_wh[1] * UPSAMPLING
     voxel, size, filled = to_voxels(trimmed, 2)
-    solid = _points(trimmed, 2 * _even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
+    solid = _points(trimmed, 2 * even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
     doubtful = _points(trimmed, doubted, 1)
     votes = dr.zeros(mi.UInt32, dr.width(doubtful))
     values = np.array(maps.values).reshape(bank.count, height, width)
@@ -246,7 +244,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
     return np.array(votes) >= _AGREEING_VIEWS
 
 
-def _even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
     """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
     parts = []
     for edge in np.unique(size):

@@ -101,7 +101,9 @@ def _poses(run: Run) -> list[result.ViewResult]:
         ]
     strip = run.dataset.scene.strip
     with run.stage("markers"):
-        detected = run.each(lambda k: markers.detect_markers(run.images[k], strip, measure=run.method != "thesis"), "markers", list(range(len(run.images))))
+        detected = run.each(
+            lambda k: markers.detect_markers(run.images[k], strip, measure=run.method != "thesis"), "markers", list(range(len(run.images)))
+        )
     with run.stage("poses"):
         solved = poses.find_poses(detected, run.dataset.scene, run.frames, single_view=run.method == "thesis")
     found = [

@@ -114,7 +114,7 @@ def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
     return line.entry_z_mm + line.slope * (along + np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2))
 
 
-def _p_z_through(optics: Optics, rho: Array, z_cam: Array, w: Array, points: Array) -> Array:
+def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
     """Solve f2 for p_z at given w: the ray of impact w whose water line has the point's height beside it (monotone in p_z)."""
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6
@@ -127,7 +127,7 @@ def _p_z_through(optics: Optics, rho: Array, z_cam: Array, w: Array, points: Arr
     return p_z
 
 
-def _side(optics: Optics, rho: Array, z_cam: Array, w: Array, points: Array) -> tuple[Array, Array]:
+def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
     """Return f1 = P . nu - b (horizontal distance of the point from the line of impact w) and that line's p_z."""
     p_z = _p_z_through(optics, rho, z_cam, w, points)
     line = trace(optics, rho, z_cam, w, p_z)
@@ -151,26 +151,26 @@ def images(
     n = len(points_mm)
     grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, samples + 1)) * optics.w_limit
     at = np.repeat(points_mm[:, None, :], samples + 1, axis=1)
-    rho, z_cam = np.float64(rho_mm), np.float64(z_cam_mm)
-    f = _side(optics, rho, z_cam, np.broadcast_to(grid, (n, samples + 1)), at)[0]
+    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, samples + 1)), at)[0]
     row, cell = np.nonzero(np.signbit(f[:, :-1]) != np.signbit(f[:, 1:]))
     low, high = grid[cell], grid[cell + 1]
     f_low = f[row, cell]
-    row_2, low_2, high_2, f_low_2 = _near_fold(optics, rho, z_cam, points_mm, grid, f)
-    row, low, high, f_low = (np.concatenate(pair) for pair in ((row, row_2), (low, low_2), (high, high_2), (f_low, f_low_2)))
+    row_2, low_2, high_2, f_low_2 = _near_fold(optics, rho_mm, z_cam_mm, points_mm, grid, f)
+    row = np.concatenate([row, row_2])
+    low, high, f_low = np.concatenate([low, low_2]), np.concatenate([high, high_2]), np.concatenate([f_low, f_low_2])
     order = np.lexsort((low, row))
     row, low, high, f_low = row[order], low[order], high[order], f_low[order]
     p_z = np.zeros_like(low)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        f_mid, p_z = _side(optics, rho, z_cam, middle, points_mm[row])
+        f_mid, p_z = _side(optics, rho_mm, z_cam_mm, middle, points_mm[row])
         same = np.signbit(f_mid) == np.signbit(f_low)
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     found_w = np.full((n, max_images), np.nan)
     found_p = np.full((n, max_images), np.nan)
     rank = np.arange(len(row)) - np.searchsorted(row, row, side="left")
     keep = rank < max_images
-    line = trace(optics, rho, z_cam, 0.5 * (low + high), p_z)
+    line = trace(optics, rho_mm, z_cam_mm, 0.5 * (low + high), p_z)
     keep &= (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
     found_w[row[keep], rank[keep]] = 0.5 * (low + high)[keep]
     found_p[row[keep], rank[keep]] = p_z[keep]
@@ -180,7 +180,7 @@ def images(
 
 
 def _near_fold(
-    optics: Optics, rho: Array, z_cam: Array, points_mm: Array, grid: Array, f: Array
+    optics: Optics, rho: float, z_cam: float, points_mm: Array, grid: Array, f: Array
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
     """Find pairs of images so close to the caustic that both lie between neighbours of a local extremum of f1."""
     size, same = np.abs(f), np.signbit(f)

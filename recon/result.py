@@ -1,10 +1,10 @@
 """The result of a reconstruction, and writing it as a folder.
 
-    RESULT/  result.json   numbers, views, warnings, timings, settings and versions
-             shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,), origin_mm, voxel_mm
-             shape.ply     surface, canister frame, mm
-             silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
-             seen/NAME.png          8 bit: 255 where the picture says something about the water
+RESULT/  result.json   numbers, views, warnings, timings, settings and versions
+         shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,), origin_mm, voxel_mm
+         shape.ply     surface, canister frame, mm
+         silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
+         seen/NAME.png          8 bit: 255 where the picture says something about the water
 """
 
 import io

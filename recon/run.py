@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from scenes.dataset import Dataset, Frame
+from scenes.pictures import Grey
 
 T = TypeVar("T")
 Method = Literal["coverage", "thesis"]
@@ -26,7 +26,7 @@ class Run:
     """The pictures of the root."""
     method: Method
     progress: bool
-    images: "list[NDArray]" = field(default_factory=list, repr=False)
+    images: list[Grey] = field(default_factory=list, repr=False)
     """Grey pictures (H, W) as stored, one a frame."""
     timings_s: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)

@@ -48,7 +48,7 @@ def measure(image: Image, background: Image, seen: Mask) -> Silhouette:
     weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
     reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
-    coverage = opacity / np.maximum(reference, 0.3)
+    coverage = (opacity / np.maximum(reference, 0.3)).astype(np.float32)
     return Silhouette(np.clip(np.where(_above_noise(coverage, seen), coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
 
 
@@ -111,7 +111,7 @@ def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     value = fine - level
     unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     value[unseen] = 1.0
-    return level_distance(value) / UPSAMPLING
+    return level_distance(value) / np.float32(UPSAMPLING)
 
 
 def level_distance(value: Image) -> Image:

@@ -12,7 +12,7 @@ from scenes.errors import UserError
 SCENE = "printed_8ml"
 VIEWS = 41
 """Odd: opposite views of an even ring see nearly the same outline twice."""
-IMAGE_WH = (600, 450)
+IMAGE_WH = (800, 600)
 VOXEL_MM = 0.27
 
 

@@ -53,7 +53,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths)."""
     plain = scene_to_dict(scene)
     specimen = plain["specimen"]
-    if "file" in specimen:
+    if specimen and "file" in specimen:
         specimen["file"] = str(Path(specimen["file"]).resolve())
     write_text(path, toml_text.dumps(_without_none(plain)))
 

@@ -6,7 +6,7 @@ A field's unit is in its name. ``limits`` in a field's metadata are inclusive bo
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from scenes.specimens import Specimen, SphereSpecimen
+from scenes.specimens import Specimen
 
 
 def bounded(default: Any, low: float, high: float) -> Any:
@@ -210,5 +210,6 @@ class Scene:
     lights: Lights = Lights()
     turntable: Turntable = Turntable()
     plan: CapturePlan = CapturePlan()
-    specimen: Specimen = SphereSpecimen()
+    specimen: Specimen | None = None
+    """None: not known, as on a real rig and in every dataset."""
     disturbances: Disturbances = Disturbances()

@@ -16,6 +16,7 @@ from scenes import plan
 from scenes.atomic import write_bytes, write_image, write_json
 from scenes.dataset import Dataset, Frame, save_dataset
 from scenes.errors import UserError
+from scenes.files import scene_to_dict
 from scenes.model import Disturbances, Scene
 from scenes.rsml import write_rsml
 from scenes.truth import TrueView, Truth, save_truth
@@ -88,9 +89,9 @@ def simulate(
 
 
 def _as_given(scene: Scene) -> Scene:
-    """Return what the reconstruction may know: the nominal scene and the calibrated lens."""
+    """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
     camera = replace(scene.camera, distortion=lens_distortion(scene))
-    return replace(scene, camera=camera, disturbances=Disturbances())
+    return replace(scene, camera=camera, specimen=None, disturbances=Disturbances())
 
 
 def _render_frames(
@@ -165,7 +166,7 @@ def _truth(world: World, solid: SpecimenSolid, frames: tuple[Frame, ...]) -> Tru
             for frame, camera in zip(frames, world.cameras, strict=True)
         ),
         traits=dict(solid.traits),
-        drawn=world.drawn(),
+        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"]},
     )
 
 

@@ -94,7 +94,7 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
         roots = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
         solid, roots, _ = solids.scale_to_volume(roots, 1000.0 * specimen.volume_ml)
     else:
-        raise TypeError(f"unknown specimen {type(specimen).__name__}")
+        raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or give one with --specimen FILE")
     vertices, faces = solids.surface_of(solid)
     check_in_water(vertices, scene, what=what)
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm

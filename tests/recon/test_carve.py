@@ -29,11 +29,12 @@ def coverage_of_ball(view: cameras.View, optics: refraction.Optics, centre_mm: n
 
 
 @cache
-def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False, air: bool = False) -> carve.Leaves:
+def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> carve.Leaves:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
     optics = refraction.Optics.of(scene)
     views = [
-        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in plan.views(scene)
+        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
+        for v in plan.views(scene)
     ]
     maps = []
     for view in views:

@@ -16,14 +16,18 @@ def bank_and_view(n_wall: float, n_water: float) -> tuple[projection.ViewBank, c
     scene = Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water))
     level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=2.0)
     turn = frames.rotation_z(0.7)
-    view = cameras.View(camera=LENS, cam_from_canister=frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ turn)
+    view = cameras.View(
+        camera=LENS, cam_from_canister=frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ turn
+    )
     other = cameras.View(camera=LENS, cam_from_canister=level)
     optics = refraction.Optics.of(scene)
     return projection.ViewBank.of([other, view], optics), view, optics
 
 
 def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.ndarray]:
-    p = projection.project(bank, dr.full(mi.UInt32, 1, len(points)), mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
+    p = projection.project(
+        bank, dr.full(mi.UInt32, 1, len(points)), mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points))
+    )
     return {name: np.array(getattr(p, name)) for name in ("px", "seen", "clear_mm", "du", "dv")}
 
 
@@ -69,7 +73,9 @@ def test_clear_distance_reaches_no_blind_point() -> None:
     rng = np.random.default_rng(2)
     angle = rng.uniform(-np.pi, np.pi, len(points))
     near = points.copy()
-    near[:, :2] += ((clear - projection._CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    near[:, :2] += ((clear - projection._CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack(
+        [np.cos(angle), np.sin(angle)], 1
+    )
     inside = (np.hypot(near[:, 0], near[:, 1]) < optics.inner_radius_mm) & (clear > 2 * projection._CELL_MM)
     _, count = cameras.project(view, optics, near[inside])
     assert (count == 1).all()

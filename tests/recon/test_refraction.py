@@ -39,7 +39,9 @@ def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tu
 
 def a_view(scene: Scene, *, azimuth_deg: float, tilt_deg: float, height_mm: float, shift_mm: tuple[float, float, float]) -> cameras.View:
     level = frames.level_camera(distance_mm=400.0, height_mm=height_mm, tilt_deg=tilt_deg)
-    cam_from_canister = frames.from_rotvec(np.array([0.01, -0.02, 0.03]), np.array(shift_mm)) @ level @ frames.rotation_z(np.deg2rad(azimuth_deg))
+    cam_from_canister = (
+        frames.from_rotvec(np.array([0.01, -0.02, 0.03]), np.array(shift_mm)) @ level @ frames.rotation_z(np.deg2rad(azimuth_deg))
+    )
     return cameras.View(camera=scene.camera, cam_from_canister=cam_from_canister)
 
 
@@ -54,7 +56,9 @@ LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
     n_wall=st.sampled_from([1.0, 1.49]),
     seed=st.integers(0, 2**31),
 )
-def test_points_on_traced_rays_project_back_to_their_pixel(azimuth_deg: float, tilt_deg: float, n_water: float, n_wall: float, seed: int) -> None:
+def test_points_on_traced_rays_project_back_to_their_pixel(
+    azimuth_deg: float, tilt_deg: float, n_water: float, n_wall: float, seed: int
+) -> None:
     scene = Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water))
     optics = refraction.Optics.of(scene)
     view = a_view(scene, azimuth_deg=azimuth_deg, tilt_deg=tilt_deg, height_mm=-42.0 + 8.0 * tilt_deg, shift_mm=(2.0, -1.0, 3.0))
@@ -114,7 +118,9 @@ def test_with_indices_of_one_projection_is_the_pinhole() -> None:
     points = rng.uniform([-40, -40, -110], [40, 40, -20], (200, 3))
     found, count = cameras.project(view, refraction.Optics.of(scene), points)
     rotation = cv2.Rodrigues(view.cam_from_canister[:3, :3])[0]
-    expected = cv2.projectPoints(points, rotation, view.cam_from_canister[:3, 3], cameras.matrix(scene.camera), np.array(LENS.distortion))[0]
+    expected = cv2.projectPoints(points, rotation, view.cam_from_canister[:3, 3], cameras.matrix(scene.camera), np.array(LENS.distortion))[
+        0
+    ]
     assert (count == 1).all()
     np.testing.assert_allclose(found[:, 0], expected.reshape(-1, 2), atol=1e-7)
 

@@ -51,7 +51,8 @@ def test_where_nothing_is_seen_nothing_is_outside() -> None:
     coverage, seen = np.zeros((40, 60), np.float32), np.ones((40, 60), bool)
     seen[:, 30:] = False
     distance = silhouettes.signed_distance(Silhouette(coverage, seen))
-    assert (distance[:, 62:] > 0).all() and (distance[:, :58] < 0).all()
+    assert (distance[:, 62:] > 0).all()
+    assert (distance[:, :58] < 0).all()
     assert distance[40, 0] == pytest.approx(-29.5, abs=0.6)
 
 

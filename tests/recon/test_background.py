@@ -1,0 +1,69 @@
+"""The empty backlight, estimated from pictures in which something always stands before part of the panel."""
+
+import numpy as np
+import pytest
+
+from recon import background, cameras, refraction
+from scenes import plan
+from scenes.model import Camera, Scene
+
+
+def panel(height: int = 120, width: int = 160) -> np.ndarray:
+    v, u = np.mgrid[0:height, 0:width]
+    x, y = 2 * u / width - 1, 2 * v / height - 1
+    return (40000 * (1 - 0.25 * x**2 - 0.1 * y + 0.05 * x * y)).astype(np.float32)
+
+
+def turned(always_px: int, noise: float, views: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Pictures with a dark band that never leaves the middle, a lateral that wanders, and noise."""
+    rng = np.random.default_rng(0)
+    empty = panel()
+    stack = np.repeat(empty[None], views, axis=0)
+    middle = empty.shape[1] // 2
+    stack[:, :, middle - always_px // 2 : middle + always_px // 2] *= 0.05
+    for k in range(views):
+        column = int(rng.integers(20, 130))
+        stack[k, :, column : column + 12] *= 0.05
+    return (stack + rng.normal(0, noise * 40000, stack.shape)).astype(np.float32), empty
+
+
+@pytest.mark.parametrize(("always_px", "noise"), [(0, 0.0), (16, 0.0), (16, 0.01)])
+def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px: int, noise: float) -> None:
+    stack, empty = turned(always_px, noise)
+    found = background.estimate(stack, np.ones(empty.shape, bool))
+    assert np.abs(found / empty - 1).mean() < 0.003 + 0.6 * noise
+    assert abs(float((found / empty).mean()) - 1) < 0.002 + 0.5 * noise
+
+
+def test_estimate_of_one_picture_bridges_roots() -> None:
+    stack, empty = turned(10, 0.0)
+    found = background.estimate_single(stack[3], np.ones(empty.shape, bool))
+    assert np.abs(found / empty - 1)[:, 10:-10].max() < 0.06
+
+
+def test_outside_the_mask_there_is_no_background() -> None:
+    stack, empty = turned(0, 0.0)
+    inside = np.zeros(empty.shape, bool)
+    inside[30:90, 20:140] = True
+    found = background.estimate(stack, inside)
+    assert (found[~inside] == 0).all()
+    assert (found[inside] > 0).all()
+
+
+def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
+    scene = Scene(camera=Camera().resized((400, 300)))
+    optics = refraction.Optics.of(scene)
+    view = cameras.View(camera=scene.camera, cam_from_canister=plan.views(scene)[0].cam_from_rig)
+    mask = background.water_mask(view, optics, scene)
+    skirt = np.array([[scene.net_pot.outer_radius_mm, 0.0, scene.net_pot.skirt_bottom_mm, 1.0]])
+    cam = (view.cam_from_canister @ skirt.T)[:3, 0]
+    row = scene.camera.focal_px[1] * cam[1] / cam[2] + scene.camera.principal_px[1]
+    top = np.flatnonzero(mask[:, 200])[0]
+    assert row < top, "hidden by the skirt"
+    lines, _ = cameras.water_lines(view, optics, np.array([[200.0, top], [200.0, top - 5.0]]))
+    highest = np.maximum(lines.entry_z_mm, lines.entry_z_mm + 2 * lines.slope * optics.inner_radius_mm)
+    assert highest[0] < scene.net_pot.grid_z_mm < highest[1] + 1.0, "hidden by the grid before the far wall"
+    columns = np.flatnonzero(mask[200])
+    edge = 400.0 * np.tan(np.arcsin(76.2 / 400.0)) * scene.camera.focal_px[0] / 400.0
+    assert columns[-1] - 199.5 == pytest.approx(0.98 * edge, abs=6)
+    np.testing.assert_array_equal(mask[:, ::-1], mask)
