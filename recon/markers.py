@@ -35,6 +35,8 @@ class Markers:
     """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
     blurred: int = 0
     """Markers that were named, but whose corners could not be measured, and which are left out."""
+    foreign: tuple[int, ...] = ()
+    """Ids of the dictionary that the strip does not have, of markers as large as the strip's in this picture."""
     diagnosis: str | None = None
     """Why there are no markers, when there are none."""
 
@@ -79,7 +81,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     dictionary = dictionary_of(strip)
     ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
     if len(ids) and not measure:
-        return Markers(ids=ids, corners_px=corners_px)
+        return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
     found: list[int] = []
     corners: list[Array] = []
     covariances: list[Array] = []
@@ -99,13 +101,19 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
             blurred=len(ids),
             diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
         )
-    return Markers(ids=np.array(found), corners_px=np.stack(corners), covariance_px2=np.stack(covariances), blurred=len(ids) - len(found))
+    return Markers(
+        ids=np.array(found),
+        corners_px=np.stack(corners),
+        covariance_px2=np.stack(covariances),
+        blurred=len(ids) - len(found),
+        foreign=tuple(foreign),
+    )
 
 
 def _search(
     image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
 ) -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return ids (M,) of the strip, rough corners (M, 4, 2) in the full picture, and the ids that are not the strip's."""
+    """Return ids (M,) of the strip, rough corners (M, 4, 2) in the full picture, and the ids of like size that are not the strip's."""
     small, shrink = image, 1
     while max(image.shape) / shrink > LONGEST_PX:
         shrink *= 2
@@ -114,18 +122,23 @@ def _search(
     scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
-    foreign: set[int] = set()
+    foreign: dict[int, Array] = {}
     for tone in (_linear, _root, _equalised):
         corners, ids, _ = detector.detectMarkers(tone(small))
         for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
-            if 0 <= marker_id - strip.first_id < strip.rows * strip.columns:
-                own.setdefault(marker_id, (np.asarray(four, np.float64).reshape(4, 2) + 0.5) * scale - 0.5)
-            else:
-                foreign.add(marker_id)
+            group = own if 0 <= marker_id - strip.first_id < strip.rows * strip.columns else foreign
+            group.setdefault(marker_id, (np.asarray(four, np.float64).reshape(4, 2) + 0.5) * scale - 0.5)
         if len(own) >= FEW:
             break
     chosen = sorted(own)
-    return np.array(chosen, np.int64), np.array([own[k] for k in chosen]).reshape(-1, 4, 2), sorted(foreign)
+    usual_px = np.median([_height_px(four) for four in own.values()]) if own else None
+    alike = [k for k in sorted(foreign) if usual_px is None or 0.7 < _height_px(foreign[k]) / usual_px < 1.4]
+    return np.array(chosen, np.int64), np.array([own[k] for k in chosen]).reshape(-1, 4, 2), alike
+
+
+def _height_px(four: Array) -> float:
+    """Return the length of a marker's sides from top to bottom, which the strip's curvature leaves alone."""
+    return float(np.linalg.norm(four[[0, 1]] - four[[3, 2]], axis=1).mean())
 
 
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:

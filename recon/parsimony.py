@@ -131,7 +131,8 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
         p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
         slopes, peak = [], distance
         for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
-            near = [maps.at(view, p.px + sign * unit, seen) for sign in (1.0, -1.0)]
+            # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
+            near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
             slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
             if sharpen:
                 falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
@@ -234,7 +235,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
         u, v, seen = _sample(bank, view, solid, width, height)
         dr.scatter(covered, mi.UInt8(1), v * width + u, seen)
         picture = cv2.dilate(np.array(covered).reshape(height, width), np.ones((3, 3), np.uint8))
-        unexplained = (values[view] > _DEEP_PX) & (values[view] < 0.5 * carve.UNSEEN_PX) & (picture == 0)
+        unexplained = (values[view] > _DEEP_PX) & (values[view] < carve.TELLS_PX) & (picture == 0)
         if not unexplained.any():
             continue
         lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((3, 3), np.uint8)).ravel())

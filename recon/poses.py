@@ -1,5 +1,6 @@
 """Where the camera stood for every picture, found from the markers of all pictures together."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +28,8 @@ LOOSE = np.array([np.deg2rad(3.0), 10.0])
 LEAST_RING = 5
 """Views of a ring among which a moved one can be told."""
 OUTLIER_WEIGHT = 0.1
+STRANGERS = 3
+"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's strip is another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +106,11 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
     Raises
     ------
     UserError
-        When no picture gives a camera.
+        When no picture gives a camera, or the pictures show another strip.
     """
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
+    _refuse_strangers(detected, scene, captured)
     views: list[ViewPose] = []
     seen: dict[int, Sightings] = {}
     for k, markers in enumerate(detected):
@@ -130,6 +134,20 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
         _need_one(views, captured)
         return Poses(views=tuple(views), after_px=median_px)
     return _together(views, seen, scene, captured)
+
+
+def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
+    """Refuse pictures that show the strip's markers among others of their size: poses from a part of another strip would be wrong."""
+    counts = Counter(marker_id for markers in detected if len(markers.ids) for marker_id in markers.foreign)
+    strange = sorted(marker_id for marker_id, count in counts.items() if count > 1)
+    if len(strange) >= STRANGERS:
+        first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
+        strip = scene.strip
+        raise UserError(
+            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} stand beside the scene's "
+            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in the "
+            "scene file, or cover the other markers"
+        )
 
 
 def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, Sightings | None]:

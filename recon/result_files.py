@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from scenes.dataset import Dataset
 from scenes.errors import UserError
+from scenes.pictures import decode_grey
 
 Floats = NDArray[np.float64]
 
@@ -129,10 +129,8 @@ def picture_path(folder: Path, frame_file: str) -> Path:
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """Return a grey 8 or 16 bit picture (H, W) scaled to 0..1; UserError where missing, damaged or of another size."""
     if not path.is_file():
-        raise UserError(f"{path} does not exist.")
-    picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
-    if picture is None or picture.ndim != 2 or picture.dtype not in (np.uint8, np.uint16):
-        raise UserError(f"{path} is not a grey picture of 8 or 16 bits.")
+        raise UserError(f"{path} does not exist; make its folder again.")
+    picture = decode_grey(path.read_bytes(), where=str(path))
     if image_wh is not None and picture.shape != image_wh[::-1]:
         height, width = picture.shape
         raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")

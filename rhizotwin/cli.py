@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,8 @@ VOXEL_LIMITS_MM = (0.01, 10.0)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
+ONE_STOP_S = 1.0
+"""Ctrl-C pressed again within this time is the same press: it must not disturb the tidying up."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -32,11 +35,13 @@ class Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done, 1 failed, 2 a mistake in the input, 130 stopped by Ctrl-C."""
-    stops: list[int] = []
+    stops: list[float] = []
 
-    def stop(number: int, _: FrameType | None) -> None:
-        stops.append(number)
-        raise KeyboardInterrupt
+    def stop(_: int, __: FrameType | None) -> None:
+        now = time.monotonic()
+        if not stops or now - stops[-1] > ONE_STOP_S:
+            stops.append(now)
+            raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGINT, stop) if threading.current_thread() is threading.main_thread() else None
     try:

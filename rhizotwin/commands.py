@@ -13,6 +13,8 @@ from scenes.model import CapturePlan, Scene
 from scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 RSML_SUFFIXES = (".rsml", ".xml")
+RESULT_NAMES = ("result.json", "shape.npz", "shape.ply", "silhouettes", "seen", "pictures", "report.html", "score.json")
+"""What a result folder may hold and still be replaced by a new result."""
 
 
 def run(options: argparse.Namespace) -> None:
@@ -140,8 +142,12 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[P
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
-    if output.is_dir() and any(output.iterdir()) and not (output / "result.json").is_file():
+    there = sorted(path.name for path in output.iterdir()) if output.is_dir() else []
+    if there and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
+    strange = [name for name in there if name not in RESULT_NAMES]
+    if strange:
+        raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
     from recon import report

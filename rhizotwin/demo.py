@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rhizotwin.commands import change_scene, reconstruct_whole
 from scenes import files
-from scenes.atomic import write_json
+from scenes.atomic import beside, write_json
 from scenes.errors import UserError
 
 SCENE = "printed_8ml"
@@ -65,8 +65,11 @@ def _clear(folder: Path) -> None:
     if not folder.is_dir() or any(path.name not in known for path in folder.iterdir() if not path.name.endswith(".tmp")):
         raise UserError(f"{folder} holds something that is no earlier demo; choose another folder with -o")
     dataset = folder / "dataset"
-    if dataset.exists() and not (dataset / "truth" / "simulate.json").is_file():
+    if any(path.is_file() for path in dataset.rglob("*")) and not (dataset / "truth" / "simulate.json").is_file():
         raise UserError(f"{dataset} was not made by the demo; choose another folder with -o")
     for name in ("result", "dataset"):
-        shutil.rmtree(folder / name, ignore_errors=True)
+        if (folder / name).exists():
+            (folder / name).rename(beside(folder / name))  # so that a stop leaves nothing half-removed under the name
+    for path in folder.glob(".*.tmp"):
+        shutil.rmtree(path, ignore_errors=True)
     (folder / "score.json").unlink(missing_ok=True)

@@ -31,7 +31,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
         When the disk is full or the place cannot be written; a file that was there before is left as it was.
     """
     path = Path(path)
-    temporary = _beside(path)
+    temporary = beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as stream:
@@ -112,18 +112,20 @@ def new_folder(path: Path | str, *, replace: bool = False) -> Iterator[Path]:
     if path.is_dir() and any(path.iterdir()) and not replace:
         raise UserError(f"{path}: exists already and is not empty; choose another name or remove it")
     path = path.absolute()
-    temporary, old = _beside(path), _beside(path)
+    temporary, old = beside(path), beside(path)
     try:
-        temporary.mkdir(parents=True)
-    except OSError as error:
-        raise _explained(error, path) from error
-    try:
+        try:
+            temporary.mkdir(parents=True)
+        except OSError as error:
+            raise _explained(error, path) from error
         yield temporary
         _sync_folder(temporary)
         if path.is_dir():
             path.rename(old)
         temporary.rename(path)
         _sync_folder(path.parent)
+    except UserError as error:  # named as it would be in the end
+        raise UserError(str(error).replace(str(temporary), str(path))) from error
     except OSError as error:
         if error.errno in _FULL_DISK or str(temporary) in str(error.filename):
             raise _explained(error, path) from error
@@ -135,7 +137,7 @@ def new_folder(path: Path | str, *, replace: bool = False) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def _beside(path: Path) -> Path:
+def beside(path: Path) -> Path:
     """Return a hidden name in the same folder that nobody else uses."""
     return path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
 

@@ -13,6 +13,8 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # OpenCV's own complaints: `decode_grey` says them in a sentence
+
 Grey = np.ndarray[tuple[int, int], np.dtype[np.uint8 | np.uint16]]
 
 

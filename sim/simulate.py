@@ -140,7 +140,7 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
                 f"{folder} holds a set made with another {', '.join(different)}: choose a new folder, or delete this one to start afresh"
             )
         return done
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and any(not path.is_dir() for path in folder.rglob("*")):  # stopped before its first file: folders only
         raise UserError(f"{folder} is not empty and holds no interrupted set: choose a new folder for the dataset")
     write_json(progress_path, {"settings": settings, "frames": {}})
     return {}
