@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cache
+from benchmarks import cache, projection
 from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.thesis import reconstruct_thesis
@@ -58,7 +58,7 @@ def dataset(pictures: Pictures, *, sources: str) -> Path:
 
 def measure(cases: Sequence[Case], *, say: Say) -> Run:
     """Run the cases one after the other; a case that fails is recorded and the rest go on."""
-    run = Run()
+    run = Run(metrics=projection.measure())
     sources = cache.source_digest()
     for number, case in enumerate(cases, start=1):
         began = time.perf_counter()
@@ -90,7 +90,7 @@ def reconstruct_and_score(case: Case, dataset_folder: Path) -> Score:
         if case.method == "thesis":
             reconstruct_thesis(dataset_folder, working / "result", voxel_mm=case.voxel_mm)
         else:
-            reconstruct(dataset_folder, working / "result", voxel_mm=case.voxel_mm, method=case.method, progress=False)
+            reconstruct(dataset_folder, working / "result", voxel_mm=case.voxel_mm, progress=False)
         return score(working / "result", dataset_folder)
     finally:
         shutil.rmtree(working, ignore_errors=True)
@@ -116,6 +116,7 @@ def metrics(case_name: str, found: Score) -> list[Metric]:
         ("mask_area_error", masks.area_error if masks else missing, "1", "zero", 0.0, 0.003),
         ("mask_iou", masks.iou if masks else missing, "1", "up", 0.0, 0.004),
         ("hull_recall", found.hull.recall, "1", "up", 0.0, 0.004),
+        ("hull_volume_error", found.hull.volume_error, "1", "zero", 0.0, 0.004),
     ]
     return [
         Metric(key=f"{case_name}/{name}", value=value, unit=unit, direction=direction, rel_tol=rel_tol, abs_tol=abs_tol)

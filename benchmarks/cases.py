@@ -76,6 +76,11 @@ def ladder(*, quick: bool) -> list[Case]:
 
 
 TARGETS: dict[str, tuple[float, str]] = {
+    "projection/max_px": (1e-3, "1e-3 px"),
+    "projection/lost": (0.0, "none"),
+    "projection/visibility_disagreement": (0.0, "none"),
+    "projection/kernel_max_px": (1e-3, "1e-3 px"),
+    "projection/kernel_seen_wrongly": (0.0, "none"),
     "sphere_20mm/clean/40x800x600/0.27/coverage/volume_error": (0.01, "within 1 %"),
     "printed_8ml/clean/40x800x600/0.27/coverage/volume_error": (0.02, "within 2 %"),
     "printed_8ml/clean/40x800x600/0.27/coverage/extents_error_max": (0.01, "within 1 %"),

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from benchmarks.cases import TARGETS
 from benchmarks.metric import Metric
 from scenes import atomic
 from scenes.errors import UserError
 
 SCHEMA_VERSION = 1
 
-Verdict = Literal["same", "better", "WORSE", "MISSING", "NOT A NUMBER", "UNKNOWN", "CRASHED"]
+Verdict = Literal["same", "better", "WORSE", "MISSING", "NOT A NUMBER", "UNKNOWN", "MISSED", "CRASHED"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +81,8 @@ def _judge(metric: Metric, baseline: Baseline, *, repeated: bool) -> Finding:
         verdict, note = "UNKNOWN", f"not in {baseline.path.name}; --update-baseline records it"
     elif not math.isfinite(before) or baseline.units[metric.key] != metric.unit:
         verdict, note = "UNKNOWN", f"{baseline.path.name} holds {before} in {baseline.units[metric.key]}"
+    elif metric.key in TARGETS and abs(metric.value) > TARGETS[metric.key][0]:
+        verdict, note = "MISSED", f"must reach {TARGETS[metric.key][1]}"
     else:
         worse, tolerance = metric.worse_by(before), metric.tolerance(before)
         verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"

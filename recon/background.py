@@ -88,14 +88,16 @@ def _smooth_surface(background: Image, inside: Mask) -> Image:
     sample = sample[core[sample]]
     degrees = (8, 4)
     basis = np.polynomial.chebyshev.chebvander2d(u[sample], v[sample], degrees)
-    trusted = values[sample] > _DIM * np.quantile(values[sample], 0.9)
+    trusted = values[sample] > _DIM * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
     coefficients = np.zeros(basis.shape[1])
+    surface = np.zeros_like(background)
+    if not trusted.any():  # all black: there is no light to fit
+        return surface
     for _ in range(8):
         coefficients = np.linalg.lstsq(basis[trusted], values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
         trusted = residual > -3.0 * scale
-    surface = np.zeros_like(background)
     chosen = core & (values > 0)
     shape = (degrees[0] + 1, degrees[1] + 1)
     surface[rows[chosen], columns[chosen]] = np.polynomial.chebyshev.chebval2d(u[chosen], v[chosen], coefficients.reshape(shape))

@@ -6,7 +6,7 @@ does not see a node (or sees it twice, or whose picture says nothing there) neit
 views see are *blind*: reported, and not part of the shape.
 
 A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and no tree is
-kept; the thesis's dictionary becomes sorted keys (`Leaves.find`).
+kept: the thesis's dictionary of leaves becomes arrays of positions, without a look-up.
 """
 
 from __future__ import annotations
@@ -22,14 +22,12 @@ from numpy.typing import NDArray
 
 from recon import projection
 from recon.projection import ViewBank
-from recon.silhouettes import UPSAMPLING
+from recon.silhouettes import UNSEEN_PX, UPSAMPLING
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
-UNSEEN_PX = 1e7
-"""Value of a distance map where its picture says nothing."""
-TELLS_PX = 2e4
+TELLS_PX = 1e-3 * UNSEEN_PX
 """Interpolated distances above this have a share of `UNSEEN_PX`: the picture says nothing there either."""
 _COARSEST_MM = 4.6
 _BLIND_MM = 2.5
@@ -83,7 +81,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Leaves:
-    """Occupied leaves of different sizes, all in units of the grid's finest nodes."""
+    """Occupied leaves of different sizes, all in units of the grid's finest nodes; they do not overlap."""
 
     grid: Grid
     index: Index
@@ -92,16 +90,24 @@ class Leaves:
     """(N,) edge length, a power of two."""
     occupancy: NDArray[np.float32]
     """(N,) fraction inside the shape."""
-    occupancy_low: NDArray[np.float32]
-    occupancy_high: NDArray[np.float32]
-    """(N,) the same with every outline moved in and out by the outline's uncertainty."""
-    blind_mm3: float
-    """Volume that too few views see."""
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
-        """Return the summed volume."""
+        """Return the summed volume, also for other occupancies (N,) of the same leaves."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
+
+
+@dataclass(frozen=True)
+class Hull:
+    """What carving leaves."""
+
+    leaves: Leaves
+    moved_in_mm3: float
+    """Volume with every outline moved in by its uncertainty."""
+    moved_out_mm3: float
+    """Volume with every outline moved out by its uncertainty."""
+    blind_mm3: float
+    """Volume of the water that too few views see."""
 
 
 def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
@@ -163,18 +169,20 @@ def carve(
     grid: Grid,
     *,
     radius_mm: float,
+    top_mm: float,
+    bottom_mm: float,
     min_votes: int,
     slack_px: float = 0.3,
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
-) -> Leaves:
+) -> Hull:
     """Carve the hull of the silhouettes out of the water.
 
     Parameters
     ----------
-    radius_mm : nodes whose centre lies farther from the axis are left out (the water's radius).
+    radius_mm, top_mm, bottom_mm : the water: nodes outside are left out.
     min_votes : views that must see a node for it to count as part of the shape.
-    slack_px : outline uncertainty; moves the outlines in and out for `Leaves.occupancy_low` and ``occupancy_high``.
+    slack_px : outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     ignore_blindness : the thesis's way: a view that does not see a node carves it.
     progress : called when a level is done.
     """
@@ -192,7 +200,8 @@ def carve(
         for begin in range(0, total, _CHUNK):
             part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
             point = _centres(grid, part, edge_mm)
-            inside = dr.square(point.x) + dr.square(point.y) < dr.square(radius_mm + 0.87 * edge_mm)
+            inside = dr.square(point.x) + dr.square(point.y) < dr.square(radius_mm + 0.71 * edge_mm)
+            inside &= (point.z < top_mm + 0.5 * edge_mm) & (point.z > bottom_mm - 0.5 * edge_mm)
             part = _compress(part, inside)
             if dr.width(part[0]) == 0:
                 continue
@@ -204,7 +213,8 @@ def carve(
             full = ~empty & ~blind & ~partial & (votes >= min_votes)
             split = ~empty & ~blind & ~full
             dr.eval(blind, full, split)
-            blind_mm3 += float(dr.count(blind)[0]) * edge_mm**3
+            in_water = (dr.square(point.x) + dr.square(point.y) < radius_mm**2) & (point.z < top_mm) & (point.z > bottom_mm)
+            blind_mm3 += float(dr.count(blind & in_water)[0]) * edge_mm**3
             chosen = np.stack([np.array(a) for a in _compress(part, full)], axis=1).astype(np.int32)
             full_index.append(chosen * units)
             full_size.append(np.full(len(chosen), units, np.int32))
@@ -217,16 +227,11 @@ def carve(
         if level < grid.levels:
             nodes = _children(nodes)
     index, occupancy = _measure(bank, maps, grid, nodes, radius_mm, min_votes, slack_px, ignore_blindness)
-    ones = np.ones(sum(len(part) for part in full_size), np.float32)
-    return Leaves(
-        grid=grid,
-        index=np.concatenate([*full_index, index]),
-        size=np.concatenate([*full_size, np.ones(len(index), np.int32)]),
-        occupancy=np.concatenate([ones, occupancy[0]]),
-        occupancy_low=np.concatenate([ones, occupancy[1]]),
-        occupancy_high=np.concatenate([ones, occupancy[2]]),
-        blind_mm3=blind_mm3,
-    )
+    sizes = np.concatenate([*full_size, np.ones(len(index), np.int32)])
+    full = np.ones((3, len(sizes) - len(index)), np.float32)
+    best, low, high = np.concatenate([full, occupancy], axis=1)
+    leaves = Leaves(grid, np.concatenate([*full_index, index]), sizes, best)
+    return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), blind_mm3)
 
 
 def _centres(grid: Grid, nodes: list[Any], edge_mm: float) -> Any:

@@ -1,5 +1,7 @@
 """From pictures to silhouettes: the empty backlight of every view, and what roots cover of it."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,7 +9,7 @@ from recon import background, silhouettes
 from recon.cameras import View
 from recon.refraction import Optics
 from recon.run import Run
-from recon.silhouettes import Silhouette
+from recon.silhouettes import Image, Mask, Silhouette
 from scenes import frames
 from scenes.errors import UserError
 
@@ -15,19 +17,24 @@ _RING_VIEWS = 8
 """With fewer views of a still camera the turn does not show the empty backlight."""
 
 
-def draw(run: Run, views: dict[int, View], optics: Optics) -> dict[int, Silhouette]:
+Outline = Callable[[Image, Image, Mask], Silhouette]
+"""From picture, empty backlight and seen pixels to a silhouette."""
+
+
+def draw(run: Run, views: dict[int, View], optics: Optics, *, outline: Outline = silhouettes.measure) -> dict[int, Silhouette]:
     """Draw every view's silhouette.
 
     Parameters
     ----------
     views : the cameras by index of the frame.
+    outline : how a silhouette comes from a picture.
 
     Raises
     ------
     UserError
         Where a picture shows nothing of the water, or no root.
     """
-    drawn = _given(run, views, optics) if run.dataset.masks else _measured(run, views, optics)
+    drawn = _given(run, views, optics) if run.dataset.masks else _measured(run, views, optics, outline)
     blank = [k for k in views if not drawn[k].seen.any()]
     if blank:
         name = run.frames[blank[0]].file
@@ -53,17 +60,15 @@ def _given(run: Run, views: dict[int, View], optics: Optics) -> dict[int, Silhou
     return drawn
 
 
-def _measured(run: Run, views: dict[int, View], optics: Optics) -> dict[int, Silhouette]:
-    """Measure coverage against the empty backlight, or outline in the thesis's way."""
+def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline) -> dict[int, Silhouette]:
+    """Draw silhouettes against the empty backlight."""
     keys = list(views)
     with run.stage("background"):
         inside = {k: background.water_mask(view, optics, run.dataset.scene) for k, view in views.items()}
         empty = _backgrounds(run, views, inside)
 
     def one(k: int) -> Silhouette:
-        picture = run.images[k].astype(np.float32)
-        seen = background.bright_enough(empty[k], inside[k])
-        return silhouettes.thesis(picture, seen) if run.method == "thesis" else silhouettes.measure(picture, empty[k], seen)
+        return outline(run.images[k].astype(np.float32), empty[k], background.bright_enough(empty[k], inside[k]))
 
     with run.stage("silhouettes"):
         return dict(zip(keys, run.each(one, "silhouettes", keys), strict=True))

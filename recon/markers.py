@@ -178,9 +178,10 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
         return f"{blurred} markers were named, but are too blurred or noisy to be measured"
-    if foreign:
-        names = ", ".join(str(k) for k in foreign[:5])
-        return f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    names = ", ".join(str(k) for k in foreign[:5])
+    others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    if len(foreign) >= 3:
+        return others
     picture = _linear(image)
     mirrored = _detector(dictionary_of(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
     if mirrored is not None and len(mirrored) >= 3:
@@ -191,4 +192,4 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
             ids = _detector(dictionary).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
                 return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
-    return "no markers were found"
+    return others if foreign else "no markers were found"  # one or two may be a chance of small dictionaries

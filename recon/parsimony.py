@@ -48,17 +48,25 @@ class Balls:
     """(N,)"""
 
 
-def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> tuple[Leaves, Balls]:
+@dataclass(frozen=True)
+class Trimmed:
+    """A hull trimmed to what its silhouettes need."""
+
+    leaves: Leaves
+    balls: Balls
+    """Balls along the centre lines."""
+    kept_mm3: float
+    """Volume that is hull still, because the balls leave a silhouette unexplained."""
+
+
+def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     """Trim a hull to what its silhouettes need.
 
-    Returns
-    -------
-    leaves : the trimmed shape; its occupancies are at most the hull's, and `Leaves.occupancy_low` and ``_high`` are still the hull's.
-    balls : the balls along the centre lines.
+    The trimmed shape's occupancies are at most the hull's.
     """
     balls = grow_balls(bank, maps, centre_lines(leaves))
     if not len(balls.radius_mm):
-        return leaves, balls
+        return Trimmed(leaves, balls, leaves.volume_mm3())
     index, size, hull, inside = _against_balls(balls, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > 0.02
@@ -68,7 +76,8 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> tuple[Leaves, Ba
         needed[missing] = _needed(bank, maps, trimmed, index[missing])
         kept[needed] = hull[needed]
     some = kept > 0
-    return replace(leaves, index=index[some], size=size[some], occupancy=kept[some]), balls
+    trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
+    return Trimmed(trimmed, balls, trimmed.volume_mm3() - trimmed.volume_mm3(np.minimum(hull, inside)[some]))
 
 
 def centre_lines(leaves: Leaves) -> Array:

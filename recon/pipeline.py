@@ -1,95 +1,59 @@
-"""The whole way from a dataset to a result: read, poses, silhouettes, shape."""
+"""The whole way from a dataset to a result: read, cameras, silhouettes, shape, write."""
 
-import importlib.metadata
-import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from recon import drawing, markers, poses, result, shaping
 from recon.cameras import View
 from recon.refraction import Optics
-from recon.run import Method, Run
-from scenes.dataset import load_dataset, read_image
+from recon.run import Run
+from recon.silhouettes import Silhouette
+from scenes.dataset import sha256_of
 from scenes.errors import UserError
+from scenes.provenance import peak_memory_mib, versions
 
 LEAST_VIEWS = 3
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 
 
-def reconstruct(
-    dataset_folder: Path, result_folder: Path, *, voxel_mm: float = 0.27, method: Method = "coverage", progress: bool = True
-) -> result.Result:
+def reconstruct(dataset_folder: Path, result_folder: Path, *, voxel_mm: float = 0.27, progress: bool = True) -> result.Result:
     """Reconstruct a dataset and write a result folder.
 
     Parameters
     ----------
     voxel_mm : edge of the voxels that are written; measuring inside them is finer (`recon.shaping.FINEST_MM`).
-    method : ``coverage`` measures coverage, pools all views for the poses, respects blind directions and trims the hull; ``thesis`` is
-        the thesis's own way: a pose a picture, binary silhouettes, a strict AND over all views whether they see a voxel or not,
-        counted leaves.
 
     Raises
     ------
     UserError
         Where the pictures cannot be used; the message names the file and what to do.
     """
-    dataset = load_dataset(Path(dataset_folder))
-    run = Run(dataset, [frame for frame in dataset.frames if frame.kind == "root"], method, progress)
-    if not run.frames:
-        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the root; take or import some.")
-    with run.stage("read"):
-        run.images = run.each(lambda k: read_image(dataset, run.frames[k]), "read", list(range(len(run.frames))))
-    found = _poses(run)
-    views = _views(run, found)
-    optics = Optics.of(dataset.scene)
+    run = Run.of(Path(dataset_folder), progress=progress)
+    found, rig = find_cameras(run)
+    views = usable(run, found)
+    optics = Optics.of(run.dataset.scene)
     drawn = drawing.draw(run, views, optics)
-    measured = shaping.build(run, drawn, views, optics, voxel_mm=voxel_mm)
-    for k, silhouette in drawn.items():
-        found[k] = replace(found[k], fill=float((silhouette.coverage[silhouette.seen] > 0.5).mean()))
-    made = result.Result(
-        dataset=str(dataset.folder),
-        scene=dataset.scene.name,
-        voxel_mm=voxel_mm,
-        volume_mm3=measured.volume_mm3,
-        volume_interval_mm3=measured.volume_interval_mm3,
-        extents_min_mm=measured.extents_min_mm,
-        extents_max_mm=measured.extents_max_mm,
-        blind_mm3=measured.blind_mm3,
-        views=tuple(found),
-        warnings=tuple(run.warnings),
-        timings_s=run.timings_s,
-        peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-        settings={"method": method, "voxel_mm": voxel_mm, "finest_mm": measured.finest_mm, "slack_px": shaping.SLACK_PX},
-        versions={name: importlib.metadata.version(name) for name in _VERSIONED},
-        shape=measured.shape,
-        silhouettes={run.frames[k].file: silhouette for k, silhouette in drawn.items()},
-    )
-    result.write(made, Path(result_folder))
-    return made
+    shape = shaping.build(run, drawn, views, optics, voxel_mm=voxel_mm)
+    return finish(run, found, rig, drawn, shape, Path(result_folder), settings={"voxel_mm": voxel_mm, "slack_px": shaping.SLACK_PX})
 
 
-def _views(run: Run, found: list[result.ViewResult]) -> dict[int, View]:
-    """Return the cameras of the views that can be used, by index of the frame."""
-    views = {
-        k: View(camera=run.dataset.scene.camera, cam_from_canister=np.array(view.cam_from_canister))
-        for k, view in enumerate(found)
-        if view.used
-    }
-    if len(views) < LEAST_VIEWS:
-        reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in found if view.reason})[:3])
-        raise UserError(
-            f"{run.dataset.folder}: only {len(views)} of {len(found)} pictures have a camera pose and at least {LEAST_VIEWS} are needed "
-            f"({reasons})."
-        )
-    return views
+def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -> tuple[list[result.ViewResult], dict[str, Any]]:
+    """Take the given cameras, or find every camera from the markers.
 
+    Parameters
+    ----------
+    measure, single_view : as in `markers.detect_markers` and `poses.find_poses`.
 
-def _poses(run: Run) -> list[result.ViewResult]:
-    """Take the given cameras, or find every camera from the markers."""
+    Returns
+    -------
+    views : what became of each picture, in the order of the frames.
+    rig : what all views together gave, for ``result.json``.
+    """
     if all(frame.cam_from_canister is not None for frame in run.frames):
-        return [
+        given = [
             result.ViewResult(
                 file=frame.file,
                 ring=frame.ring,
@@ -99,13 +63,14 @@ def _poses(run: Run) -> list[result.ViewResult]:
             )
             for frame in run.frames
         ]
+        return given, {}
     strip = run.dataset.scene.strip
     with run.stage("markers"):
         detected = run.each(
-            lambda k: markers.detect_markers(run.images[k], strip, measure=run.method != "thesis"), "markers", list(range(len(run.images)))
+            lambda k: markers.detect_markers(run.images[k], strip, measure=measure), "markers", list(range(len(run.images)))
         )
     with run.stage("poses"):
-        solved = poses.find_poses(detected, run.dataset.scene, run.frames, single_view=run.method == "thesis")
+        solved = poses.find_poses(detected, run.dataset.scene, run.frames, single_view=single_view)
     found = [
         result.ViewResult(
             file=frame.file,
@@ -123,4 +88,77 @@ def _poses(run: Run) -> list[result.ViewResult]:
     ]
     run.warnings += solved.warnings
     run.warnings += [f"{view.file} is left out: {view.reason}" for view in found if not view.used]
-    return found
+    return found, _rig(solved)
+
+
+def _rig(solved: poses.Poses) -> dict[str, Any]:
+    """Return what all views together gave as JSON values."""
+    return {
+        "reprojection_before_px": solved.before_px,
+        "reprojection_after_px": solved.after_px,
+        "table_from_canister": None if solved.table_from_canister is None else solved.table_from_canister.tolist(),
+        "rings": [
+            {
+                "ring": ring.ring,
+                "cam_from_rig": ring.cam_from_rig.tolist(),
+                "covariance": ring.covariance.tolist(),
+                "own_movement_mm": ring.own_mm,
+                "own_movement_deg": ring.own_deg,
+            }
+            for ring in solved.rings
+        ],
+    }
+
+
+def usable(run: Run, found: list[result.ViewResult]) -> dict[int, View]:
+    """Return the cameras of the views that can be used, by index of the frame.
+
+    Raises
+    ------
+    UserError
+        Where they are too few.
+    """
+    views = {
+        k: View(camera=run.dataset.scene.camera, cam_from_canister=np.array(view.cam_from_canister))
+        for k, view in enumerate(found)
+        if view.used
+    }
+    if len(views) < LEAST_VIEWS:
+        reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in found if view.reason})[:3])
+        raise UserError(
+            f"{run.dataset.folder}: only {len(views)} of {len(found)} pictures have a camera pose and at least {LEAST_VIEWS} are needed "
+            f"({reasons})."
+        )
+    return views
+
+
+def finish(
+    run: Run,
+    found: list[result.ViewResult],
+    rig: dict[str, Any],
+    drawn: dict[int, Silhouette],
+    shape: result.Shape,
+    result_folder: Path,
+    *,
+    settings: dict[str, Any],
+) -> result.Result:
+    """Put a result together and write its folder."""
+    filled = list(found)
+    for k, silhouette in drawn.items():
+        filled[k] = replace(found[k], fill=float((silhouette.coverage[silhouette.seen] > 0.5).mean()))
+    made = result.Result(
+        dataset=str(run.dataset.folder),
+        dataset_sha256=sha256_of(run.dataset.folder / "dataset.json"),
+        scene=run.dataset.scene.name,
+        shape=shape,
+        views=tuple(filled),
+        rig=rig,
+        warnings=tuple(run.warnings),
+        timings_s=run.timings_s,
+        peak_memory_mib=peak_memory_mib(),
+        settings={**settings, "finest_mm": shape.finest_mm},
+        versions=versions(_VERSIONED),
+        silhouettes={run.frames[k].file: silhouette for k, silhouette in drawn.items()},
+    )
+    result.write(made, result_folder)
+    return made

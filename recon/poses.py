@@ -145,8 +145,8 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
         strip = scene.strip
         raise UserError(
             f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} stand beside the scene's "
-            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in the "
-            "scene file, or cover the other markers"
+            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
+            "the scene file, or cover the other markers"
         )
 
 

@@ -1,10 +1,11 @@
 """The result of a reconstruction, and writing it as a folder.
 
-RESULT/  result.json   numbers, views, warnings, timings, settings and versions
-         shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,), origin_mm, voxel_mm
-         shape.ply     surface, canister frame, mm
-         silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
-         seen/NAME.png          8 bit: 255 where the picture says something about the water
+RESULT/  result.json   numbers, views, rig, warnings, timings, settings and versions
+shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the untrimmed hull as
+hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
+shape.ply     surface, canister frame, mm
+silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
+seen/NAME.png          8 bit: 255 where the picture says something about the water
 """
 
 import io
@@ -17,10 +18,11 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from recon.result_files import SCHEMA_VERSION, picture_path
 from recon.silhouettes import Silhouette
 from scenes import atomic
 
-SCHEMA_VERSION = 1
+Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +45,39 @@ class ViewResult:
     """Fraction of the seen water that roots cover."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """Occupied voxels and the surface."""
+@dataclass(frozen=True)
+class Voxels:
+    """Occupied cubes of one or more voxels; they do not overlap."""
 
     index: NDArray[np.int32]
+    """(N, 3) lowest corner, in voxels."""
     size: NDArray[np.int32]
+    """(N,) edge, in voxels."""
     occupancy: NDArray[np.float32]
+    """(N,) fraction inside."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """What stands in the water, and how large it is."""
+
+    voxels: Voxels
+    hull: Voxels
+    """The same before trimming."""
     origin_mm: NDArray[np.float64]
     voxel_mm: float
+    finest_mm: float
+    """Edge of the nodes that were carved."""
     mesh: trimesh.Trimesh
+    volume_mm3: float
+    volume_interval_mm3: tuple[float, float]
+    hull_mm3: float
+    untrimmed_mm3: float
+    """Part of the volume that is hull still."""
+    blind_mm3: float
+    """Volume of the water that too few views see."""
+    extents_min_mm: Triple
+    extents_max_mm: Triple
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,38 +85,59 @@ class Result:
     """Everything a reconstruction found."""
 
     dataset: str
+    dataset_sha256: str
+    """Of the dataset's manifest, which holds the hashes of its pictures."""
     scene: str
-    voxel_mm: float
-    volume_mm3: float
-    volume_interval_mm3: tuple[float, float]
-    extents_min_mm: tuple[float, ...]
-    extents_max_mm: tuple[float, ...]
-    blind_mm3: float
+    shape: Shape
     views: tuple[ViewResult, ...]
+    rig: dict[str, Any]
+    """Cameras, seat and errors that all views together gave; empty where the poses were given."""
     warnings: tuple[str, ...]
     timings_s: dict[str, float]
     peak_memory_mib: float
     settings: dict[str, Any]
     versions: dict[str, str]
-    shape: Shape = field(repr=False)
     silhouettes: dict[str, Silhouette] = field(repr=False)
+    """By the frame's file."""
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
-        numbers = {key: value for key, value in self.__dict__.items() if key not in ("shape", "silhouettes", "views")}
-        return {"schema_version": SCHEMA_VERSION, **numbers, "views": [asdict(view) for view in self.views]}
+        shape = self.shape
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "scene": self.scene,
+            "voxel_mm": shape.voxel_mm,
+            "volume_mm3": shape.volume_mm3,
+            "volume_interval_mm3": shape.volume_interval_mm3,
+            "hull_mm3": shape.hull_mm3,
+            "untrimmed_mm3": shape.untrimmed_mm3,
+            "blind_mm3": shape.blind_mm3,
+            "extents_min_mm": shape.extents_min_mm,
+            "extents_max_mm": shape.extents_max_mm,
+            "views": [asdict(view) for view in self.views],
+            "rig": self.rig,
+            "warnings": list(self.warnings),
+            "timings_s": self.timings_s,
+            "peak_memory_mib": self.peak_memory_mib,
+            "settings": self.settings,
+            "versions": self.versions,
+        }
 
 
 def write(result: Result, folder: Path) -> None:
     """Write a result folder; ``result.json`` comes last, so that a folder with one is whole."""
     begin = time.perf_counter()
-    buffer = io.BytesIO()
-    shape = result.shape
+    buffer, shape = io.BytesIO(), result.shape
     np.savez_compressed(
         buffer,
-        leaves=shape.index,
-        size=shape.size,
-        occupancy=shape.occupancy,
+        leaves=shape.voxels.index,
+        size=shape.voxels.size,
+        occupancy=shape.voxels.occupancy,
+        hull_leaves=shape.hull.index,
+        hull_size=shape.hull.size,
+        hull_occupancy=shape.hull.occupancy,
         origin_mm=shape.origin_mm,
         voxel_mm=np.float64(shape.voxel_mm),
     )
@@ -99,8 +145,7 @@ def write(result: Result, folder: Path) -> None:
     atomic.write_bytes(folder / "shape.npz", buffer.getvalue())
     atomic.write_bytes(folder / "shape.ply", bytes(trimesh.exchange.ply.export_ply(shape.mesh)))
     for file, silhouette in result.silhouettes.items():
-        name = Path(file).stem + ".png"
-        atomic.write_image(folder / "silhouettes" / name, np.round(silhouette.coverage * 65535.0).astype(np.uint16))
-        atomic.write_image(folder / "seen" / name, silhouette.seen.astype(np.uint8) * 255)
+        atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
+        atomic.write_image(picture_path(folder / "seen", file), silhouette.seen.astype(np.uint8) * 255)
     result.timings_s["write"] = time.perf_counter() - begin
     atomic.write_json(folder / "result.json", result.summary())

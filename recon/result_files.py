@@ -1,7 +1,7 @@
 """Read a result folder back: what `score` and `report` look at.
 
     RESULT/  result.json   numbers, views, warnings, timings
-             shape.npz     occupied leaves
+             shape.npz     occupied leaves of the shape and of the hull it was trimmed from
              shape.ply     surface, canister frame, mm
              silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
              seen/NAME.png          8 bit: 255 where the picture says something about the water
@@ -10,6 +10,8 @@ NAME is the picture's name in the dataset.
 """
 
 import json
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -18,25 +20,38 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scenes.dataset import Dataset
+from scenes.dataset import Dataset, sha256_of
 from scenes.errors import UserError
 from scenes.pictures import decode_grey
 
 Floats = NDArray[np.float64]
 
 SCHEMA_VERSION = 1
-NEEDED = (
-    "scene",
-    "voxel_mm",
-    "volume_mm3",
-    "volume_interval_mm3",
-    "extents_min_mm",
-    "extents_max_mm",
-    "blind_mm3",
-    "views",
-    "warnings",
-    "timings_s",
-)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _numbers(count: int) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, list) and len(value) == count and all(_number(item) for item in value)
+
+
+_RIGHT: dict[str, Callable[[Any], bool]] = {
+    "scene": lambda value: isinstance(value, str),
+    "dataset_sha256": lambda value: isinstance(value, str),
+    "voxel_mm": _number,
+    "volume_mm3": _number,
+    "volume_interval_mm3": _numbers(2),
+    "extents_min_mm": _numbers(3),
+    "extents_max_mm": _numbers(3),
+    "hull_mm3": _number,
+    "untrimmed_mm3": _number,
+    "blind_mm3": _number,
+    "views": lambda value: isinstance(value, list) and all(isinstance(view, dict) and {"file", "used"} <= view.keys() for view in value),
+    "warnings": lambda value: isinstance(value, list),
+    "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,23 +90,26 @@ def read_summary(folder: Path) -> dict[str, Any]:
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
         raise UserError(f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; reconstruct again.")
-    missing = [key for key in NEEDED if key not in summary]
+    missing = [key for key in _RIGHT if key not in summary]
     if missing:
         raise UserError(f"{path} lacks the key {missing[0]!r}; reconstruct again.")
+    wrong = [key for key, right in _RIGHT.items() if not right(summary[key])]
+    if wrong:
+        raise UserError(f"{path} has a value of the wrong kind for {wrong[0]!r}; reconstruct again.")
     return summary
 
 
-def read_leaves(folder: Path) -> Leaves:
-    """Return the leaves of ``shape.npz``; UserError where it is missing, damaged or empty."""
-    path = Path(folder) / "shape.npz"
+def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
+    """Return the leaves of ``shape.npz``, or those of the hull before trimming; UserError where missing, damaged or empty."""
+    path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
     if not path.is_file():
         raise UserError(f"{path} does not exist; reconstruct again.")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             leaves = Leaves(
-                low=stored["leaves"],
-                size=stored["size"],
-                occupancy=stored["occupancy"].astype(np.float32, copy=False),
+                low=stored[f"{prefix}leaves"],
+                size=stored[f"{prefix}size"],
+                occupancy=stored[f"{prefix}occupancy"].astype(np.float32, copy=False),
                 origin_mm=stored["origin_mm"].astype(np.float64),
                 voxel_mm=float(stored["voxel_mm"]),
             )
@@ -138,15 +156,9 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
 
 
 def check_same_scan(summary: dict[str, Any], result_folder: Path, dataset: Dataset) -> None:
-    """Raise a UserError where a result was not made from this dataset."""
-    if summary["scene"] != dataset.scene.name:
+    """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells."""
+    if summary["dataset_sha256"] != sha256_of(dataset.folder / "dataset.json"):
         raise UserError(
-            f"{result_folder} was reconstructed from scene {summary['scene']!r}, but {dataset.folder} holds {dataset.scene.name!r}; "
-            "give the dataset that the result was made from."
-        )
-    known = {frame.file for frame in dataset.frames}
-    strange = [view["file"] for view in summary["views"] if view["file"] not in known]
-    if strange:
-        raise UserError(
-            f"{result_folder} used {strange[0]}, which is not in {dataset.folder}; give the dataset that the result was made from."
+            f"{result_folder} was not reconstructed from {dataset.folder} as it is now (its scene was {summary['scene']!r}); "
+            "give the dataset that the result was made from, or reconstruct again."
         )

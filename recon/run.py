@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from pathlib import Path
+from typing import TypeVar
 
 from tqdm import tqdm
 
-from scenes.dataset import Dataset, Frame
+from scenes.dataset import Dataset, Frame, load_dataset, read_image
+from scenes.errors import UserError
 from scenes.pictures import Grey
 
 T = TypeVar("T")
-Method = Literal["coverage", "thesis"]
 
 
 @dataclass
@@ -24,12 +25,28 @@ class Run:
     dataset: Dataset
     frames: list[Frame]
     """The pictures of the root."""
-    method: Method
     progress: bool
     images: list[Grey] = field(default_factory=list, repr=False)
-    """Grey pictures (H, W) as stored, one a frame."""
+    """Pictures (H, W) as stored, one a frame."""
     timings_s: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, dataset_folder: Path, *, progress: bool) -> "Run":
+        """Open a dataset and read its pictures of the root.
+
+        Raises
+        ------
+        UserError
+            Where the dataset or a picture is missing or damaged.
+        """
+        dataset = load_dataset(dataset_folder)
+        run = cls(dataset, [frame for frame in dataset.frames if frame.kind == "root"], progress)
+        if not run.frames:
+            raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the root; take or import some.")
+        with run.stage("read"):
+            run.images = run.each(lambda k: read_image(dataset, run.frames[k]), "read", list(range(len(run.frames))))
+        return run
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

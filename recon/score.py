@@ -101,7 +101,8 @@ class Score:
             ]
         h = self.hull
         rows += [
-            ("  hull", f"holds {100.0 * h.recall:.2f} % of the truth; all leaves {h.volume_mm3:.1f} mm3"),
+            ("  hull", f"{h.volume_mm3:.1f} mm3: {_percent(h.volume_error)}; holds {100.0 * h.recall:.2f} % of the truth"),
+            ("  trimmed", f"holds {100.0 * h.kept_recall:.2f} % of the truth"),
             ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {_percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
             ("  blind", f"{self.blind_mm3:.1f} mm3 of the water"),
             ("  time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in self.timings_s.items())),
@@ -160,7 +161,7 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
     extents_true_mm = np.subtract(truth.extents_max_mm, truth.extents_min_mm)
     extents_error = extents_mm / extents_true_mm - 1.0
     try:
-        voxels, hull = compare_voxels(leaves, solid)
+        voxels, hull = compare_voxels(leaves, result_files.read_leaves(result_folder, hull=True), solid)
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
     low, high = (float(value) for value in summary["volume_interval_mm3"])

@@ -29,14 +29,17 @@ class VoxelScore:
 
 @dataclass(frozen=True, kw_only=True)
 class HullScore:
-    """What the leaves kept, however little of each is occupied: the search's bound on the shape."""
+    """What carving left, before the hull was trimmed."""
 
     recall: float
-    """Share of the true solid's voxel centres that lie in some leaf: what is missing here was carved away."""
+    """Share of the true solid's voxel centres that lie in the hull's leaves: what is missing here was carved away."""
     volume_mm3: float
-    """Volume of all the leaves."""
+    volume_error: float
+    """Signed fraction: what is too much here is what silhouettes cannot tell."""
+    kept_recall: float
+    """Share of the true solid's voxel centres that lie in the trimmed shape's leaves: what is missing more was trimmed away."""
     leaf_count_volume_mm3: float
-    """Volume of the leaves that are at least half occupied, counted whole: the thesis's measure."""
+    """Volume of the shape's leaves that are at least half occupied, counted whole: the thesis's measure."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +61,8 @@ def _ratio(part: float, whole: float) -> float:
     return part / whole if whole > 0.0 else 0.0
 
 
-def compare_voxels(leaves: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
-    """Compare leaves with a closed mesh on the leaves' own grid.
+def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
+    """Compare a shape's leaves, and those of the hull it was trimmed from, with a closed mesh on their own grid.
 
     Raises
     ------
@@ -86,12 +89,16 @@ def compare_voxels(leaves: Leaves, truth: Mesh) -> tuple[VoxelScore, HullScore]:
         precision_weighted=_ratio(common, found_share),
         iou_weighted=_ratio(common, true_share + found_share - common),
     )
-    hull = HullScore(
-        recall=_ratio(float(inside.sum()), true_count),
-        volume_mm3=float(voxels_in_leaf.sum()) * voxel**3,
+    hull_mm3 = float((hull.occupancy * hull.size.astype(np.float64) ** 3).sum()) * voxel**3
+    in_hull = voxelise.count_in_boxes(*solid, hull.low, hull.size, origin_mm=origin, voxel_mm=voxel)
+    carved = HullScore(
+        recall=_ratio(float(in_hull.sum()), true_count),
+        volume_mm3=hull_mm3,
+        volume_error=_ratio(hull_mm3, true_share * voxel**3) - 1.0,
+        kept_recall=_ratio(float(inside.sum()), true_count),
         leaf_count_volume_mm3=found * voxel**3,
     )
-    return voxels, hull
+    return voxels, carved
 
 
 def compare_surfaces(shape: Mesh, truth: Mesh, *, samples: int = SURFACE_SAMPLES) -> SurfaceScore:

@@ -3,13 +3,13 @@
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from recon import carve, parsimony, projection, silhouettes, surface
 from recon.cameras import View
 from recon.refraction import Optics
-from recon.result import Shape
+from recon.result import Shape, Triple, Voxels
 from recon.run import Run
 from recon.silhouettes import UPSAMPLING, Silhouette
 from scenes.errors import UserError
@@ -22,56 +22,126 @@ VOTES = 0.3
 """Share of the views that must see a node for it to count."""
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
-Triple = tuple[float, float, float]
+_MUCH_KEPT = 0.2
+_WIDE = 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
-    """A shape with its size."""
+class Carved:
+    """A hull with what it was carved from."""
 
-    shape: Shape
-    volume_mm3: float
-    volume_interval_mm3: tuple[float, float]
-    extents_min_mm: Triple
-    extents_max_mm: Triple
-    blind_mm3: float
-    finest_mm: float
+    hull: carve.Hull
+    bank: projection.ViewBank
+    maps: carve.DistanceMaps
 
 
-def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics: Optics, *, voxel_mm: float) -> Measured:
-    """Carve the silhouettes' hull, trim it, and measure it.
+def carve_hull(
+    run: Run,
+    drawn: dict[int, Silhouette],
+    views: dict[int, View],
+    optics: Optics,
+    *,
+    finest_mm: float,
+    slack_px: float = SLACK_PX,
+    ignore_blindness: bool = False,
+) -> Carved:
+    """Carve the silhouettes' hull out of the water between the floor and the net pot.
+
+    Parameters
+    ----------
+    drawn, views : silhouettes and cameras by index of the frame.
+    finest_mm : edge of the finest nodes.
+    slack_px, ignore_blindness : as in `carve.carve`.
 
     Raises
     ------
     UserError
         Where the silhouettes have no volume in common.
     """
-    thesis = run.method == "thesis"
     order = [list(views)[place] for place in _spread(len(views))]
     with run.stage("outlines"):
-        maps = _outlines(run, [drawn[k] for k in order])
+        outlines = _outlines(run, [drawn[k] for k in order])
     with run.stage("carve"):
-        device_maps = carve.DistanceMaps.of(maps)
-        del maps
+        maps = carve.DistanceMaps.of(outlines)
         bank = projection.ViewBank.of([views[k] for k in order], optics)
-        hull = _carve(run, bank, device_maps, optics, voxel_mm)
-    leaves = hull
-    if not thesis:
-        with run.stage("trim"):
-            leaves, _ = parsimony.trim(bank, device_maps, hull)
+        scene, radius = run.dataset.scene, optics.inner_radius_mm
+        top, bottom = min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm
+        grid = carve.Grid.over(np.array([-radius, -radius, bottom]), np.array([radius, radius, top]), finest_mm)
+        with run.bar("carve", grid.levels + 1, "level") as bar:
+            hull = carve.carve(
+                bank,
+                maps,
+                grid,
+                radius_mm=radius,
+                top_mm=top,
+                bottom_mm=bottom,
+                min_votes=max(3, math.ceil(VOTES * bank.count)),
+                slack_px=slack_px,
+                ignore_blindness=ignore_blindness,
+                progress=bar.update,
+            )
+    if hull.leaves.volume_mm3() == 0.0:
+        raise UserError(
+            f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
+            "the poses or the scene file do not fit the pictures."
+        )
+    return Carved(hull=hull, bank=bank, maps=maps)
+
+
+def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics: Optics, *, voxel_mm: float) -> Shape:
+    """Carve the silhouettes' hull, trim it to what they need, and measure it."""
+    halvings = max(0, math.ceil(math.log2(voxel_mm / FINEST_MM)))
+    carved = carve_hull(run, drawn, views, optics, finest_mm=voxel_mm / 2**halvings)
+    hull = carved.hull
+    with run.stage("trim"):
+        trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
+    volume = trimmed.leaves.volume_mm3()
+    # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
+    interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3
+    _warn(run, volume, interval, trimmed.kept_mm3)
+    return measure(run, hull, trimmed.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=trimmed.kept_mm3)
+
+
+def measure(
+    run: Run,
+    hull: carve.Hull,
+    leaves: carve.Leaves,
+    *,
+    voxel_mm: float,
+    volume_mm3: float,
+    interval_mm3: tuple[float, float],
+    untrimmed_mm3: float,
+) -> Shape:
+    """Gather leaves into voxels, draw the surface, and find the extents."""
     with run.stage("surface"):
-        shape = _surface(leaves, voxel_mm)
-    volume, interval = _volume(hull, leaves, thesis=thesis)
-    low, high = _extents(run, shape)
-    return Measured(
-        shape=shape,
-        volume_mm3=volume,
-        volume_interval_mm3=interval,
-        extents_min_mm=low,
-        extents_max_mm=high,
-        blind_mm3=hull.blind_mm3,
-        finest_mm=hull.grid.size_mm,
-    )
+        voxels = _voxels(leaves, voxel_mm)
+        units, parts = 1, (leaves.index, leaves.size, leaves.occupancy)
+        while len(parts[1]) > _SURFACE_LEAVES:
+            units *= 2
+            parts = surface.to_voxels(leaves, units)
+        origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
+        mesh = surface.surface(*parts, origin_mm=origin_mm, voxel_mm=units * leaves.grid.size_mm)
+        if len(mesh.vertices):
+            low, high = np.asarray(mesh.bounds, np.float64)
+        else:
+            run.warnings.append("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm")
+            corners = origin_mm + voxel_mm * voxels.index
+            low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
+        return Shape(
+            voxels=voxels,
+            hull=_voxels(hull.leaves, voxel_mm),
+            origin_mm=origin_mm,
+            voxel_mm=voxel_mm,
+            finest_mm=leaves.grid.size_mm,
+            mesh=mesh,
+            volume_mm3=volume_mm3,
+            volume_interval_mm3=interval_mm3,
+            hull_mm3=hull.leaves.volume_mm3(),
+            untrimmed_mm3=untrimmed_mm3,
+            blind_mm3=hull.blind_mm3,
+            extents_min_mm=_triple(low),
+            extents_max_mm=_triple(high),
+        )
 
 
 def _spread(count: int) -> list[int]:
@@ -79,76 +149,35 @@ def _spread(count: int) -> list[int]:
     return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
 
 
-def _outlines(run: Run, drawn: list[Silhouette]) -> np.ndarray:
+def _outlines(run: Run, drawn: list[Silhouette]) -> NDArray[np.float32]:
     """Return the distance maps (V, 2 H, 2 W) of silhouettes."""
     width, height = run.dataset.scene.camera.image_wh
     maps = np.empty((len(drawn), UPSAMPLING * height, UPSAMPLING * width), np.float32)
 
     def one(place: int) -> None:
         maps[place] = silhouettes.signed_distance(drawn[place])
-        seen = cv2.resize(drawn[place].seen.astype(np.uint8), maps.shape[:0:-1], interpolation=cv2.INTER_NEAREST)
-        # at the border of what is seen the distance mixes with that of the unseen: say nothing there
-        maps[place][cv2.erode(seen, np.ones((5, 5), np.uint8), borderValue=1) == 0] = carve.UNSEEN_PX
 
     run.each(one, "outlines", list(range(len(drawn))))
     return maps
 
 
-def _carve(run: Run, bank: projection.ViewBank, maps: carve.DistanceMaps, optics: Optics, voxel_mm: float) -> carve.Leaves:
-    """Carve the water between the floor and the net pot."""
-    scene, thesis = run.dataset.scene, run.method == "thesis"
-    halvings = 0 if thesis else max(0, math.ceil(math.log2(voxel_mm / FINEST_MM)))
-    radius = optics.inner_radius_mm
-    top = min(scene.water.level_mm, scene.net_pot.grid_z_mm)
-    low, high = np.array([-radius, -radius, scene.canister.floor_z_mm]), np.array([radius, radius, top])
-    grid = carve.Grid.over(low, high, voxel_mm / 2**halvings)
-    with run.bar("carve", grid.levels + 1, "level") as bar:
-        leaves = carve.carve(
-            bank,
-            maps,
-            grid,
-            radius_mm=radius,
-            min_votes=max(3, math.ceil(VOTES * bank.count)),
-            slack_px=0.0 if thesis else SLACK_PX,
-            ignore_blindness=thesis,
-            progress=bar.update,
+def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Voxels:
+    """Gather leaves into voxels."""
+    return Voxels(*surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm)))
+
+
+def _warn(run: Run, volume_mm3: float, interval_mm3: tuple[float, float], untrimmed_mm3: float) -> None:
+    """Say when the volume is not to be trusted."""
+    if untrimmed_mm3 > _MUCH_KEPT * volume_mm3:
+        run.warnings.append(
+            f"{100.0 * untrimmed_mm3 / volume_mm3:.0f} % of the volume is hull that could not be trimmed: roots too thin or too crowded "
+            "for this resolution, whose volume is mostly too large; take more pixels or a second ring at another height"
         )
-    if leaves.volume_mm3() == 0.0:
-        raise UserError(
-            f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not fit the pictures."
+    if interval_mm3[1] - interval_mm3[0] > 2.0 * _WIDE * volume_mm3:
+        run.warnings.append(
+            f"the pictures allow volumes from {interval_mm3[0]:.0f} to {interval_mm3[1]:.0f} mm3: the scan hardly gives a volume"
         )
-    return leaves
 
 
-def _surface(leaves: carve.Leaves, voxel_mm: float) -> Shape:
-    """Gather leaves into voxels, and draw the surface."""
-    origin, finest_mm = np.asarray(leaves.grid.origin_mm, np.float64), leaves.grid.size_mm
-    index, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / finest_mm))
-    units, parts = 1, (leaves.index, leaves.size, leaves.occupancy)
-    while len(parts[1]) > _SURFACE_LEAVES:
-        units *= 2
-        parts = surface.to_voxels(leaves, units)
-    mesh = surface.surface(*parts, origin_mm=origin, voxel_mm=units * finest_mm)
-    return Shape(index=index, size=size, occupancy=occupancy, origin_mm=origin, voxel_mm=voxel_mm, mesh=mesh)
-
-
-def _volume(hull: carve.Leaves, leaves: carve.Leaves, *, thesis: bool) -> tuple[float, tuple[float, float]]:
-    """Return the volume and its interval: at most the hull with its outlines moved out, at least the trimmed shape moved in."""
-    if thesis:  # the thesis counts leaves
-        counted = float((leaves.size.astype(np.float64) ** 3).sum() * leaves.grid.size_mm**3)
-        return counted, (counted, counted)
-    volume = leaves.volume_mm3()
-    moved_in = hull.volume_mm3() - hull.volume_mm3(hull.occupancy_low)
-    return volume, (max(0.0, volume - moved_in), hull.volume_mm3(hull.occupancy_high))
-
-
-def _extents(run: Run, shape: Shape) -> tuple[Triple, Triple]:
-    """Return the corners of the box round the surface."""
-    if len(shape.mesh.vertices):
-        low, high = np.asarray(shape.mesh.bounds, np.float64)
-    else:
-        run.warnings.append("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm")
-        corners = shape.origin_mm + shape.voxel_mm * shape.index
-        low, high = corners.min(axis=0), (corners + shape.voxel_mm * shape.size[:, None]).max(axis=0)
-    return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+def _triple(values: NDArray[np.float64]) -> Triple:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -17,6 +17,8 @@ Mask = NDArray[np.bool_]
 
 UPSAMPLING = 2
 """Samples of the distance map a pixel, each way: half a pixel resolves outlines of roots down to about 0.6 px."""
+UNSEEN_PX = 1e7
+"""Value of a distance map where its picture says nothing."""
 _BLUR_PX = 0.7
 _FLOOR = 0.1
 """Coverage below this is never root."""
@@ -99,8 +101,8 @@ _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
 def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
 
-    Where the picture says nothing the distance is that to the nearest seen background: such a view never carves there. Sample (i, j)
-    lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
+    Where the picture says nothing, and within half a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as inside.
+    Sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
     blurred = cv2.GaussianBlur(silhouette.coverage, (0, 0), _BLUR_PX)
@@ -111,7 +113,9 @@ def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     value = fine - level
     unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     value[unseen] = 1.0
-    return level_distance(value) / np.float32(UPSAMPLING)
+    distance = level_distance(value) / np.float32(UPSAMPLING)
+    distance[cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = UNSEEN_PX
+    return distance
 
 
 def level_distance(value: Image) -> Image:

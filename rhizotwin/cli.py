@@ -18,11 +18,14 @@ from scenes.errors import UserError
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 DEFAULT_VOXEL_MM = 0.27
 VOXEL_LIMITS_MM = (0.01, 10.0)
+DIAMETER_LIMITS_MM = (0.01, 50.0)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 ONE_STOP_S = 1.0
 """Ctrl-C pressed again within this time is the same press: it must not disturb the tidying up."""
+ASK_AGAIN_S = 0.05
+"""Ctrl-C while a library is loading waits for it: after this time it is looked again."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -34,18 +37,23 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0 done, 1 failed, 2 a mistake in the input, 130 stopped by Ctrl-C."""
+    """Run the command line and return its exit code: 0 done, 1 failed, 2 what the user can put right, 130 stopped by Ctrl-C."""
     stops: list[float] = []
+    command = ""
 
-    def stop(_: int, __: FrameType | None) -> None:
+    def stop(_: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if not stops or now - stops[-1] > ONE_STOP_S:
+        if _loading(frame):
+            signal.setitimer(signal.ITIMER_REAL, ASK_AGAIN_S)
+        elif not stops or now - stops[-1] > ONE_STOP_S:
             stops.append(now)
             raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, stop) if threading.current_thread() is threading.main_thread() else None
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM) if in_main_thread}
     try:
         options = build_parser().parse_args(arguments)
+        command = options.command
         from rhizotwin import commands  # what it needs takes time to load, and --help should not
 
         commands.run(options)
@@ -56,27 +64,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - the last line of defence: nobody sees a traceback unasked
         # A library that is stopped while it loads may report an error of its own instead.
-        return _fail(*_explain(KeyboardInterrupt() if stops else error))
+        return _fail(*_explain(KeyboardInterrupt() if stops else error, command))
     finally:
-        if before is not None:
-            signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 0
+
+
+def _loading(frame: FrameType | None) -> bool:
+    """Tell whether Python is loading a module: libraries that are stopped then swallow it, or report an error of their own."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _fail(sentence: str, code: int) -> int:
     if "tqdm" in sys.modules:  # the sentence begins on a line of its own, not behind an unfinished bar
         for bar in list(getattr(sys.modules["tqdm"].tqdm, "_instances", ())):
             bar.close()
+    if code == EXIT_STOPPED and sys.stderr.isatty():
+        sys.stderr.write("\n")  # behind the terminal's ^C
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
     sys.stderr.write(f"rhizotwin: {' '.join(sentence.split())}\n")
     return code
 
 
-def _explain(error: BaseException) -> tuple[str, int]:
-    """Return the sentence that explains an error, and the exit code."""
+def _explain(error: BaseException, command: str) -> tuple[str, int]:
+    """Return the sentence that explains an error in a command, and the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        return "stopped; the same command takes it up again", EXIT_STOPPED
+        kept = command in ("simulate", "demo")  # finished pictures
+        return f"stopped; {'the same command takes it up again' if kept else 'nothing was written; run it again'}", EXIT_STOPPED
     if isinstance(error, UserError):
         return str(error), EXIT_MISTAKE
     if isinstance(error, MemoryError):
@@ -85,7 +105,7 @@ def _explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return f"{where}the disk is full; free some space and run the same command again", EXIT_FAILED
+            return f"{where}the disk is full; free some space and run the same command again", EXIT_MISTAKE
         return f"{where}{error.strerror or text}; check the path and your rights to it", EXIT_FAILED
     what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
     return f"{what}; run it again with {DEBUG_VARIABLE}=1 to see where", EXIT_FAILED
@@ -150,7 +170,8 @@ def _add_simulate(commands: Commands) -> None:
         epilog="examples:\n"
         "  rhizotwin simulate printed_8ml -o my_dataset\n"
         "  rhizotwin simulate printed_8ml -o my_dataset --profile bench --views 24 --image-wh 400x300\n"
-        "  rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl",
+        "  rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl\n"
+        "  rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5",
     )
     parser.add_argument("scene", metavar="SCENE", help="a name from 'rhizotwin scenes', or a scene file (TOML)")
     _add_output(parser, "DATASET", "folder to make the dataset in: new, empty, or left by the same command when it was stopped")
@@ -165,6 +186,14 @@ def _add_simulate(commands: Commands) -> None:
         metavar="FILE",
         help="put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) or traced roots (RSML), in millimetres in the canister "
         "frame: origin on the axis in the plane of the rim, z up, roots below 0",
+    )
+    parser.add_argument(
+        "--specimen-unit",
+        metavar="UNIT",
+        help="unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such as '0.1 mm'",
+    )
+    parser.add_argument(
+        "--specimen-diameter-mm", type=_diameter_mm, metavar="D", help="diameter of the roots for which an RSML file gives none"
     )
     parser.add_argument("--views", type=_views, metavar="N", help="pictures in every ring; default: the scene's")
     parser.add_argument("--image-wh", type=_image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
@@ -227,7 +256,11 @@ def _add_import(commands: Commands) -> None:
         help="poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: "
         "no markers are needed then",
     )
-    parser.add_argument("--masks", action="store_true", help="the pictures are silhouettes already: white root on black")
+    parser.add_argument(
+        "--masks",
+        action="store_true",
+        help="the pictures are silhouettes already: white root on black; needs --cameras, they show no markers",
+    )
 
 
 def _add_score(commands: Commands) -> None:
@@ -258,7 +291,7 @@ def _add_demo(commands: Commands) -> None:
         type=Path,
         default=Path("demo"),
         metavar="FOLDER",
-        help="folder for everything; an earlier demo in it is replaced; default: %(default)s",
+        help="folder for everything; a finished demo in it is replaced, a stopped one taken up; default: %(default)s",
     )
     parser.add_argument("--profile", default="clean", metavar="clean|bench|harsh", help="what the rig gets wrong; default: %(default)s")
     _add_device(parser)
@@ -310,11 +343,19 @@ def _image_wh(text: str) -> tuple[int, int]:
 
 
 def _voxel_mm(text: str) -> float:
+    return _millimetres(text, VOXEL_LIMITS_MM)
+
+
+def _diameter_mm(text: str) -> float:
+    return _millimetres(text, DIAMETER_LIMITS_MM)
+
+
+def _millimetres(text: str, limits: tuple[float, float]) -> float:
     try:
         value = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of millimetres") from None
-    low, high = VOXEL_LIMITS_MM
+    low, high = limits
     if not low <= value <= high:
         raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} mm")
     return value

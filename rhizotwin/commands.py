@@ -11,6 +11,7 @@ from scenes.checks import check_scene
 from scenes.errors import UserError
 from scenes.model import CapturePlan, Scene
 from scenes.specimens import MeshSpecimen, RsmlSpecimen
+from scenes.truth import load_truth
 
 RSML_SUFFIXES = (".rsml", ".xml")
 RESULT_NAMES = ("result.json", "shape.npz", "shape.ply", "silhouettes", "seen", "pictures", "report.html", "score.json")
@@ -50,7 +51,13 @@ def scenes(options: argparse.Namespace) -> None:
 def simulate(options: argparse.Namespace) -> None:
     """Render a scene to a dataset."""
     scene = change_scene(
-        files.load_scene(options.scene), specimen=options.specimen, views=options.views, image_wh=options.image_wh, profile=options.profile
+        files.load_scene(options.scene),
+        specimen=options.specimen,
+        specimen_unit=options.specimen_unit,
+        specimen_diameter_mm=options.specimen_diameter_mm,
+        views=options.views,
+        image_wh=options.image_wh,
+        profile=options.profile,
     )
     _start(options)
     from sim.simulate import simulate as render
@@ -63,6 +70,8 @@ def simulate(options: argparse.Namespace) -> None:
         fidelity=options.fidelity,
         samples=options.samples,
     )
+    for note in load_truth(options.output).drawn["notes"]:
+        print(f"note: {note}")
     print(f"{len(dataset.frames)} pictures in {options.output / 'images'}, the truth in {options.output / 'truth'}")
     print(f"next: rhizotwin reconstruct {options.output} -o my_result")
 
@@ -114,16 +123,23 @@ def change_scene(
     scene: Scene,
     *,
     specimen: Path | None = None,
+    specimen_unit: str | None = None,
+    specimen_diameter_mm: float | None = None,
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
     profile: str | None = None,
 ) -> Scene:
     """Return a scene with what the command line changes in it, checked."""
+    is_rsml = specimen is not None and specimen.suffix.lower() in RSML_SUFFIXES
+    for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
+        if value is not None and not is_rsml:
+            raise UserError(f"{option} {value} is for traced roots only; give them with --specimen FILE.rsml, or leave {option} out")
     if specimen is not None:
         if not specimen.is_file():
             raise UserError(f"{specimen}: there is no such file; give the specimen's mesh (PLY, STL, OBJ) or traced roots (RSML)")
-        kind = RsmlSpecimen if specimen.suffix.lower() in RSML_SUFFIXES else MeshSpecimen
-        scene = replace(scene, specimen=kind(file=str(specimen.resolve())))
+        file = str(specimen.resolve())
+        traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm)
+        scene = replace(scene, specimen=traced if is_rsml else MeshSpecimen(file=file))
     if views is not None:
         scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))
     if image_wh is not None:
@@ -152,12 +168,13 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[P
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
     from recon import report
     from recon.pipeline import reconstruct as find_shape
+    from recon.score import truth_mesh_path
     from scenes.atomic import new_folder
 
-    truth_mesh = dataset / "truth" / "specimen.ply"
+    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth").is_dir() else None
     with new_folder(output, replace=True) as building:
         find_shape(dataset, building, voxel_mm=voxel_mm)
-        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh if truth_mesh.is_file() else None)
+        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh if truth_mesh and truth_mesh.is_file() else None)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]
 

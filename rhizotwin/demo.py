@@ -17,7 +17,7 @@ VOXEL_MM = 0.27
 
 
 def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
-    """Run the demonstration in a folder; an earlier demonstration in it is replaced.
+    """Run the demonstration in a folder; a finished one in it is replaced, the pictures of a stopped one are kept.
 
     Parameters
     ----------
@@ -34,13 +34,17 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
         If the folder holds anything else than an earlier demonstration.
     """
     from recon.score import score
-    from sim.simulate import simulate
+    from sim.simulate import CannotContinueError, simulate
 
     _clear(folder)
     dataset, result = folder / "dataset", folder / "result"
     scene = change_scene(files.load_scene(SCENE), views=VIEWS, image_wh=IMAGE_WH, profile=profile)
     say(f"1. {SCENE}: rendering {VIEWS} views of {IMAGE_WH[0]}x{IMAGE_WH[1]} pixels through air, acrylic and water")
-    simulate(scene, dataset, profile_name=profile, seed=0)
+    try:
+        simulate(scene, dataset, profile_name=profile, seed=0)
+    except CannotContinueError:  # stopped with another profile or program
+        _remove(dataset)
+        simulate(scene, dataset, profile_name=profile, seed=0)
     say("2. reconstructing it from the pictures alone")
     pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM)
     say("3. comparing it with the truth")
@@ -58,7 +62,7 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove an earlier demonstration; refuse a folder that holds anything else."""
+    """Remove a finished demonstration, of a stopped one all but its dataset; refuse a folder that holds anything else."""
     if not folder.exists():
         return
     known = {"dataset", "result", "score.json"}
@@ -67,9 +71,15 @@ def _clear(folder: Path) -> None:
     dataset = folder / "dataset"
     if any(path.is_file() for path in dataset.rglob("*")) and not (dataset / "truth" / "simulate.json").is_file():
         raise UserError(f"{dataset} was not made by the demo; choose another folder with -o")
-    for name in ("result", "dataset"):
-        if (folder / name).exists():
-            (folder / name).rename(beside(folder / name))  # so that a stop leaves nothing half-removed under the name
-    for path in folder.glob(".*.tmp"):
+    _remove(folder / "result")
+    if (folder / "score.json").exists():  # written last, removed last
+        _remove(dataset)
+        (folder / "score.json").unlink()
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, and what a stop left of an earlier removal; a stop leaves nothing half-removed under the name."""
+    if folder.exists():
+        folder.rename(beside(folder))
+    for path in folder.parent.glob(".*.tmp"):
         shutil.rmtree(path, ignore_errors=True)
-    (folder / "score.json").unlink(missing_ok=True)

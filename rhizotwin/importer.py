@@ -1,21 +1,20 @@
 """Make a dataset of pictures taken elsewhere, with the cameras found later from the markers or given in a file."""
 
-import hashlib
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
-from rhizotwin.pictures import list_pictures
-from scenes import frames, plan
+from rhizotwin.picture_files import list_pictures
+from scenes import files, frames, plan
 from scenes.atomic import new_folder, write_bytes
-from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from scenes.errors import UserError
 from scenes.model import Scene
 from scenes.pictures import Grey, decode_grey
+from scenes.provenance import versions
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MASK_MARGIN = 0.1
@@ -48,18 +47,22 @@ def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | No
         A transforms.json in nerfstudio's form (see `rhizotwin.nerfstudio`), whose world is the canister frame in mm. Pictures
         without a camera are left out and named. None: the poses are to be found from the marker strip.
     masks : bool
-        The pictures are silhouettes: white root on black.
+        The pictures are silhouettes: white root on black. They need ``cameras``, since they show no markers.
 
     Raises
     ------
     UserError
-        For an unreadable, damaged or differently sized picture, a silhouette with greys, or cameras that do not fit.
+        For an unreadable, damaged or differently sized picture, silhouettes without cameras or with greys, or cameras that do not
+        fit.
     """
+    if masks and cameras is None:
+        raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
     paths = list_pictures(folder)
     given = None if cameras is None else read_cameras(cameras, scene.camera)
     notes: list[str] = []
     if given is not None and cameras is not None:
-        scene = replace(scene, camera=given.camera)
+        changed = replace(scene, camera=given.camera)
+        scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
         _check_cameras(given, scene, cameras)
         paths = _with_cameras(paths, given, cameras, notes)
     table = _table_angles(scene, len(paths), given, notes)
@@ -76,7 +79,7 @@ def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | No
             found.append(
                 Frame(
                     file=name,
-                    sha256=hashlib.sha256(data).hexdigest(),
+                    sha256=sha256_of(building / name),
                     kind=scene.plan.rings[ring].kind,
                     ring=ring,
                     table_deg=table_deg,
@@ -84,16 +87,9 @@ def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | No
                 )
             )
         origin = {"program": "rhizotwin import", "pictures": str(folder), "cameras": None if cameras is None else str(cameras)}
-        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin | {"version": _version()})
+        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin | {"versions": versions()})
         save_dataset(dataset)
     return Imported(dataset=replace(dataset, folder=out), notes=tuple(notes))
-
-
-def _version() -> str:
-    try:
-        return version("rhizotwin")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:

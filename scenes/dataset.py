@@ -94,12 +94,10 @@ def load_dataset(folder: Path | str) -> Dataset:
     check_scene(manifest.scene, where=f"{path}, scene")
     if not manifest.frames:
         raise place.at("frames").error("has no frames; a dataset needs at least one picture")
-    seen: set[str] = set()
     for i, frame in enumerate(manifest.frames):
         _check_frame(frame, len(manifest.scene.plan.rings), place.at("frames", i))
-        if frame.file in seen:
-            raise place.at("frames", i, "file").error("stands in the list twice", frame.file)
-        seen.add(frame.file)
+    _check_names(manifest.frames, place)
+    _check_poses(manifest.frames, place)
     return Dataset(
         folder=folder, scene=manifest.scene, frames=manifest.frames, seed=manifest.seed, masks=manifest.masks, origin=manifest.origin
     )
@@ -199,6 +197,28 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
         raise place.at("ring").error(f"must be between 0 and {rings - 1}: the scene's plan has {rings} rings", frame.ring)
     if frame.cam_from_canister is not None:
         check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
+
+
+def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
+    """Refuse pictures whose names differ in folder or suffix only: what is made of a picture is named by its stem."""
+    by_stem: dict[str, str] = {}
+    for i, frame in enumerate(frames):
+        stem = PurePosixPath(frame.file).stem
+        if by_stem.get(stem) == frame.file:
+            raise place.at("frames", i, "file").error("stands in the list twice", frame.file)
+        if stem in by_stem:
+            must = f"differs from {by_stem[stem]} in folder or suffix only, so that their results would have one name; rename one"
+            raise place.at("frames", i, "file").error(must, frame.file)
+        by_stem[stem] = frame.file
+
+
+def _check_poses(frames: tuple[Frame, ...], place: Place) -> None:
+    """Refuse a dataset of which some frames have a given pose and others not."""
+    without = [i for i, frame in enumerate(frames) if frame.cam_from_canister is None]
+    if 0 < len(without) < len(frames):
+        given = next(frame.file for frame in frames if frame.cam_from_canister is not None)
+        must = f"is missing for {frames[without[0]].file}, but {given} has one; give a pose for every picture or for none"
+        raise place.at("frames", without[0], "cam_from_canister").error(must)
 
 
 def check_rigid(rows: tuple[tuple[float, ...], ...], place: Place) -> None:

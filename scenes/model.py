@@ -1,17 +1,13 @@
 """What stands on the rig: typed, frozen descriptions. The defaults are the rig of the thesis (section 3.2).
 
-A field's unit is in its name. ``limits`` in a field's metadata are inclusive bounds that `scenes.files` enforces.
+A field's unit is in its name. ``limits`` in a field's metadata are inclusive bounds that `scenes.schema` enforces.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
+from scenes.limits import bounded
 from scenes.specimens import Specimen
-
-
-def bounded(default: Any, low: float, high: float) -> Any:
-    """Declare a numeric field with inclusive limits (for tuples: of each element)."""
-    return field(default=default, metadata={"limits": (low, high)})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,6 +28,7 @@ _UNITS_MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
     **dict.fromkeys(("inch", "inches", "in"), 25.4),
 }
+_SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
 _THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
@@ -206,7 +207,9 @@ class _Reader:
                         scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
                         return self._checked(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
-            raise UserError(f"{self.path}: {name} has no diameter; set diameter_mm, the diameter of roots for which the file gives none")
+            raise UserError(
+                f"{self.path}: {name} has no diameter; give one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
+            )
         return np.full(len(points_mm), self.diameter_mm)
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
@@ -239,26 +242,32 @@ class _Reader:
         if unit is not None:
             match = re.fullmatch(r"\s*([0-9][0-9.eE+-]*)?\s*(\S+)\s*", unit)
             if match is None:
-                raise UserError(f'{self.path}: unit = "{unit}" must be mm, cm, m, um or inch, or a step such as "0.1 mm"')
+                raise UserError(
+                    f'{self.path}: the unit "{unit}" (--specimen-unit) must be mm, cm, m, um or inch, or a step such as "0.1 mm"'
+                )
             size = self._number(match[1] or "1", "unit")
             if size <= 0.0:
-                raise UserError(f'{self.path}: unit = "{unit}" must be above 0')
-            return size * self._unit_mm(match[2], "option unit")
+                raise UserError(f'{self.path}: the unit "{unit}" (--specimen-unit) must be above 0')
+            return size * self._unit_mm(match[2], "option --specimen-unit")
         written = self._metadata("unit")
         if not written:
             marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(_attribute(e, "name") or "")) and m[2]}
             if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
                 return self._unit_mm(marked.pop(), "a function's name")
-            raise UserError(f"{self.path}: names no unit; set unit to mm, cm, m, um or inch, or to the size of a step such as 0.1 mm")
+            raise UserError(f"{self.path}: names no unit; {_SET_UNIT}: mm, cm, m, um or inch, or a step such as 0.1 mm")
         if written.lower() not in _UNITS_MM:
-            raise UserError(f'{self.path}: has the unit "{written}", whose size is unknown; set unit to the size of one, such as 0.1 mm')
+            raise UserError(f'{self.path}: has the unit "{written}", whose size is unknown; {_SET_UNIT}, as the size of one such as 0.1 mm')
         unit_mm = _UNITS_MM[written.lower()]
         text = self._metadata("resolution")
         if not text and unit_mm == 25.4:
-            raise UserError(f"{self.path}: has the unit inch without a resolution in dpi; set unit to the size of a step, such as 0.1 mm")
+            raise UserError(
+                f"{self.path}: has the unit inch without a resolution in dpi; {_SET_UNIT}, as the size of a step such as 0.1 mm"
+            )
         resolution = self._number(text or "1", "resolution")
         if resolution <= 0.0:
-            raise UserError(f"{self.path}: has the resolution {text}; it must be above 0; set unit to the size of a step, such as 0.1 mm")
+            raise UserError(
+                f"{self.path}: has the resolution {text}; it must be above 0; {_SET_UNIT}, as the size of a step such as 0.1 mm"
+            )
         return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
 
     def _property_unit(self) -> dict[str, float]:

@@ -1,20 +1,16 @@
 """What grows (or stands in) the canister: one frozen description a kind of specimen."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
-
-def _bounded(default: Any, low: float, high: float) -> Any:
-    """Declare a numeric field with inclusive limits (for tuples: of each element)."""
-    return field(default=default, metadata={"limits": (low, high)})
+from scenes.limits import bounded
 
 
 @dataclass(frozen=True, kw_only=True)
 class SphereSpecimen:
     """A ball, the simplest thing with a known volume."""
 
-    diameter_mm: float = _bounded(20.0, 0.1, 200.0)
-    centre_mm: tuple[float, float, float] = _bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
+    diameter_mm: float = bounded(20.0, 0.1, 200.0)
+    centre_mm: tuple[float, float, float] = bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,33 +36,33 @@ class RsmlSpecimen:
 class RootOrder:
     """Growth parameters of the roots of one order (0: taproot), as architectural root models name them."""
 
-    diameter_mm: float = _bounded(0.3, 0.01, 50.0)
+    diameter_mm: float = bounded(0.3, 0.01, 50.0)
     """Mean diameter where the root begins, before the radii of the plant are scaled to its volume."""
-    diameter_sd: float = _bounded(0.1, 0.0, 0.5)
+    diameter_sd: float = bounded(0.1, 0.0, 0.5)
     """Standard deviation of that diameter between roots, as a fraction of it."""
-    taper: float = _bounded(0.6, 0.05, 1.0)
+    taper: float = bounded(0.6, 0.05, 1.0)
     """Diameter at the tip as a fraction of the diameter at the beginning; linear along the root."""
-    elongation_mm_per_day: float = _bounded(3.0, 0.01, 200.0)
+    elongation_mm_per_day: float = bounded(3.0, 0.01, 200.0)
     """Elongation of a new root; it slows down as the root nears its greatest length."""
-    max_length_mm: float = _bounded(60.0, 0.5, 2000.0)
+    max_length_mm: float = bounded(60.0, 0.5, 2000.0)
     """Length that an average root reaches in the end."""
-    length_sd: float = _bounded(0.3, 0.0, 1.0)
+    length_sd: float = bounded(0.3, 0.0, 1.0)
     """Standard deviation of that length between roots, as a fraction of it; elongation varies with it."""
-    interlateral_mm: float = _bounded(4.0, 0.1, 1000.0)
+    interlateral_mm: float = bounded(4.0, 0.1, 1000.0)
     """Mean distance between neighbouring laterals along a root of this order."""
-    interlateral_sd: float = _bounded(0.4, 0.0, 1.0)
+    interlateral_sd: float = bounded(0.4, 0.0, 1.0)
     """Standard deviation of that distance, as a fraction of it."""
-    base_mm: float = _bounded(2.0, 0.0, 1000.0)
+    base_mm: float = bounded(2.0, 0.0, 1000.0)
     """Length without laterals where the root begins."""
-    apex_mm: float = _bounded(10.0, 0.0, 1000.0)
+    apex_mm: float = bounded(10.0, 0.0, 1000.0)
     """Length without laterals behind the tip: a lateral appears once the tip has passed it by this much."""
-    insertion_deg: float = _bounded(70.0, 0.0, 180.0)
+    insertion_deg: float = bounded(70.0, 0.0, 180.0)
     """Angle at which roots of this order leave their parent (taproot: unused)."""
-    insertion_sd_deg: float = _bounded(12.0, 0.0, 90.0)
+    insertion_sd_deg: float = bounded(12.0, 0.0, 90.0)
     """Standard deviation of that angle."""
-    gravitropism_per_mm: float = _bounded(0.01, -0.5, 0.5)
+    gravitropism_per_mm: float = bounded(0.01, -0.5, 0.5)
     """Turn towards straight down (or the lean) per mm of growth, radians times the sine of the angle still to go."""
-    wobble_deg: float = _bounded(6.0, 0.0, 90.0)
+    wobble_deg: float = bounded(6.0, 0.0, 90.0)
     """Random change of heading over 1 mm; it grows with the square root of the length."""
 
 
@@ -74,32 +70,32 @@ class RootOrder:
 class GrownSpecimen:
     """A root system grown from the field's parameters, seeded."""
 
-    seed: int = _bounded(0, 0, 2**63 - 1)
+    seed: int = bounded(0, 0, 2**63 - 1)
     """Same seed, same plant; an older plant of the same seed continues the younger one."""
-    age_days: float = _bounded(15.0, 0.1, 365.0)
+    age_days: float = bounded(15.0, 0.1, 365.0)
     """Days since the taproot began."""
-    volume_ml: float = _bounded(0.2, 1e-4, 500.0)
+    volume_ml: float = bounded(0.2, 1e-4, 500.0)
     """Volume of the union of all roots; all radii are scaled by one factor to reach it exactly."""
     orders: tuple[RootOrder, ...] = (
         RootOrder(diameter_mm=1.2, taper=0.3, elongation_mm_per_day=9.0, max_length_mm=95.0, interlateral_mm=2.0, wobble_deg=4.0),
         RootOrder(),
     )
     """Parameters of the taproot, of its laterals, of their laterals and so on."""
-    origin_mm: tuple[float, float, float] = _bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
+    origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
     """Where the taproot begins; its rounded end reaches higher by its radius."""
-    lean_deg: float = _bounded(0.0, 0.0, 90.0)
+    lean_deg: float = bounded(0.0, 0.0, 90.0)
     """Angle between straight down and the direction that the roots head for: a fallen plant's roots lie on the wall."""
-    lean_azimuth_deg: float = _bounded(0.0, -360.0, 360.0)
+    lean_azimuth_deg: float = bounded(0.0, -360.0, 360.0)
     """Azimuth towards which the roots lean, counter-clockwise from +x seen from above."""
-    hypocotyl_diameter_mm: float = _bounded(0.0, 0.0, 50.0)
+    hypocotyl_diameter_mm: float = bounded(0.0, 0.0, 50.0)
     """Diameter of the thickened top of the taproot; 0: none."""
-    hypocotyl_length_mm: float = _bounded(10.0, 0.1, 500.0)
+    hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
     """Length over which the thickened top fades into the taproot."""
-    wall_margin_mm: float = _bounded(0.5, 0.0, 100.0)
+    wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Water left free between a root's surface and the inner wall."""
-    floor_margin_mm: float = _bounded(0.5, 0.0, 1000.0)
+    floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)
     """Water left free between a root's surface and the floor."""
-    top_margin_mm: float = _bounded(0.5, 0.0, 100.0)
+    top_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Water left free between a root's surface and the underside of the net pot's grid."""
 
 

@@ -1,4 +1,6 @@
-"""What the simulator knows and the reconstruction must not: only `score` opens a dataset's ``truth`` folder.
+"""What the simulator knows and the reconstruction must not: nothing that finds the shape opens a dataset's ``truth`` folder.
+
+`score` compares a result with it, and once a result is written, the command line draws the true solid beside the shape.
 
 truth/  truth.json      this module's `Truth`
         specimen.ply    watertight solid, canister frame, mm
@@ -41,7 +43,7 @@ class Truth:
     traits: dict[str, float] = field(default_factory=dict)
     """At least total_length_mm, surface_mm2, tips, branch_points where the specimen has a skeleton."""
     drawn: dict[str, Any] = field(default_factory=dict)
-    """Every other random draw that went into the pictures."""
+    """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 
 
 def load_truth(folder: Path | str) -> Truth:

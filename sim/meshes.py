@@ -54,7 +54,7 @@ def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
 def _read(path: Path) -> tuple[Array, Faces]:
     """Return vertices (V, 3) and faces (F, 3) as the file has them."""
     if path.suffix.lower() not in SUFFIXES:
-        raise UserError(f"{path}: a specimen must be a PLY, STL or OBJ mesh (or RSML in a scene file), not '{path.suffix}'.")
+        raise UserError(f"{path}: a specimen must be a PLY, STL or OBJ mesh, or traced roots in a .rsml file, not '{path.suffix}'.")
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; give the path of the specimen's mesh.")
     try:

@@ -3,10 +3,10 @@
 import hashlib
 import json
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from tqdm import tqdm
 
 from scenes import plan
 from scenes.atomic import write_bytes, write_image, write_json
-from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from scenes.errors import UserError
 from scenes.files import scene_to_dict
 from scenes.model import Disturbances, Scene
+from scenes.provenance import versions
 from scenes.rsml import write_rsml
 from scenes.truth import TrueView, Truth, save_truth
 from sim.exposure import expose, mask_picture
@@ -27,7 +28,12 @@ from sim.world import World, draw_world, lens_distortion
 
 PROGRESS_FILE = "truth/simulate.json"
 """What the set is made with and which frames are done; it is what a second start compares and continues."""
+_VERSIONED = ("mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d")
 _NOISE = 31
+
+
+class CannotContinueError(UserError):
+    """A folder holds a set that was made otherwise, or whose record is damaged, so that it cannot be taken up."""
 
 
 def simulate(
@@ -62,6 +68,8 @@ def simulate(
 
     Raises
     ------
+    CannotContinueError
+        When the folder holds a set of another scene, other settings, other versions of the program, or a damaged one.
     UserError
         For a specimen that cannot be used, a folder that holds something else, or a full disk.
     """
@@ -76,13 +84,15 @@ def simulate(
         "fidelity": fidelity,
         "samples": samples,
         "scene_sha256": _scene_hash(scene, solid),
+        "variant": mi.variant(),
+        "versions": versions(_VERSIONED),
     }
     done = _take_up(folder, settings)
     world = draw_world(scene, seed=seed)
     _write_specimen(folder, solid)
     frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
     save_truth(folder, _truth(world, solid, frames))
-    origin = {"program": "rhizotwin simulate", **settings, "versions": _versions(), "notes": list(solid.notes)}
+    origin = {"program": "rhizotwin simulate", **settings}
     dataset = Dataset(folder=folder, scene=_as_given(scene), frames=frames, seed=seed, origin=origin)
     save_dataset(dataset)
     return dataset
@@ -91,7 +101,7 @@ def simulate(
 def _as_given(scene: Scene) -> Scene:
     """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
     camera = replace(scene.camera, distortion=lens_distortion(scene))
-    return replace(scene, camera=camera, specimen=None, disturbances=Disturbances())
+    return replace(scene, description="", camera=camera, specimen=None, disturbances=Disturbances())
 
 
 def _render_frames(
@@ -110,13 +120,13 @@ def _render_frames(
         name = f"view_{view.index:03d}.png"
         image_path, mask_path = folder / "images" / name, folder / "truth" / "masks" / name
         hashes = done.get(name)
-        if hashes is None or [_file_hash(image_path), _file_hash(mask_path)] != hashes:
+        if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
             renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
             light, coverage = renderer.view(view.index)
             rng = np.random.default_rng([world.seed, _NOISE, view.index])
             write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng))
             write_image(mask_path, mask_picture(coverage))
-            hashes = [str(_file_hash(image_path)), str(_file_hash(mask_path))]
+            hashes = _hashes(image_path, mask_path)
             done[name] = hashes
             write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
         frames.append(Frame(file=f"images/{name}", sha256=hashes[0], kind=view.kind, ring=view.ring, table_deg=view.table_deg))
@@ -133,10 +143,10 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
             before = json.loads(progress_path.read_text(encoding="utf-8"))
             earlier, done = before["settings"], dict(before["frames"])
         except (ValueError, KeyError, TypeError):
-            raise UserError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
-        different = sorted(key for key in settings if earlier.get(key) != settings[key])
+            raise CannotContinueError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
+        different = _different(earlier, settings)
         if different:
-            raise UserError(
+            raise CannotContinueError(
                 f"{folder} holds a set made with another {', '.join(different)}: choose a new folder, or delete this one to start afresh"
             )
         return done
@@ -144,6 +154,20 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
         raise UserError(f"{folder} is not empty and holds no interrupted set: choose a new folder for the dataset")
     write_json(progress_path, {"settings": settings, "frames": {}})
     return {}
+
+
+def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
+    """Name the settings that differ, a program or library with both versions."""
+    named = []
+    for key in sorted(settings):
+        if key == "versions":
+            before = dict(earlier.get(key) or {})
+            named += [
+                f"{name} ({before.get(name, 'unknown')}, now {now})" for name, now in settings[key].items() if before.get(name) != now
+            ]
+        elif earlier.get(key) != settings[key]:
+            named.append(f"{key} ({earlier.get(key)}, now {settings[key]})" if key == "variant" else key)
+    return named
 
 
 def _write_specimen(folder: Path, solid: SpecimenSolid) -> None:
@@ -166,7 +190,7 @@ def _truth(world: World, solid: SpecimenSolid, frames: tuple[Frame, ...]) -> Tru
             for frame, camera in zip(frames, world.cameras, strict=True)
         ),
         traits=dict(solid.traits),
-        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"]},
+        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"], "notes": list(solid.notes)},
     )
 
 
@@ -180,15 +204,5 @@ def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:
     return hashlib.sha256(text + shape).hexdigest()
 
 
-def _file_hash(path: Path) -> str | None:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for package in ("rhizotwin", "mitsuba", "drjit", "numpy", "opencv-python-headless", "manifold3d"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+def _hashes(*paths: Path) -> list[str]:
+    return [sha256_of(path) for path in paths]

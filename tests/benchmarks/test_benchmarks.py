@@ -19,7 +19,7 @@ def test_case_names_are_unique_and_targets_name_measured_things():
         assert len(set(names)) == len(names)
     full = {case.name for case in cases.ladder(quick=False)}
     for key in cases.TARGETS:
-        assert key.startswith(("render/", "reconstruct/")) or key.rpartition("/")[0] in full
+        assert key.startswith(("render/", "reconstruct/", "projection/")) or key.rpartition("/")[0] in full
 
 
 @pytest.mark.parametrize("case", cases.ladder(quick=False) + cases.ladder(quick=True), ids=lambda case: case.name)
@@ -41,7 +41,7 @@ def test_a_crashed_case_is_recorded_and_the_rest_go_on(monkeypatch, scan_score, 
     run = accuracy.measure(CASES[::-1], say=said.append)
     assert list(run.crashed) == [CASES[1].name]
     assert "ZeroDivisionError: no views" in run.crashed[CASES[1].name]
-    assert {metric.key.rpartition("/")[0] for metric in run.metrics} == {CASES[0].name}
+    assert {metric.key.rpartition("/")[0] for metric in run.metrics} == {CASES[0].name, "projection"}
     assert any("CRASHED" in line for line in said)
     json.dumps(run.details)
 
@@ -74,7 +74,7 @@ def scan_score():
         ),
         poses=None,
         masks=None,
-        hull=HullScore(recall=1.0, volume_mm3=110.0, leaf_count_volume_mm3=98.0),
+        hull=HullScore(recall=1.0, volume_mm3=110.0, volume_error=0.1, kept_recall=1.0, leaf_count_volume_mm3=98.0),
         blind_mm3=0.0,
         timings_s={},
         peak_memory_mib=None,

@@ -111,3 +111,12 @@ def test_a_baseline_that_cannot_be_read_is_named(tmp_path, content):
         path.write_text(content)
     with pytest.raises(UserError, match=r"baseline\.json.*update"):
         gate.read_baseline(path)
+
+
+def test_a_missed_target_shuts_the_gate_whatever_the_baseline() -> None:
+    key = "printed_8ml/clean/40x800x600/0.27/coverage/volume_error"
+    metric = Metric(key=key, value=0.03, unit="1", direction="zero", abs_tol=0.01)
+    baseline = gate.Baseline(path=Path("baseline.json"), values={key: 0.03}, units={key: "1"})
+    findings = gate.compare([metric], baseline, crashed={})
+    assert [finding.verdict for finding in findings] == ["MISSED"]
+    assert not gate.passes(findings)

@@ -74,6 +74,9 @@ MISTAKES = [
     Mistake("simulate no_such_scene -o d", "no_such_scene"),
     Mistake("simulate no_such_file.toml -o d", "no_such_file.toml"),
     Mistake("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl"),
+    Mistake("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm is for traced roots only"),
+    Mistake("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 is for traced roots only"),
+    Mistake("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),
     Mistake("reconstruct no_such_dataset -o r", "no_such_dataset"),
     Mistake("reconstruct d -o r --voxel-mm 0", "0.01 to 10 mm"),
     Mistake("reconstruct d -o r --voxel-mm nan", "0.01 to 10 mm"),
@@ -107,8 +110,8 @@ class Stop:
 
 STOPS = [
     Stop(UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
-    Stop(KeyboardInterrupt(), 130, "stopped"),
-    Stop(OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 1, "out/a.png: the disk is full; free some space"),
+    Stop(KeyboardInterrupt(), 130, "stopped; nothing was written; run it again"),
+    Stop(OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
     Stop(PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
     Stop(MemoryError(), 1, "not enough memory"),
     Stop(ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run it again with RHIZOTWIN_DEBUG=1"),
@@ -203,6 +206,9 @@ def test_options_change_the_scene(tmp_path: Path) -> None:
         specimen = commands.change_scene(scene, specimen=file).specimen
         assert isinstance(specimen, kind)
         assert Path(specimen.file) == file
+    assert commands.change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
+        file=str(file), unit="cm", diameter_mm=0.5
+    )
 
 
 def test_result_never_overwrites_what_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,6 +50,22 @@ def test_simulate_reconstruct_score(dataset: Path, tmp_path: Path, capsys: pytes
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
+def test_the_truth_changes_nothing_in_the_result(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blind = tmp_path / "blind"
+    shutil.copytree(dataset, blind, ignore=shutil.ignore_patterns("truth"))
+    found = []
+    for folder, out in ((dataset, tmp_path / "with"), (blind, tmp_path / "without")):
+        words = ["reconstruct", str(folder), "-o", str(out), "--device", "cpu", "--voxel-mm", "1"]
+        assert cli.main(words) == 0, capsys.readouterr().err
+        summary = json.loads((out / "result.json").read_text())
+        for key in ("dataset", "timings_s", "peak_memory_mib"):
+            del summary[key]
+        found.append((summary, *((out / name).read_bytes() for name in ("shape.npz", "shape.ply"))))
+    assert found[0] == found[1]
+    assert (tmp_path / "with" / "pictures" / "shape_and_truth.png").exists()
+    assert not (tmp_path / "without" / "pictures" / "shape_and_truth.png").exists()
+
+
 def test_import_of_masks_with_cameras_gives_the_same_shape(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The true silhouettes and cameras, in nerfstudio's form, lead to the true volume: axes, pixel centres and frames agree."""
     scene, truth = load_dataset(dataset).scene, load_truth(dataset)

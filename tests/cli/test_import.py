@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rhizotwin import cli
 from rhizotwin.importer import import_pictures
 from rhizotwin.nerfstudio import read_cameras
-from rhizotwin.pictures import list_pictures, natural_key
+from rhizotwin.picture_files import list_pictures, natural_key
 from scenes import files, frames, plan
 from scenes.dataset import load_dataset, read_image
 from scenes.errors import UserError
@@ -152,6 +152,9 @@ BAD_CAMERAS = [
     BadCameras("no focal length", {"fl_x": None}, "fl_x is missing"),
     BadCameras("text for a number", {"cx": "middle"}, "cx must be a number"),
     BadCameras("negative focal length", {"fl_y": -3.0}, "must be positive"),
+    BadCameras("focal length out of limits", {"fl_y": 0.5}, "[camera] focal_px element 2 = 0.5: must be between 1 and 1000000"),
+    BadCameras("far principal point", {"cx": 700.0}, "[camera] principal_px element 1"),
+    BadCameras("lens that folds the picture", {"k1": -9.0}, "[camera] distortion"),
     BadCameras("half pixels", {"w": 64.5}, "whole numbers"),
     BadCameras("k4", {"k4": 0.1}, "k4 is not part"),
     BadCameras("scaled world", {"applied_scale": 0.5}, "applied_scale is not 1"),
@@ -210,7 +213,8 @@ def test_masks_of_zero_and_one_are_stretched(tmp_path: Path, scene: Scene) -> No
     mask = np.zeros((WH[1], WH[0]), np.uint8)
     mask[10:20, 5:9] = 1
     cv2.imwrite(str(folder / "a.png"), mask)
-    made = import_pictures(folder, scene, tmp_path / "out", masks=True)
+    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
+    made = import_pictures(folder, scene, tmp_path / "out", cameras=cameras, masks=True)
     assert load_dataset(tmp_path / "out").masks
     np.testing.assert_array_equal(read_image(made.dataset, made.dataset.frames[0]), 255 * mask)
 
@@ -223,8 +227,20 @@ def test_what_is_no_silhouette_is_refused(level: int, said: str, tmp_path: Path,
     if level:
         grey[:24] = 255
     cv2.imwrite(str(folder / "a.png"), grey)
+    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
     with pytest.raises(UserError, match=said):
-        import_pictures(folder, scene, tmp_path / "out", masks=True)
+        import_pictures(folder, scene, tmp_path / "out", cameras=cameras, masks=True)
+
+
+def test_masks_without_cameras_are_refused(tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+    files.save_scene(scene, tmp_path / "rig.toml")
+    folder = write_pictures(tmp_path / "in", "a.png")
+    words = ["import", str(folder), "--masks", "--scene", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "out")]
+    assert cli.main(words) == cli.EXIT_MISTAKE
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert "--cameras JSON" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:

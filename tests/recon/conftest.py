@@ -86,14 +86,14 @@ def scan(tmp_path: Path) -> Callable[..., Scan]:
             ),
         )
         _write_result(
-            result, files, poses, radius_mm, CENTRE_MM + shift_mm, voxel_mm, found_from_true, disk(camera.image_wh, disk_px), lost
+            result, dataset, files, poses, radius_mm, CENTRE_MM + shift_mm, voxel_mm, found_from_true, disk(camera.image_wh, disk_px), lost
         )
         return Scan(dataset, result)
 
     return make
 
 
-def _write_result(result, files, poses, radius_mm, centre_mm, voxel_mm, found_from_true, cover, lost) -> None:
+def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm, found_from_true, cover, lost) -> None:
     origin = np.array([-80.0, -80.0, -150.0])
     low = np.floor((centre_mm - radius_mm - origin) / voxel_mm).astype(int) - 1
     high = np.ceil((centre_mm + radius_mm - origin) / voxel_mm).astype(int) + 1
@@ -107,6 +107,9 @@ def _write_result(result, files, poses, radius_mm, centre_mm, voxel_mm, found_fr
         leaves=grid[kept].astype(np.int32),
         size=np.ones(kept.sum(), np.int32),
         occupancy=occupancy[kept],
+        hull_leaves=grid[kept].astype(np.int32),
+        hull_size=np.ones(kept.sum(), np.int32),
+        hull_occupancy=occupancy[kept],
         origin_mm=origin,
         voxel_mm=np.float64(voxel_mm),
     )
@@ -138,12 +141,15 @@ def _write_result(result, files, poses, radius_mm, centre_mm, voxel_mm, found_fr
     summary = {
         "schema_version": 1,
         "dataset": "scan",
+        "dataset_sha256": _sha256(dataset / "dataset.json"),
         "scene": "ball",
         "voxel_mm": voxel_mm,
         "volume_mm3": volume,
         "volume_interval_mm3": [0.95 * volume, 1.05 * volume],
         "extents_min_mm": mesh.bounds[0].tolist(),
         "extents_max_mm": mesh.bounds[1].tolist(),
+        "hull_mm3": 600.0,
+        "untrimmed_mm3": 0.0,
         "blind_mm3": 12.5,
         "views": views,
         "warnings": ["view 3 is <dark>"] if lost else [],

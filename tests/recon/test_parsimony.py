@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
 
@@ -66,18 +65,18 @@ def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, carve.D
         coverage = (covered & enters).reshape(300, samples, 400, samples).mean(axis=(1, 3)).astype(np.float32)
         seen = enters.reshape(300, samples, 400, samples).all(axis=(1, 3))
         distance = silhouettes.signed_distance(Silhouette(coverage, seen))
-        distance[cv2.resize(seen.astype(np.uint8), (800, 600), interpolation=cv2.INTER_NEAREST) == 0] = carve.UNSEEN_PX
         maps.append(distance)
     r = optics.inner_radius_mm
     bank, device_maps = projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
     lattice = carve.Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
-    return bank, device_maps, carve.carve(bank, device_maps, lattice, radius_mm=r, min_votes=6)
+    return bank, device_maps, carve.carve(bank, device_maps, lattice, radius_mm=r, top_mm=-8.0, bottom_mm=-100.0, min_votes=6).leaves
 
 
 def test_trimming_gives_tubes_their_volume_back() -> None:
     segments = (TRUNK, TWIG, OTHER)
     bank, maps, hull = hull_of(segments)
-    trimmed, balls = parsimony.trim(bank, maps, hull)
+    found = parsimony.trim(bank, maps, hull)
+    trimmed, balls = found.leaves, found.balls
     true = volume_of(segments)
     assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
     assert trimmed.volume_mm3() == pytest.approx(true, rel=0.02)
@@ -88,7 +87,7 @@ def test_trimming_gives_tubes_their_volume_back() -> None:
 
 def test_trimmed_shape_lies_inside_the_hull_and_explains_the_pictures() -> None:
     bank, maps, hull = hull_of((TRUNK, TWIG, OTHER))
-    trimmed, _ = parsimony.trim(bank, maps, hull)
+    trimmed = parsimony.trim(bank, maps, hull).leaves
     hull_cells = parsimony.even(hull.index, hull.size)
     cells = parsimony.even(trimmed.index, trimmed.size)
     assert not set(map(tuple, cells.tolist())) - set(map(tuple, hull_cells.tolist()))
@@ -101,6 +100,7 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
     bank, maps, hull = hull_of(segments)
     lines = parsimony.centre_lines(hull)
     monkeypatch.setattr(parsimony, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
-    trimmed, balls = parsimony.trim(bank, maps, hull)
+    found = parsimony.trim(bank, maps, hull)
+    trimmed, balls = found.leaves, found.balls
     assert np.hypot(balls.centre_mm[:, 0], balls.centre_mm[:, 1]).max() < 3.0
     assert trimmed.volume_mm3() == pytest.approx(volume_of(segments), rel=0.05)

@@ -1,4 +1,4 @@
-"""The closed form against brute-force ray tracing: vector Snell at each wall, written here from scratch."""
+"""The closed form against brute-force ray tracing: vector Snell at each wall."""
 
 from dataclasses import replace
 
@@ -7,34 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.projection import images_swept, points_on_rays
 from recon import cameras, refraction
 from scenes import frames, plan
 from scenes.model import Camera, Canister, Scene, Water
-
-Array = np.ndarray
-
-
-def snell(direction: Array, normal: Array, ratio: float) -> Array:
-    """Refract unit directions at unit normals that face the incoming rays; ratio is n_from / n_to."""
-    cosine = -np.sum(direction * normal, axis=1, keepdims=True)
-    return ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
-
-
-def meet(origin: Array, direction: Array, radius: float) -> Array:
-    """First intersections with a cylinder about z; NaN for a miss."""
-    a = np.sum(direction[:, :2] ** 2, axis=1)
-    b = np.sum(origin[:, :2] * direction[:, :2], axis=1)
-    c = np.sum(origin[:, :2] ** 2, axis=1) - radius**2
-    with np.errstate(invalid="ignore"):
-        return origin + ((-b - np.sqrt(b * b - a * c)) / a)[:, None] * direction
-
-
-def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tuple[Array, Array]:
-    """Trace rays from the camera into the water by brute force: entry points and directions."""
-    at = meet(np.broadcast_to(origin, direction.shape), direction, optics.outer_radius_mm)
-    turned = snell(direction, at * [1, 1, 0] / optics.outer_radius_mm, 1.0 / optics.n_wall)
-    at = meet(at, turned, optics.inner_radius_mm)
-    return at, snell(turned, at * [1, 1, 0] / optics.inner_radius_mm, optics.n_wall / optics.n_water)
 
 
 def a_view(scene: Scene, *, azimuth_deg: float, tilt_deg: float, height_mm: float, shift_mm: tuple[float, float, float]) -> cameras.View:
@@ -63,16 +39,11 @@ def test_points_on_traced_rays_project_back_to_their_pixel(
     optics = refraction.Optics.of(scene)
     view = a_view(scene, azimuth_deg=azimuth_deg, tilt_deg=tilt_deg, height_mm=-42.0 + 8.0 * tilt_deg, shift_mm=(2.0, -1.0, 3.0))
     rng = np.random.default_rng(seed)
-    px = rng.uniform([0, 0], [800, 600], (150, 2))
-    _, enters = cameras.water_lines(view, optics, px)
-    if not enters.any():
+    px, points = points_on_rays(view, optics, rng, 150)
+    if not len(px):
         return
-    directions = cameras.pixel_directions(view, px[enters]) @ view.azimuth_from_canister[:3, :3]
-    entry, water = into_water(view.centre_mm, directions, optics)
-    leave = -2.0 * np.sum(entry[:, :2] * water[:, :2], axis=1) / np.sum(water[:, :2] ** 2, axis=1)
-    points = entry + water * (rng.uniform(0.01, 0.99, len(entry)) * leave)[:, None]
     found, count = cameras.project(view, optics, points)
-    error = np.linalg.norm(found - px[enters][:, None], axis=-1)
+    error = np.linalg.norm(found - px[:, None], axis=-1)
     best = np.nanmin(np.where(np.isnan(error), np.inf, error), axis=1)
     assert (count >= 1).all()
     assert best.max() < 1e-6
@@ -88,15 +59,7 @@ def test_seen_or_blind_agrees_with_a_dense_sweep_of_traced_rays() -> None:
     z = float(view.centre_mm[2])
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(300, z)], axis=1)
     _, count = cameras.project(view, optics, points)
-    # At the camera's height every ray through such a point is horizontal, so the sweep is one-dimensional.
-    centre = view.centre_mm
-    inward = -centre[:2] / np.linalg.norm(centre[:2])
-    sine = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 40001))[1:-1] * optics.outer_radius_mm / view.rho_mm
-    cosine = np.sqrt(1 - sine**2)
-    directions = np.stack([inward[0] * cosine - inward[1] * sine, inward[1] * cosine + inward[0] * sine, np.zeros_like(sine)], axis=1)
-    entry, water = into_water(centre, directions, optics)
-    side = (points[:, None, 0] - entry[None, :, 0]) * water[None, :, 1] - (points[:, None, 1] - entry[None, :, 1]) * water[None, :, 0]
-    swept = (np.signbit(side[:, 1:]) != np.signbit(side[:, :-1])).sum(axis=1)
+    swept = images_swept(view, optics, points)
     assert set(np.unique(swept)) == {0, 1, 2}
     np.testing.assert_array_equal(count, swept)
 

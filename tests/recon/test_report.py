@@ -96,7 +96,7 @@ def test_pictures_repeat_exactly(scan):
 
 def test_a_result_of_another_dataset_is_refused(scan):
     made = scan(voxel_mm=1.0)
-    made.edit_summary(scene="radish")
+    made.edit_summary(scene="radish", dataset_sha256="0" * 64)
     with pytest.raises(UserError, match="radish"):
         report.write_pictures(made.result, made.dataset)
     assert not (made.result / "pictures").exists()

@@ -183,7 +183,7 @@ MISTAKES = {
     "no result": (lambda made: (made.result / "result.json").unlink(), "result.json"),
     "damaged result": (_damage("result.json"), "result.json"),
     "other version": (lambda made: made.edit_summary(schema_version=99), "99"),
-    "other scene": (lambda made: made.edit_summary(scene="radish"), "radish"),
+    "other scene": (lambda made: made.edit_summary(scene="radish", dataset_sha256="0" * 64), "radish"),
     "other frames": (_other_frame, "elsewhere.png"),
     "no leaves": (lambda made: (made.result / "shape.npz").unlink(), "shape.npz"),
     "damaged leaves": (_damage("shape.npz"), "shape.npz"),

@@ -26,11 +26,18 @@ def nested(a_from_b: frames.Array) -> tuple[tuple[float, ...], ...]:
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Dataset:
-    """Two tiny pictures on the disk, one with a pose."""
+    """Two tiny pictures on the disk, with poses."""
     made = []
     for k in range(2):
         write_image(tmp_path / "images" / f"{k}.png", np.full((16, 20), 1000 * k + 7, np.uint16))
-        made.append(Frame(file=f"images/{k}.png", sha256=sha256_of(tmp_path / "images" / f"{k}.png"), table_deg=9.1 * k))
+        made.append(
+            Frame(
+                file=f"images/{k}.png",
+                sha256=sha256_of(tmp_path / "images" / f"{k}.png"),
+                table_deg=9.1 * k,
+                cam_from_canister=nested(POSE),
+            )
+        )
     made[1] = replace(
         made[1],
         kind="shoot",
@@ -39,7 +46,6 @@ def dataset(tmp_path: Path) -> Dataset:
         joints_deg=(1.0, 2.5),
         exposure_s=1e-3,
         time_s=2.0,
-        cam_from_canister=nested(POSE),
     )
     scene = Scene(
         camera=Camera(image_wh=(20, 16), principal_px=(9.5, 7.5)), plan=CapturePlan(rings=(Ring(), Ring())), specimen=GrownSpecimen()
@@ -57,6 +63,9 @@ def test_dataset_survives(dataset: Dataset) -> None:
     save_dataset(dataset)
     assert load_dataset(dataset.folder) == dataset
     assert load_dataset(str(dataset.folder)).frames[1].cam_from_canister == nested(POSE)
+    without = replace(dataset, frames=tuple(replace(frame, cam_from_canister=None) for frame in dataset.frames))
+    save_dataset(without)
+    assert load_dataset(dataset.folder) == without
 
 
 def test_pictures_are_read_as_written(dataset: Dataset) -> None:
@@ -88,6 +97,14 @@ DAMAGES = [
     Damage("path out of the folder", lambda d: d["frames"][0].update(file="../a.png"), r"\[frames 1\] file = .*inside the dataset"),
     Damage("absolute path", lambda d: d["frames"][0].update(file="/a.png"), "inside the dataset"),
     Damage("frame twice", lambda d: d["frames"][1].update(file="images/0.png"), r"\[frames 2\] file = .*twice"),
+    Damage(
+        "same stem", lambda d: d["frames"][1].update(file="more/0.jpg"), r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
+    ),
+    Damage(
+        "pose for some only",
+        lambda d: d["frames"][0].update(cam_from_canister=None),
+        r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one",
+    ),
     Damage("short hash", lambda d: d["frames"][0].update(sha256="abc"), "64 hexadecimal"),
     Damage("unknown kind", lambda d: d["frames"][0].update(kind="leaf"), '"root", "shoot"'),
     Damage("ring that is not in the plan", lambda d: d["frames"][0].update(ring=2), "between 0 and 1"),

@@ -93,7 +93,7 @@ def test_property_with_a_defined_unit(write: Write) -> None:
 
 def test_no_diameter_is_refused_unless_given(write: Write) -> None:
     path = write(f'<root label="tap">{LINE}</root><root>{LINE}{THICK}</root>')
-    with pytest.raises(UserError, match=r'wild\.rsml: root 1 \("tap"\) has no diameter; set diameter_mm'):
+    with pytest.raises(UserError, match=r'wild\.rsml: root 1 \("tap"\) has no diameter; .*--specimen-diameter-mm D, or diameter_mm'):
         read_rsml(path)
     first, second = read_rsml(path, diameter_mm=0.7)
     np.testing.assert_array_equal(first.diameters_mm, [0.7] * 3)
@@ -172,7 +172,7 @@ UNKNOWN = {
 @pytest.mark.parametrize("metadata", UNKNOWN.values(), ids=UNKNOWN.keys())
 def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> None:
     path = write(f"<root>{LINE}{THICK}</root>", metadata)
-    with pytest.raises(UserError, match=r"wild\.rsml: .*(unit|resolution)"):
+    with pytest.raises(UserError, match=r"wild\.rsml: .*(--specimen-unit UNIT, or as unit in a scene file|resolution)"):
         read_rsml(path)
     assert one(path, unit="cm").points_mm[0, 2] == -10.0
     assert one(path, unit="0.5 mm").points_mm[0, 2] == -0.5
@@ -181,7 +181,7 @@ def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> No
 
 @pytest.mark.parametrize("unit", ["furlong", "", "0 mm", "-1 mm", "nan mm", "mm mm"])
 def test_nonsense_unit_option(write: Write, unit: str) -> None:
-    with pytest.raises(UserError, match="unit"):
+    with pytest.raises(UserError, match="--specimen-unit"):
         read_rsml(write(f"<root>{LINE}{THICK}</root>"), unit=unit)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 import sim.render
 import sim.simulate
@@ -14,10 +15,10 @@ from scenes import plan
 from scenes.dataset import Dataset, load_dataset, read_image
 from scenes.errors import UserError
 from scenes.model import CapturePlan, Disturbances, Ring, Scene
-from scenes.specimens import SphereSpecimen
+from scenes.specimens import MeshSpecimen, SphereSpecimen
 from scenes.truth import load_truth
 from sim.render import Renderer
-from sim.simulate import simulate
+from sim.simulate import CannotContinueError, simulate
 from sim.specimen import build_specimen
 from sim.world import draw_world
 
@@ -54,6 +55,27 @@ def test_a_set_holds_pictures_and_truth_but_no_leak(tmp_path: Path) -> None:
     assert mask.max() == 65535
     text = (tmp_path / "set" / "dataset.json").read_text()
     assert "table_from_canister" not in text
+    assert f"{truth.volume_mm3:.1f}" not in text
+
+
+def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
+    """Neither its volume, nor what it is, nor the notes on it, nor what the scene's author says about it."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=9.0)
+    ball.apply_translation((0.0, 0.0, -14.5))
+    ball.invert()
+    ball.export(tmp_path / "secret_ball.stl")
+    scene = replace(tiny(views=1), description="a ball of 3 ml", specimen=MeshSpecimen(file=str(tmp_path / "secret_ball.stl")))
+    made = make(tmp_path / "set", scene)
+    truth = load_truth(tmp_path / "set")
+    notes = truth.drawn["notes"]
+    assert len(notes) == 2
+    assert "inside out" in notes[0]
+    assert truth.drawn["specimen"]["file"] == scene.specimen.file  # type: ignore[union-attr]
+    text = (tmp_path / "set" / "dataset.json").read_text()
+    for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "inside out"):
+        assert secret not in text
+    assert made.scene.specimen is None
+    assert not made.scene.description
 
 
 def test_a_frame_alone_equals_the_frame_in_a_set() -> None:
@@ -120,6 +142,21 @@ def test_another_setting_or_a_foreign_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "set" / sim.simulate.PROGRESS_FILE).write_text("{")
     with pytest.raises(UserError, match="damaged"):
         make(tmp_path / "set", tiny(views=1))
+
+
+def test_a_set_begun_with_another_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path, tiny(views=1))
+    before = contents(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
+        with pytest.raises(CannotContinueError, match=r"made with another rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
+            make(tmp_path, tiny(views=1))
+    record = tmp_path / sim.simulate.PROGRESS_FILE
+    record.write_text(record.read_text().replace("_ad_mono", "_mono"))
+    with pytest.raises(CannotContinueError, match=r"variant \(.*_mono, now .*_ad_mono\)"):
+        make(tmp_path, tiny(views=1))
+    record.write_bytes(before[sim.simulate.PROGRESS_FILE])
+    assert contents(tmp_path) == before
 
 
 def test_samples_that_make_no_lattice_are_refused(tmp_path: Path) -> None:

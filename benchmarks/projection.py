@@ -1,0 +1,116 @@
+"""The closed-form projection against brute-force ray tracing: vector Snell at each wall, which shares nothing with `recon`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.metric import Metric
+from recon import cameras, projection, refraction
+from scenes import frames
+from scenes.model import Camera, Scene
+
+Array = NDArray[np.float64]
+
+RAYS = 4000
+_LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
+
+
+def snell(direction: Array, normal: Array, ratio: float) -> Array:
+    """Refract unit directions (N, 3) at unit normals that face the incoming rays; ratio is n_from / n_to."""
+    cosine = -np.sum(direction * normal, axis=1, keepdims=True)
+    refracted: Array = ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
+    return refracted
+
+
+def meet(origin: Array, direction: Array, radius_mm: float) -> Array:
+    """Return the first intersections (N, 3) with a cylinder about z; NaN for a miss."""
+    a = np.sum(direction[:, :2] ** 2, axis=1)
+    b = np.sum(origin[:, :2] * direction[:, :2], axis=1)
+    c = np.sum(origin[:, :2] ** 2, axis=1) - radius_mm**2
+    with np.errstate(invalid="ignore"):
+        met: Array = origin + ((-b - np.sqrt(b * b - a * c)) / a)[:, None] * direction
+    return met
+
+
+def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tuple[Array, Array]:
+    """Trace rays from the camera (3,) into the water: entry points and unit directions (N, 3), canister frame."""
+    at = meet(np.broadcast_to(origin, direction.shape), direction, optics.outer_radius_mm)
+    turned = snell(direction, at * [1, 1, 0] / optics.outer_radius_mm, 1.0 / optics.n_wall)
+    at = meet(at, turned, optics.inner_radius_mm)
+    return at, snell(turned, at * [1, 1, 0] / optics.inner_radius_mm, optics.n_wall / optics.n_water)
+
+
+def random_view(rng: np.random.Generator, camera: Camera = _LENS) -> cameras.View:
+    """Return a camera at a random height, tilt and azimuth that looks at the canister."""
+    tilt = rng.uniform(-12.0, 25.0)
+    level = frames.level_camera(distance_mm=rng.uniform(350, 450), height_mm=-50.0 + 6.5 * tilt, tilt_deg=tilt)
+    off = frames.from_rotvec(rng.normal(0.0, 0.01, 3), rng.normal(0.0, 2.0, 3))
+    return cameras.View(camera=camera, cam_from_canister=off @ level @ frames.rotation_z(rng.uniform(-np.pi, np.pi)))
+
+
+def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Return random pixels (N, 2) that see water, and on each one's brute-force ray a random water point (N, 3)."""
+    width, height = view.camera.image_wh
+    px = rng.uniform([0, 0], [width, height], (count, 2))
+    px = px[cameras.water_lines(view, optics, px)[1]]
+    directions = cameras.pixel_directions(view, px) @ view.azimuth_from_canister[:3, :3]
+    entry, water = into_water(view.centre_mm, directions, optics)
+    leave = -2.0 * np.sum(entry[:, :2] * water[:, :2], axis=1) / np.sum(water[:, :2] ** 2, axis=1)
+    return px, entry + water * (rng.uniform(0.01, 0.99, len(entry)) * leave)[:, None]
+
+
+def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, rays: int = 40001) -> NDArray[np.int64]:
+    """Count the images (N,) of points at the camera's own height by a dense sweep of horizontal rays over the canister's width."""
+    centre = view.centre_mm
+    inward = -centre[:2] / np.linalg.norm(centre[:2])
+    sine = np.sin(np.linspace(-np.pi / 2, np.pi / 2, rays))[1:-1] * optics.outer_radius_mm / view.rho_mm
+    cosine = np.sqrt(1 - sine**2)
+    flat = [inward[0] * cosine - inward[1] * sine, inward[1] * cosine + inward[0] * sine, np.zeros_like(sine)]
+    entry, water = into_water(centre, np.stack(flat, axis=1), optics)
+    count = np.zeros(len(points), np.int64)
+    for k, point in enumerate(points):
+        side = (point[0] - entry[:, 0]) * water[:, 1] - (point[1] - entry[:, 1]) * water[:, 0]
+        count[k] = (np.signbit(side[1:]) != np.signbit(side[:-1])).sum()
+    return count
+
+
+def measure() -> list[Metric]:
+    """Return the worst disagreement in pixels wherever a point is seen, and how often "seen or not" disagrees."""
+    import drjit as dr
+    import mitsuba as mi
+
+    rng = np.random.default_rng(0)
+    optics = refraction.Optics.of(Scene())
+    worst, lost, kernel_worst, kernel_wrong, given_away, total = 0.0, 0, 0.0, 0, 0, 0
+    swept_wrong, swept = 0, 0
+    for _ in range(6):
+        view = random_view(rng)
+        px, points = points_on_rays(view, optics, rng, RAYS)
+        found, count = cameras.project(view, optics, points)
+        error = np.linalg.norm(found - px[:, None], axis=-1)
+        nearest = np.where(np.isnan(error), np.inf, error).min(axis=1)
+        lost += int((nearest > 1e-3).sum())
+        worst = max(worst, float(nearest[nearest < 1.0].max(initial=0.0)))
+        bank = projection.ViewBank.of([view], optics)
+        kernel = projection.project(bank, dr.zeros(mi.UInt32, len(points)), mi.Point3f(points.T.astype(np.float32)), mi.Bool(True))
+        seen = np.array(kernel.seen)
+        kernel_worst = max(kernel_worst, float(np.abs(np.array(kernel.px).T[seen] - found[seen, 0]).max()))
+        kernel_wrong += int((count[seen] != 1).sum())
+        given_away += int(((count == 1) & ~seen).sum())
+        total += len(points)
+        # at the camera's own height a sweep counts the images independently
+        level = cameras.View(
+            camera=view.camera, cam_from_canister=frames.level_camera(distance_mm=view.rho_mm, height_mm=-60.0, tilt_deg=0.0)
+        )
+        angle, radius = rng.uniform(-np.pi, np.pi, 100), optics.inner_radius_mm * np.sqrt(rng.uniform(0.3, 0.999, 100))
+        flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(100, float(level.centre_mm[2]))], axis=1)
+        swept_wrong += int((cameras.project(level, optics, flat)[1] != images_swept(level, optics, flat)).sum())
+        swept += len(flat)
+    rows = [
+        ("max_px", worst, "px", 1e-6),
+        ("lost", lost / total, "1", 0.0),
+        ("visibility_disagreement", swept_wrong / swept, "1", 0.0),
+        ("kernel_max_px", kernel_worst, "px", 5e-4),
+        ("kernel_seen_wrongly", kernel_wrong / total, "1", 0.0),
+        ("kernel_given_away", given_away / total, "1", 0.005),
+    ]
+    return [Metric(key=f"projection/{name}", value=value, unit=unit, direction="down", abs_tol=tol) for name, value, unit, tol in rows]

@@ -1,0 +1,36 @@
+"""What a file was made with: versions of the program and its libraries, and how much memory it took."""
+
+import platform
+import resource
+import sys
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
+
+
+def versions(names: Iterable[str] = ()) -> dict[str, str]:
+    """Return the versions of rhizotwin, Python and the named distributions.
+
+    Parameters
+    ----------
+    names
+        Distributions as pip names them, such as ``opencv-python-headless``.
+
+    Returns
+    -------
+    dict
+        ``rhizotwin`` and ``python`` first; ``unknown`` for a distribution that is not installed as one.
+    """
+    return {"rhizotwin": _version("rhizotwin"), "python": platform.python_version()} | {name: _version(name) for name in names}
+
+
+def peak_memory_mib() -> float:
+    """Return the largest resident memory of this process so far, in MiB."""
+    unit = 1024**2 if sys.platform == "darwin" else 1024  # getrusage(2): bytes on macOS, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,318 @@
+"""A full disk and Ctrl-C at many moments of every command: one sentence, nothing half-written, and a second run finishes."""
+
+import importlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rhizotwin.importer
+import scenes.atomic
+import sim.simulate
+from recon import drawing, pipeline, poses, report, result, shaping
+from rhizotwin import cli, commands
+
+ROOT = Path(__file__).resolve().parents[2]
+SIMULATE = ("simulate", "sphere_20mm", "--views", "3", "--image-wh", "48x36", "--device", "cpu")
+FAST = ("--device", "cpu", "--voxel-mm", "2")
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    """Return the content of every file by its path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def no_temporary(folder: Path) -> None:
+    assert not [path for path in folder.rglob("*") if path.name.endswith(".tmp")]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A call of a function, at which something happens."""
+
+    owner: Any
+    name: str
+    at: int = 1
+
+    def __str__(self) -> str:
+        """Return what the test is called."""
+        return f"{self.name}-{self.at}"
+
+
+def writes(*numbers: int) -> list[Moment]:
+    """Return moments of writing: the flush of a file or folder before or after it is renamed."""
+    return [Moment(scenes.atomic.os, "fsync", number) for number in numbers]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Simulate a set without disturbance, to compare with."""
+    out = tmp_path_factory.mktemp("small") / "out"
+    assert cli.main([*SIMULATE, "-o", str(out)]) == 0
+    return out
+
+
+@pytest.fixture
+def quick_shape(found: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `reconstruct` write the result that is known already, so that only what comes after the shape takes time."""
+    monkeypatch.setattr(pipeline, "reconstruct", lambda _, folder, **__: result.write(found.result, folder))
+
+
+# Each file is flushed and then its folder: 2 calls a file; the progress file is the first, then specimen, then picture, mask, progress.
+SIMULATE_WRITES = writes(1, 2, 3, 5, 6, 7, 9, 14, 19, 23, 25)
+
+
+def check_unfinished_set(out: Path) -> None:
+    """Check that what is left of a set is whole: it can be taken up, and does not pass for a dataset."""
+    no_temporary(out.parent)
+    assert not (out / "dataset.json").exists()
+    assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.rglob("*.png"))
+
+
+@pytest.mark.parametrize("moment", SIMULATE_WRITES, ids=str)
+def test_full_disk_in_simulate(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    out = tmp_path / "out"
+    assert fault.full_disk(moment.owner, moment.name, at=moment.at)
+    command.fails(*SIMULATE, "-o", out, named=[out, "the disk is full", "free some space"])
+    check_unfinished_set(out)
+    fault.mend()
+    command.works(*SIMULATE, "-o", out)
+    assert bytes_of(out) == bytes_of(small)
+
+
+SIMULATE_MOMENTS = [
+    *SIMULATE_WRITES,
+    Moment(sim.simulate, "build_specimen"),
+    Moment(sim.simulate, "draw_world"),
+    Moment(sim.simulate.Renderer, "__init__"),
+    Moment(sim.simulate.Renderer, "view", 2),
+    Moment(sim.simulate, "expose", 3),
+    Moment(Path, "replace", 1),
+    Moment(Path, "replace", 4),
+    Moment(sim.simulate, "save_truth"),
+    Moment(sim.simulate, "save_dataset"),
+]
+
+
+@pytest.mark.parametrize("moment", SIMULATE_MOMENTS, ids=str)
+def test_ctrl_c_in_simulate(moment: Moment, small: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    out = tmp_path / "out"
+    stop = fault.stop(moment.owner, moment.name, at=moment.at)
+    command.fails(*SIMULATE, "-o", out, named=["stopped", "the same command"], code=130)
+    assert stop.calls >= moment.at
+    check_unfinished_set(out)
+    fault.mend()
+    command.works(*SIMULATE, "-o", out)
+    assert bytes_of(out) == bytes_of(small)
+
+
+@pytest.mark.parametrize("moment", writes(1, 2, 9, 21, 23), ids=str)
+def test_full_disk_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    out = tmp_path / "out"
+    fault.full_disk(moment.owner, moment.name, at=moment.at)
+    command.fails("import", made / "images", "--scene", rig, "-o", out, named=[f"{out}", "the disk is full", "free some space"])
+    assert list(tmp_path.iterdir()) == []
+    fault.mend()
+    command.works("import", made / "images", "--scene", rig, "-o", out)
+
+
+IMPORT_MOMENTS = [
+    *writes(1, 2, 8, 21, 22),
+    Moment(rhizotwin.importer, "list_pictures"),
+    Moment(rhizotwin.importer, "decode_grey", 4),
+    Moment(rhizotwin.importer, "write_bytes", 5),
+    Moment(rhizotwin.importer, "save_dataset"),
+    Moment(Path, "mkdir"),
+    Moment(Path, "rename"),
+]
+
+
+@pytest.mark.parametrize("moment", IMPORT_MOMENTS, ids=str)
+def test_ctrl_c_in_import(moment: Moment, made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    out = tmp_path / "out"
+    stop = fault.stop(moment.owner, moment.name, at=moment.at)
+    command.fails("import", made / "images", "--scene", rig, "-o", out, named=["stopped"], code=130)
+    assert stop.calls >= moment.at
+    assert list(tmp_path.iterdir()) == []
+    fault.mend()
+    command.works("import", made / "images", "--scene", rig, "-o", out)
+
+
+@pytest.mark.usefixtures("quick_shape")
+@pytest.mark.parametrize("earlier", [False, True], ids=["new", "over an earlier result"])
+@pytest.mark.parametrize("moment", writes(1, 4, 20, 46, 50), ids=str)
+def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, command: Any, fault: Any) -> None:
+    out = scan / ("result" if earlier else "new")
+    before = bytes_of(scan)
+    fault.full_disk(moment.owner, moment.name, at=moment.at)
+    said = command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=[out, "the disk is full", "free some space"])
+    assert ".tmp" not in said.sentence
+    assert bytes_of(scan) == before
+
+
+EARLY = [
+    Moment(pipeline, "load_dataset"),
+    Moment(pipeline, "read_image", 3),
+    Moment(pipeline.markers, "detect_markers", 2),
+    Moment(poses, "find_poses"),
+    Moment(drawing.background, "estimate"),
+    Moment(shaping.silhouettes, "signed_distance", 4),
+    Moment(shaping.carve, "carve"),
+    Moment(shaping.surface, "surface"),
+]
+LATE = [
+    *writes(1, 2, 20, 45, 50),
+    Moment(pipeline.result.atomic, "write_image", 5),
+    Moment(pipeline.result.atomic, "write_json"),
+    Moment(report, "write_pictures"),
+    Moment(report, "_save", 2),
+    Moment(Path, "mkdir"),
+    Moment(Path, "rename", 1),
+    Moment(Path, "rename", 2),
+]
+
+
+def stop_reconstruct(moment: Moment, scan: Path, command: Any, fault: Any, out: Path) -> None:
+    before = bytes_of(scan)
+    stop = fault.stop(moment.owner, moment.name, at=moment.at)
+    command.fails("reconstruct", scan / "dataset", "-o", out, *FAST, named=["stopped", "nothing was written"], code=130)
+    assert stop.calls >= moment.at
+    fault.mend()
+    assert bytes_of(scan) == before
+    no_temporary(scan)
+
+
+@pytest.mark.parametrize("moment", EARLY, ids=str)
+def test_ctrl_c_while_reconstruct_computes(moment: Moment, scan: Path, command: Any, fault: Any) -> None:
+    stop_reconstruct(moment, scan, command, fault, scan / "new")
+    assert not (scan / "new").exists()
+
+
+@pytest.mark.usefixtures("quick_shape")
+@pytest.mark.parametrize("moment", LATE, ids=str)
+def test_ctrl_c_while_reconstruct_writes(moment: Moment, scan: Path, command: Any, fault: Any) -> None:
+    """The earlier result stays whole until the new one is."""
+    if moment.name == "rename":
+        fault.patch.setattr(report, "write_pictures", lambda *_, **__: [])
+    stop_reconstruct(moment, scan, command, fault, scan / "result")
+
+
+@pytest.mark.usefixtures("quick_shape")
+def test_second_run_replaces_a_result_whole(scan: Path, command: Any, fault: Any) -> None:
+    stop_reconstruct(LATE[0], scan, command, fault, scan / "result")
+    (scan / "result" / "silhouettes" / "view_777.png").touch()
+    shutil.rmtree(scan / "dataset" / "truth")  # whose picture takes time
+    command.works("reconstruct", scan / "dataset", "-o", scan / "result", *FAST)
+    assert not (scan / "result" / "silhouettes" / "view_777.png").exists()
+    assert (scan / "result" / "report.html").is_file()
+    no_temporary(scan)
+
+
+def test_result_json_is_written_last_and_an_old_one_removed_first(found: Any, scan: Path, fault: Any) -> None:
+    """For whoever calls the library: a folder with a result.json is whole."""
+    fault.stop(result.atomic, "write_bytes", at=1)
+    with pytest.raises(KeyboardInterrupt):
+        result.write(found.result, scan / "result")
+    assert not (scan / "result" / "result.json").exists()
+    fault.mend()
+    names: list[str] = []
+    write = result.atomic.write_bytes
+    fault.patch.setattr(result.atomic, "write_bytes", lambda path, data: (names.append(path.name), write(path, data)))
+    result.write(found.result, scan / "result")
+    assert names.index("result.json") == len(names) - 1
+
+
+def test_stopped_demo_starts_again(tmp_path: Path, command: Any, fault: Any) -> None:
+    """Whatever moment the demo is stopped at while it clears an earlier one away, the next one still knows the folder."""
+    from rhizotwin import demo
+
+    folder = tmp_path / "demo"
+    (folder / "dataset" / "truth").mkdir(parents=True)
+    (folder / "dataset" / "truth" / "simulate.json").touch()
+    (folder / "dataset" / "images").mkdir()
+    (folder / "result").mkdir()
+    fault.stop(demo.shutil, "rmtree")
+    command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
+    fault.mend()
+    fault.stop(sim.simulate, "draw_world")
+    command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
+    no_temporary(tmp_path)
+    assert [path.name for path in folder.iterdir()] == ["dataset"]
+
+
+def test_stopped_demo_keeps_its_pictures(tmp_path: Path, command: Any, fault: Any) -> None:
+    from rhizotwin import demo
+
+    fault.patch.setattr(demo, "VIEWS", 3)
+    fault.patch.setattr(demo, "IMAGE_WH", (48, 36))
+    words = ("demo", "-o", tmp_path / "demo", "--device", "cpu")
+    drawn = fault.stop(sim.simulate.Renderer, "view", at=3)
+    command.fails(*words, named=["stopped", "the same command"], code=130)
+    kept = bytes_of(tmp_path / "demo" / "dataset" / "images")
+    assert list(kept) == ["view_000.png", "view_001.png"]
+    fault.stop(demo, "reconstruct_whole")
+    command.fails(*words, named=["stopped", "the same command"], code=130)
+    assert drawn.calls == 4
+    assert bytes_of(tmp_path / "demo" / "dataset" / "images").items() > kept.items()
+    fault.stop(demo, "reconstruct_whole")
+    command.fails(*words, "--profile", "bench", named=["stopped"], code=130)
+    assert drawn.calls == 7, "another profile begins afresh"
+
+
+def test_ctrl_c_pressed_twice_lets_the_tidying_finish(made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
+    tidy = scenes.atomic.shutil.rmtree
+
+    def press_again(*arguments: Any, **options: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        tidy(*arguments, **options)
+
+    fault.patch.setattr(scenes.atomic.shutil, "rmtree", press_again)
+    fault.patch.setattr(rhizotwin.importer, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
+    command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["stopped"], code=130)
+    assert list(tmp_path.iterdir()) == []
+
+
+LOADING = """
+import signal
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException:
+    pass
+"""
+
+
+def test_ctrl_c_swallowed_by_a_library_that_loads(tmp_path: Path, command: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "careless_library.py").write_text(LOADING)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def run(_: object) -> None:
+        importlib.import_module("careless_library")
+        for _ in range(200):
+            time.sleep(0.02)
+
+    monkeypatch.setattr(commands, "run", run)
+    command.fails("scenes", named=["stopped"], code=130)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_real_signal_in_reconstruct(number: signal.Signals, made: Path, tmp_path: Path) -> None:
+    words = ["reconstruct", str(made), "-o", str(tmp_path / "out"), "--voxel-mm", "0.05", "--device", "cpu"]
+    process = subprocess.Popen([sys.executable, "-m", "rhizotwin", *words], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    said = b""
+    while b"outlines" not in said and (more := process.stderr.read1()):  # type: ignore[attr-defined]
+        said += more
+    process.send_signal(number)
+    said += process.communicate(timeout=60.0)[1]
+    assert process.returncode == cli.EXIT_STOPPED, said.decode()
+    assert said.decode().endswith("rhizotwin: stopped; nothing was written; run it again\n"), said.decode()
+    assert b"Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
