@@ -11,6 +11,7 @@ kept: the thesis's dictionary of leaves becomes arrays of positions, without a l
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,8 @@ TELLS_PX = 1e-3 * UNSEEN_PX
 _COARSEST_MM = 4.6
 _BLIND_MM = 2.5
 _CHUNK = 1 << 21
+_BYTES_A_NODE = 150
+"""Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having too little."""
 
 
 @dataclass(frozen=True)
@@ -225,6 +228,7 @@ def carve(
         if dr.width(nodes[0]) == 0:
             break
         if level < grid.levels:
+            _check_memory(8 * dr.width(nodes[0]))
             nodes = _children(nodes)
     index, occupancy = _measure(bank, maps, grid, nodes, radius_mm, min_votes, slack_px, ignore_blindness)
     sizes = np.concatenate([*full_size, np.ones(len(index), np.int32)])
@@ -244,6 +248,13 @@ def _compress(arrays: list[Any], mask: Any) -> list[Any]:
     """Keep the entries of a mask."""
     chosen = dr.compress(mask)
     return [dr.gather(type(a), a, chosen) for a in arrays]
+
+
+def _check_memory(count: int) -> None:
+    """Raise a MemoryError where so many nodes do not fit in the computer."""
+    fitting = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // _BYTES_A_NODE
+    if count > fitting:
+        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
 
 
 def _children(nodes: list[Any]) -> list[Any]:

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from scenes import atomic, frames, plan
-from scenes.dataset import Dataset, Frame, save_dataset
+from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from scenes.model import Camera, CapturePlan, Ring, Scene
 from scenes.truth import TrueView, Truth, save_truth
 
@@ -67,7 +67,7 @@ def scan(tmp_path: Path) -> Callable[..., Scan]:
         for file in files:
             atomic.write_image(dataset / file, np.round(52000.0 * (1.0 - cover)).astype(np.uint16))
             atomic.write_image(dataset / "truth" / "masks" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
-        listed = tuple(Frame(file=file, sha256=_sha256(dataset / file), table_deg=360.0 * k / VIEWS) for k, file in enumerate(files))
+        listed = tuple(Frame(file=file, sha256=sha256_of(dataset / file), table_deg=360.0 * k / VIEWS) for k, file in enumerate(files))
         save_dataset(Dataset(folder=dataset, scene=scene, frames=listed, seed=0))
         true = ball(RADIUS_MM, CENTRE_MM)
         atomic.write_bytes(dataset / "truth" / "specimen.ply", bytes(true.export(file_type="ply")))
@@ -141,7 +141,7 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
     summary = {
         "schema_version": 1,
         "dataset": "scan",
-        "dataset_sha256": _sha256(dataset / "dataset.json"),
+        "dataset_sha256": sha256_of(dataset / "dataset.json"),
         "scene": "ball",
         "voxel_mm": voxel_mm,
         "volume_mm3": volume,
@@ -163,9 +163,3 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
 
 def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in row) for row in matrix)
-
-
-def _sha256(path: Path) -> str:
-    import hashlib
-
-    return hashlib.sha256(path.read_bytes()).hexdigest()

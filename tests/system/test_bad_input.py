@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from recon import carve
 from scenes.atomic import write_image
 
 FAST = ("--device", "cpu", "--voxel-mm", "2")
@@ -150,7 +151,7 @@ def test_views_with_few_markers_are_left_out_and_named(dataset: Path, tmp_path: 
     without_markers(picture(dataset, 5), keep_columns=90)
     change_manifest(dataset, lambda _: None)
     done = command.works("reconstruct", dataset, "-o", tmp_path / "result", *FAST)
-    warnings = [line for line in done.out.splitlines() if line.startswith("warning: ")]
+    warnings = [line for line in done.out.splitlines() if line.startswith("warning: ") and "left out" in line]
     assert len(warnings) == 2, done.out
     assert "view_002.png is left out: no markers were found" in warnings[0]
     assert "view_005.png is left out: " in warnings[1]
@@ -302,6 +303,13 @@ def test_unknown_names_get_a_suggestion(tmp_path: Path, command: Any) -> None:
 def test_voxel_mm(value: str, dataset: Path, tmp_path: Path, command: Any) -> None:
     words = ("reconstruct", dataset, "-o", tmp_path / "result", f"--voxel-mm={value}")
     command.fails(*words, named=["--voxel-mm", value, "millimetres" if value in ("a", "") else "0.01 to 10 mm"])
+    nothing_left(tmp_path, "dataset")
+
+
+def test_voxels_too_small_for_the_memory(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Any) -> None:
+    monkeypatch.setattr(carve.os, "sysconf", lambda _: 1000)  # pages of as many bytes
+    words = ("reconstruct", dataset, "-o", tmp_path / "result", "--voxel-mm", "0.1", "--device", "cpu")
+    command.fails(*words, named=["not enough memory", "--voxel-mm"], code=1)
     nothing_left(tmp_path, "dataset")
 
 

@@ -16,7 +16,7 @@ import pytest
 import rhizotwin.importer
 import scenes.atomic
 import sim.simulate
-from recon import drawing, pipeline, poses, report, result, shaping
+from recon import drawing, pipeline, poses, report, result, run, shaping
 from rhizotwin import cli, commands
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,8 +158,8 @@ def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, com
 
 
 EARLY = [
-    Moment(pipeline, "load_dataset"),
-    Moment(pipeline, "read_image", 3),
+    Moment(run, "load_dataset"),
+    Moment(run, "read_image", 3),
     Moment(pipeline.markers, "detect_markers", 2),
     Moment(poses, "find_poses"),
     Moment(drawing.background, "estimate"),
@@ -292,12 +292,12 @@ def test_ctrl_c_swallowed_by_a_library_that_loads(tmp_path: Path, command: Any, 
     (tmp_path / "careless_library.py").write_text(LOADING)
     monkeypatch.syspath_prepend(tmp_path)
 
-    def run(_: object) -> None:
+    def load_and_work(_: object) -> None:
         importlib.import_module("careless_library")
         for _ in range(200):
             time.sleep(0.02)
 
-    monkeypatch.setattr(commands, "run", run)
+    monkeypatch.setattr(commands, "run", load_and_work)
     command.fails("scenes", named=["stopped"], code=130)
 
 
