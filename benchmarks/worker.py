@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import resource
 import sys
 import time
 from dataclasses import replace
@@ -49,11 +48,11 @@ def main() -> int:
     given = parser.parse_args()
 
     from rhizotwin import engine
+    from scenes.provenance import peak_memory_mib
 
     engine.start(given.device)
     found = render(given.fidelity, given.working) if given.job == "render" else reconstruct(given.dataset, given.voxel_mm, given.working)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found["peak_memory"] = peak / (2.0**20 if sys.platform == "darwin" else 2.0**10)
+    found["peak_memory"] = peak_memory_mib()
     sys.stdout.write("\n" + json.dumps(found) + "\n")
     return 0
 

@@ -36,6 +36,10 @@ _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there."""
 _AGREEING_VIEWS = 2
 _REACH_PX = 0.75
+_LEAST_CURVE = 12
+"""Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
+_EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
+_EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -99,28 +103,27 @@ def centre_lines(leaves: Leaves) -> Array:
     return np.asarray(leaves.grid.origin_mm) + (points + low + 0.5) * voxel_mm
 
 
-def _across(points: Array) -> tuple[Array, Array]:
-    """Return two unit vectors (N, 3) across the local direction of a cloud of points along curves."""
-    near = cKDTree(points).query(points, k=min(12, len(points)))[1]
+def _across(points: Array) -> Array:
+    """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves."""
+    near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", cloud, cloud))
-    return vectors[:, :, 0], vectors[:, :, 1]
+    angle = (np.arange(8) * np.pi / 4)[None, :, None]
+    across: Array = np.cos(angle) * vectors[:, None, :, 0] + np.sin(angle) * vectors[:, None, :, 1]
+    return across
 
 
 def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
     """Move points across their curve to where the largest ball fits into all silhouettes, and return those balls."""
-    if len(points) < 3:
-        radius = _radius(bank, maps, points) if len(points) else np.zeros(0)
-        return Balls(points[radius > 0], radius[radius > 0])
-    first, second = _across(points)
+    if not len(points):
+        return Balls(points, np.zeros(0))
+    directions = _across(points) if len(points) >= _LEAST_CURVE else np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
     radius = _radius(bank, maps, points)
-    angle = np.arange(8) * np.pi / 4
     for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
-        offset = step_mm * (np.cos(angle)[None, :, None] * first[:, None] + np.sin(angle)[None, :, None] * second[:, None])
-        tried = _radius(bank, maps, (points[:, None] + offset).reshape(-1, 3)).reshape(len(points), 8)
+        tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
         best = tried.argmax(axis=1)
         better = tried.max(axis=1) > radius
-        points = np.where(better[:, None], points + offset[np.arange(len(points)), best], points)
+        points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
         radius = np.maximum(radius, tried.max(axis=1))
     radius = np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = (radius > 0) & (radius < 1e3)
@@ -247,7 +250,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
         unexplained = (values[view] > _DEEP_PX) & (values[view] < carve.TELLS_PX) & (picture == 0)
         if not unexplained.any():
             continue
-        lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((3, 3), np.uint8)).ravel())
+        lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((5, 5), np.uint8)).ravel())
         u, v, seen = _sample(bank, view, doubtful, width, height)
         votes += mi.UInt32(dr.gather(mi.UInt8, lacking, v * width + u, seen))
         dr.eval(votes)

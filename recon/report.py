@@ -117,8 +117,10 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
     used = [view for view in summary["views"] if view["used"]]
     return [
         ("Volume", f"{summary['volume_mm3']:.1f} mm³ ({summary['volume_mm3'] / 1000.0:.3f} ml)"),
-        ("Interval: smallest to largest volume that agrees with the silhouettes", f"{low:.1f} to {high:.1f} mm³"),
+        ("Interval: shape with its outlines moved in, to untrimmed hull with them moved out", f"{low:.1f} to {high:.1f} mm³"),
         ("Extents along x, y, z of the canister", " x ".join(f"{extent:.2f}" for extent in extents) + " mm"),
+        ("Hull before trimming", f"{summary['hull_mm3']:.1f} mm³"),
+        ("Part of the volume that is untrimmed hull", f"{summary['untrimmed_mm3']:.1f} mm³"),
         ("Water that too few views could see", f"{summary['blind_mm3']:.1f} mm³"),
         ("Voxel", f"{summary['voxel_mm']:g} mm"),
         ("Views used", f"{len(used)} of {len(summary['views'])}"),

@@ -1,4 +1,4 @@
-"""Score a reconstruction against the truth of a simulated dataset: the only module that opens a dataset's ``truth`` folder."""
+"""Score a reconstruction against the truth of a simulated dataset: the reconstruction itself never opens its ``truth`` folder."""
 
 import math
 from dataclasses import asdict, dataclass

@@ -170,8 +170,8 @@ def _warn(run: Run, volume_mm3: float, interval_mm3: tuple[float, float], untrim
     """Say when the volume is not to be trusted."""
     if untrimmed_mm3 > _MUCH_KEPT * volume_mm3:
         run.warnings.append(
-            f"{100.0 * untrimmed_mm3 / volume_mm3:.0f} % of the volume is hull that could not be trimmed: roots too thin or too crowded "
-            "for this resolution, whose volume is mostly too large; take more pixels or a second ring at another height"
+            f"{100.0 * untrimmed_mm3 / volume_mm3:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
+            "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
         )
     if interval_mm3[1] - interval_mm3[0] > 2.0 * _WIDE * volume_mm3:
         run.warnings.append(

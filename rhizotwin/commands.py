@@ -168,13 +168,16 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[P
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
     from recon import report
     from recon.pipeline import reconstruct as find_shape
+    from recon.result_files import read_mesh
     from recon.score import truth_mesh_path
     from scenes.atomic import new_folder
 
-    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth").is_dir() else None
+    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
+    if truth_mesh is not None:
+        read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     with new_folder(output, replace=True) as building:
         find_shape(dataset, building, voxel_mm=voxel_mm)
-        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh if truth_mesh and truth_mesh.is_file() else None)
+        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]
 
