@@ -98,9 +98,8 @@ def _smooth_surface(background: Image, inside: Mask) -> Image:
         residual = values[sample] - basis @ coefficients
         scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
         trusted = residual > -3.0 * scale
-    chosen = core & (values > 0)
     shape = (degrees[0] + 1, degrees[1] + 1)
-    surface[rows[chosen], columns[chosen]] = np.polynomial.chebyshev.chebval2d(u[chosen], v[chosen], coefficients.reshape(shape))
+    surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
     return surface
 
 

@@ -35,6 +35,8 @@ _BIN_MM = 4.0
 _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there."""
 _AGREEING_VIEWS = 2
+VOTES = 0.3
+"""Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
 _LEAST_CURVE = 12
 """Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
@@ -126,7 +128,7 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
         points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
         radius = np.maximum(radius, tried.max(axis=1))
     radius = np.maximum(radius, _radius(bank, maps, points, sharpen=True))
-    good = (radius > 0) & (radius < 1e3)
+    good = radius > 0
     return Balls(points[good], radius[good])
 
 
@@ -136,10 +138,10 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the outline has the
     normal g = a du + b dv in space, so the ball's radius is D / |g|. On a root's centre line D has a crease: |a| and |b| are taken from
     the steeper of the two sides. The sampled map rounds the crease off; ``sharpen`` restores its height from the slopes on both sides,
-    for points that lie on it.
+    for points that lie on it. Points that fewer than `VOTES` of the views see get the radius 0.
     """
 
-    def body(view: Any, least: Any) -> tuple[Any, Any]:
+    def body(view: Any, least: Any, votes: Any) -> tuple[Any, Any, Any]:
         p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
         slopes, peak = [], distance
         for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
@@ -148,15 +150,17 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
             slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
             if sharpen:
                 falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
-                peak = dr.maximum(peak, 0.5 * (near[0] + near[1]) + dr.maximum(dr.minimum(falls[0], falls[1]), 0.0))
+                crease = 0.5 * (near[0] + near[1]) + dr.clip(dr.minimum(falls[0], falls[1]), 0.0, _REACH_PX)
+                peak = dr.maximum(peak, crease)
         norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
         g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
         g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
-        return view + 1, dr.minimum(least, dr.select(seen, peak / g, 1e4))
+        return view + 1, dr.minimum(least, dr.select(seen, peak / g, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
     point = mi.Point3f(points.T.astype(np.float32))
-    _, least = dr.while_loop((mi.UInt32(0), dr.full(mi.Float, 1e4, len(points))), lambda view, _: view < bank.count, body)
-    return np.array(least, dtype=np.float64)
+    state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
+    _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    return np.array(dr.select(votes >= max(3.0, VOTES * bank.count), least, 0.0), dtype=np.float64)
 
 
 def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:

@@ -18,8 +18,6 @@ FINEST_MM = 0.14
 """Voxels larger than this are carved finer and gathered, so that their occupancy is measured and not guessed."""
 SLACK_PX = 0.3
 """Outline uncertainty that the volume's interval allows for."""
-VOTES = 0.3
-"""Share of the views that must see a node for it to count."""
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
 _MUCH_KEPT = 0.2
@@ -75,7 +73,7 @@ def carve_hull(
                 radius_mm=radius,
                 top_mm=top,
                 bottom_mm=bottom,
-                min_votes=max(3, math.ceil(VOTES * bank.count)),
+                min_votes=max(3, math.ceil(parsimony.VOTES * bank.count)),
                 slack_px=slack_px,
                 ignore_blindness=ignore_blindness,
                 progress=bar.update,

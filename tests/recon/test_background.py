@@ -35,6 +35,14 @@ def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px:
     assert abs(float((found / empty).mean()) - 1) < 0.002 + 0.5 * noise
 
 
+def test_a_band_that_is_always_pitch_black_is_bridged_too() -> None:
+    stack, empty = turned(16, 0.0)
+    middle = empty.shape[1] // 2
+    stack[:, :, middle - 8 : middle + 8] = 0.0
+    found = background.estimate(stack, np.ones(empty.shape, bool))
+    assert np.abs(found / empty - 1)[:, middle - 8 : middle + 8].max() < 0.05
+
+
 def test_estimate_of_one_picture_bridges_roots() -> None:
     stack, empty = turned(10, 0.0)
     found = background.estimate_single(stack[3], np.ones(empty.shape, bool))

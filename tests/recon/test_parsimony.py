@@ -104,3 +104,11 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
     trimmed, balls = found.leaves, found.balls
     assert np.hypot(balls.centre_mm[:, 0], balls.centre_mm[:, 1]).max() < 3.0
     assert trimmed.volume_mm3() == pytest.approx(volume_of(segments), rel=0.05)
+
+
+def test_no_ball_stands_where_hardly_any_view_sees() -> None:
+    """Above the net pot's grid every picture is silent, so nothing bounds a ball there: it must not swallow the hull."""
+    bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
+    silent = carve.DistanceMaps(type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)), maps.image_wh)
+    balls = parsimony.grow_balls(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
+    assert len(balls.radius_mm) == 0
