@@ -97,6 +97,8 @@ def _rig(solved: poses.Poses) -> dict[str, Any]:
         "reprojection_before_px": solved.before_px,
         "reprojection_after_px": solved.after_px,
         "table_from_canister": None if solved.table_from_canister is None else solved.table_from_canister.tolist(),
+        "table_from_canister_sigma": None if solved.seat_sigma is None else solved.seat_sigma.tolist(),
+        "marker_inset_px": solved.inset_px,
         "rings": [
             {
                 "ring": ring.ring,

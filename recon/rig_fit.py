@@ -73,8 +73,6 @@ class RigFit:
     """(R, 6, 6) of the left-hand twist of cam_from_rig."""
     offset_covariance: Array
     """(4, 4) of the canister's tilt about x, y (rad) and offset x, y (mm)."""
-    angle_sigma_rad: Array
-    """(V,)."""
     scale: float
     """Factor between the corners' residuals and their covariances."""
 
@@ -228,6 +226,5 @@ class _System:
             covariance=covariance[:, :6, :6],
             ring_covariance=np.array(rings),
             offset_covariance=shared[-4:, -4:],
-            angle_sigma_rad=np.sqrt(local[:, 0, 0]),
             scale=scale,
         )

@@ -67,14 +67,6 @@ class Crossings:
         x, y = np.where(known, x, 0), np.where(known, y, 0)
         return np.where(known, self.count_below(self._flat(x, y, stop)) - self.count_below(self._flat(x, y, start)), 0)
 
-    def indices(self) -> Ints:
-        """Return all inside voxels (count, 3), ordered by x, y, z. As large as the solid: for small grids."""
-        lengths = np.where(self.inside, np.diff(self.keys, append=self.keys[-1:]), 0)
-        flat = np.repeat(self.keys, lengths) + _ramp(lengths)
-        xy, z = np.divmod(flat, self.shape[2])
-        x, y = np.divmod(xy, self.shape[1])
-        return np.stack([x, y, z], axis=1) + self.low
-
 
 def _ramp(lengths: Ints) -> Ints:
     """Return 0, 1, .. n-1 for each n in lengths, one after the other."""
@@ -288,11 +280,3 @@ def fraction(
     corner = np.asarray(low).astype(np.int64) * samples
     count = count_in_boxes(vertices_mm, faces, corner, fine, origin_mm=origin_mm, voxel_mm=voxel_mm / samples)
     return (count / fine.astype(np.float64) ** 3).astype(np.float32)
-
-
-def occupancy(
-    vertices_mm: Floats, faces: NDArray[np.integer], indices: NDArray[np.integer], *, origin_mm: Floats, voxel_mm: float
-) -> NDArray[np.bool_]:
-    """Return (N,) whether the centre of each voxel of ``indices`` (N, 3) lies inside a closed mesh."""
-    one = np.ones(len(indices), np.int64)
-    return count_in_boxes(vertices_mm, faces, indices, one, origin_mm=origin_mm, voxel_mm=voxel_mm) > 0

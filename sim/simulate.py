@@ -44,7 +44,6 @@ def simulate(
     seed: int,
     fidelity: Fidelity = "backlit",
     samples: int | None = None,
-    specimen_folder: Path | None = None,
     progress: bool = True,
 ) -> Dataset:
     """Render every view of a scene's plan into a dataset folder.
@@ -61,8 +60,6 @@ def simulate(
         Of all noise and errors; 0 is a seed.
     fidelity, samples
         See `sim.render.Renderer`.
-    specimen_folder : Path or None
-        Where a specimen file with a relative path is looked for; None: the current folder.
     progress : bool
         Show a bar with the time left on stderr.
 
@@ -77,7 +74,7 @@ def simulate(
     if seed < 0:
         raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
     samples = checked_samples(fidelity, samples)
-    solid = build_specimen(scene, folder=specimen_folder)
+    solid = build_specimen(scene)
     settings = {
         "profile": profile_name,
         "seed": seed,
@@ -178,7 +175,7 @@ def _write_specimen(folder: Path, solid: SpecimenSolid) -> None:
 
 
 def _truth(world: World, solid: SpecimenSolid, frames: tuple[Frame, ...]) -> Truth:
-    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    low, high = solid.extents_min_mm, solid.extents_max_mm
     return Truth(
         volume_mm3=solid.volume_mm3,
         extents_min_mm=(float(low[0]), float(low[1]), float(low[2])),
