@@ -102,6 +102,7 @@ def _rig(solved: poses.Poses) -> dict[str, Any]:
         "rings": [
             {
                 "ring": ring.ring,
+                "placement": ring.placement,
                 "cam_from_rig": ring.cam_from_rig.tolist(),
                 "covariance": ring.covariance.tolist(),
                 "own_movement_mm": ring.own_mm,

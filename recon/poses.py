@@ -59,9 +59,10 @@ class ViewPose:
 
 @dataclass(frozen=True, kw_only=True)
 class RingPose:
-    """Where the camera stood for one turn of the table."""
+    """Where the camera stood for one turn of the table, or the part of it until it was placed anew."""
 
     ring: int
+    placement: int
     cam_from_rig: Array
     covariance: Array
     """(6, 6) as in `ViewPose`."""
@@ -225,12 +226,13 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         rings=tuple(
             RingPose(
                 ring=ring,
+                placement=placement,
                 cam_from_rig=fit.rig.cam_from_rig[r],
                 covariance=fit.ring_covariance[r],
                 own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
                 own_mm=float(fit.rig.spread[r, 1]),
             )
-            for r, ring in enumerate(first.numbers)
+            for r, (ring, placement) in enumerate(first.stations)
         ),
         table_from_canister=fit.rig.table_from_canister,
         seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),

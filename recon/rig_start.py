@@ -25,8 +25,8 @@ class FirstRig:
     """(V,) commanded table angle about +z; where none counts, the pictures' own."""
     known: NDArray[np.bool_]
     """(V,) whether a commanded angle counts."""
-    numbers: tuple[int, ...]
-    """Ring numbers of the frames, in the order of ``rig.cam_from_rig``."""
+    stations: tuple[tuple[int, int], ...]
+    """Ring and placement of the frames, in the order of ``rig.cam_from_rig``."""
     warnings: tuple[str, ...]
 
 
@@ -36,17 +36,17 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
     Parameters
     ----------
     cam_from_canister : (4, 4) of each view, from its own markers.
-    captured : the views' frames: ring and commanded table angle.
+    captured : the views' frames: ring, placement and commanded table angle. Each placement of the camera in a ring has a camera of its own.
     direction : +1 where positive table angles turn counter-clockwise seen from above.
     """
     poses = np.array(cam_from_canister)
-    numbers = sorted({frame.ring for frame in captured})
-    ring = np.array([numbers.index(frame.ring) for frame in captured])
+    stations = sorted({frame.station for frame in captured})
+    ring = np.array([stations.index(frame.station) for frame in captured])
     centres = np.array([frames.invert(pose)[:3, 3] for pose in poses])
     angle = -np.arctan2(centres[:, 1], centres[:, 0])
     command, known = angle.copy(), np.zeros(len(poses), bool)
     warnings: list[str] = []
-    for r, number in enumerate(numbers):
+    for r, (number, _) in enumerate(stations):
         of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
         if not of:
             continue
@@ -57,7 +57,7 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
             other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
             warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
-    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(numbers))])
+    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
     rig = Rig(
         ring=ring,
@@ -66,9 +66,9 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
         own=own,
         table_from_canister=np.eye(4),
         inset_px=0.0,
-        spread=np.array([_spread(own[ring == r]) for r in range(len(numbers))]),
+        spread=np.array([_spread(own[ring == r]) for r in range(len(stations))]),
     )
-    return FirstRig(rig=rig, command_rad=command, known=known, numbers=tuple(numbers), warnings=tuple(warnings))
+    return FirstRig(rig=rig, command_rad=command, known=known, stations=tuple(stations), warnings=tuple(warnings))
 
 
 def _scatter(angles: Array) -> float:

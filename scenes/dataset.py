@@ -38,12 +38,23 @@ class Frame:
     table_deg: float | None = None
     """Commanded table angle; None when nobody commanded one (imported pictures)."""
     table_read_deg: float | None = None
+    """What the turntable answered after its move."""
+    placement: int = 0
+    """Counts how often in this ring the camera was placed anew, or the table's zero found anew: within one, the camera stood still."""
     joints_deg: tuple[float, ...] | None = None
+    """Commanded joint angles of the arm, base to wrist roll."""
+    joints_read_deg: tuple[float, ...] | None = None
     exposure_s: float | None = None
+    gain: float | None = None
     time_s: float | None = None
     """Seconds since the scan began."""
     cam_from_canister: tuple[tuple[float, ...], ...] | None = None
     """Given pose, 4 rows of 4, OpenCV axes; None: to be found from the markers."""
+
+    @property
+    def station(self) -> tuple[int, int]:
+        """Ring and placement: frames of one station were taken by a camera that stood still."""
+        return self.ring, self.placement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +206,8 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
         raise place.at("kind").error('must be one of "root", "shoot"', frame.kind)
     if not 0 <= frame.ring < rings:
         raise place.at("ring").error(f"must be between 0 and {rings - 1}: the scene's plan has {rings} rings", frame.ring)
+    if frame.placement < 0:
+        raise place.at("placement").error("must be 0 or more", frame.placement)
     if frame.cam_from_canister is not None:
         check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
 

@@ -41,7 +41,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
         For an unknown name, an unreadable file, or anything wrong in it, with file, line, key, value and limit.
     """
     path = _found(name_or_path)
-    table, text = _read_toml(path)
+    table, text = read_toml(path)
     scene = from_plain(Scene, {"name": path.stem} | table, Place(str(path), text))
     if isinstance(scene.specimen, MeshSpecimen | RsmlSpecimen):
         scene = replace(scene, specimen=replace(scene.specimen, file=str((path.parent / scene.specimen.file).resolve())))
@@ -108,7 +108,7 @@ def load_profile(name: str) -> Disturbances:
         path = Path(name)
     elif name not in (known := [row[0] for row in profiles()]):
         raise UserError(f'there is no disturbance profile "{name}"{suggestion(name, known)}; there are {", ".join(known)}')
-    table, text = _read_toml(path)
+    table, text = read_toml(path)
     place = Place(str(path), text)
     allowed = ["name", "description", "disturbances"]
     for key in table:
@@ -135,7 +135,7 @@ def _looks_like_path(name: str) -> bool:
     return name.endswith(".toml") or "/" in name or "\\" in name
 
 
-def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """Read a TOML file; return its table and text."""
     if path.is_dir():
         raise UserError(f"{path}: is a folder, but a TOML file is needed")
@@ -154,7 +154,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _listed(folder: Path) -> list[tuple[str, str]]:
-    return [(path.stem, str(_read_toml(path)[0].get("description", ""))) for path in sorted(folder.glob("*.toml"))]
+    return [(path.stem, str(read_toml(path)[0].get("description", ""))) for path in sorted(folder.glob("*.toml"))]
 
 
 def _without_none(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """Poses from corners with known truth: the rig pools its views, names what does not fit, and knows how well it knows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -207,3 +207,28 @@ def test_a_table_that_turns_the_other_way_is_said():
     found = find_poses(made.markers, wrong, made.captured)
     assert np.median(made.errors(found)[:, 0]) < 0.1
     assert "turntable.direction" in found.warnings[0]
+
+
+def test_a_camera_placed_anew_within_a_ring_gets_a_pose_of_its_own():
+    made = scan(rings=(Ring(views=16),))
+    rng = np.random.default_rng(3)
+    moved = frames.from_rotvec(np.array([0.004, -0.01, 0.003]), np.array([4.0, -3.0, 2.0])) @ plan.views(made.scene)[0].cam_from_rig
+    rezeroed_deg = 0.8
+    for k in range(10, 16):
+        turned = plan.rig_from_table(made.scene, made.captured[k].table_deg + rezeroed_deg)
+        made.poses[k] = moved @ turned
+        made.markers[k] = shoot(made.scene, made.poses[k], rng)
+        made.captured[k] = replace(made.captured[k], placement=1)
+    table_from_canister = np.eye(4)
+    for k in range(10):
+        made.poses[k] = plan.views(made.scene)[0].cam_from_rig @ plan.rig_from_table(made.scene, made.captured[k].table_deg)
+        made.markers[k] = shoot(made.scene, made.poses[k], rng)
+    found = find_poses(made.markers, made.scene, made.captured)
+    assert [(ring.ring, ring.placement) for ring in found.rings] == [(0, 0), (0, 1)]
+    assert all(view.used for view in found.views)
+    assert np.median(made.errors(found)[:, 0]) < 0.05
+    assert max(ring.own_mm for ring in found.rings) < 0.05
+    np.testing.assert_allclose(found.table_from_canister, table_from_canister, atol=0.05)
+
+    as_one = find_poses(made.markers, made.scene, [replace(frame, placement=0) for frame in made.captured])
+    assert not all(view.used for view in as_one.views) or as_one.rings[0].own_mm > 0.2

@@ -1,0 +1,189 @@
+"""The rig file: what the devices are, how they are connected, and where the arm stands. TOML, validated, unknown keys refused."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from scenes.files import read_toml
+from scenes.limits import bounded
+from scenes.schema import Place, from_plain
+
+JOINTS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurntablePart:
+    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees."""
+
+    port: str = "/dev/ttyUSB0"
+    """A serial port, or any URL of pyserial such as socket://localhost:4000."""
+    baud: int = bounded(115200, 1200, 4_000_000)
+    speed_deg_per_s: float = bounded(30.0, 0.1, 360.0)
+    full_step_deg: float = bounded(1.8, 0.001, 30.0)
+    """Table angle of one full step of the motor."""
+    approach_deg: float = bounded(3.6, 0.0, 45.0)
+    """Moves against the direction of approach go this far beyond and come back, so that play is always taken up on one side."""
+    tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
+    """Largest difference between the commanded angle and the one read back."""
+    settle_s: float = bounded(0.5, 0.0, 60.0)
+    """Rest after a move before a picture: the water must be still."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightsPart:
+    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE): the backlight panel and the front light over the markers."""
+
+    panel_strip: int = bounded(0, 0, 1)
+    front_strip: int = bounded(1, 0, 1)
+    panel_rgb: tuple[int, int, int] = bounded((255, 255, 255), 0, 255)
+    """Colour of the panel at level 1."""
+    front_rgb: tuple[int, int, int] = bounded((255, 255, 255), 0, 255)
+    panel_level: float = bounded(1.0, 0.0, 1.0)
+    """Level during the scan."""
+    front_level: float = bounded(1.0, 0.0, 1.0)
+    settle_s: float = bounded(0.5, 0.0, 60.0)
+    """Rest after a change before a picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """One servo as a joint."""
+
+    servo: int = bounded(1, 0, 253)
+    zero_counts: float = bounded(500.0, -2000.0, 3000.0)
+    """Servo position at joint angle 0."""
+    sign: Literal[1, -1] = 1
+    counts_per_deg: float = bounded(1000.0 / 240.0, 0.1, 100.0)
+    min_deg: float = bounded(-90.0, -360.0, 360.0)
+    max_deg: float = bounded(90.0, -360.0, 360.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmPart:
+    """The arm: six LX servos, of which five move the camera. Leave the section out for a camera on a tripod."""
+
+    protocol: Literal["lx", "lsc"] = "lx"
+    """lx: the servo bus itself (115200 Bd, checksums). lsc: the controller board (9600 Bd, none)."""
+    port: str = "/dev/ttyUSB1"
+    baud: int = bounded(115200, 1200, 4_000_000)
+    echo: Literal["auto", "yes", "no"] = "auto"
+    """Whether the half-duplex adapter returns what is sent (lx only)."""
+    joints: tuple[Joint, ...] = (
+        Joint(servo=6, min_deg=-90.0, max_deg=90.0),
+        Joint(servo=5, min_deg=-86.0, max_deg=91.0),
+        Joint(servo=4, min_deg=-88.0, max_deg=88.0),
+        Joint(servo=3, min_deg=-112.0, max_deg=112.0),
+        Joint(servo=2, min_deg=-112.0, max_deg=112.0),
+    )
+    """Base, shoulder, elbow, wrist pitch, wrist roll."""
+    links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
+    """Base plate to shoulder axis, shoulder to elbow, elbow to wrist pitch, wrist pitch to the camera's centre."""
+    position_mm: tuple[float, float, float] = bounded((640.0, 0.0, -190.0), -5000.0, 5000.0)
+    """Centre of the base plate's underside in the rig frame."""
+    rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
+    """Rotation vector from the arm's frame (+z along the base's axis, +x where the arm leans at positive shoulder angles) to the rig's."""
+    max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
+    tolerance_deg: float = bounded(3.0, 0.1, 30.0)
+    """Largest difference between commanded and read angles (sag and dead band included) that still counts as arrived."""
+    settle_s: float = bounded(1.0, 0.0, 60.0)
+    park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
+    """Where the arm rests before its torque goes off; the way to the first ring begins and ends here."""
+    min_volt: float = bounded(6.5, 4.5, 12.0)
+    max_volt: float = bounded(8.4, 4.5, 12.0)
+    max_celsius: float = bounded(65.0, 20.0, 85.0)
+    correct: bool = True
+    """After placing the camera for a ring, look at the markers and correct the placing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPart:
+    """The camera: on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer that runs `rhizotwin camera` (http)."""
+
+    kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
+    address: str = "0"
+    """picamera2, v4l2: number of the camera (v4l2: or its device file). http: such as http://raspberrypi:8471."""
+    exposure_s: float = bounded(0.01, 1e-5, 100.0)
+    gain: float = bounded(1.0, 0.0, 100.0)
+    colour_gains: tuple[float, float] = bounded((2.0, 2.0), 0.1, 32.0)
+    """Fixed white balance: red, blue (picamera2)."""
+    white_balance_kelvin: int = bounded(5000, 1000, 20000)
+    """Fixed white balance (v4l2)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """A box that the arm must not touch: a piece of the frame, a lamp. Rig frame."""
+
+    low_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
+    high_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -5000.0, 5000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clearance:
+    """What paths of the arm are checked against, besides the scene's canister and net pot."""
+
+    margin_mm: float = bounded(15.0, 0.0, 500.0)
+    """Least distance between the arm with its camera and anything else: it covers sag and play."""
+    arm_radius_mm: float = bounded(32.0, 1.0, 300.0)
+    """Half the width of the arm's links."""
+    camera_radius_mm: float = bounded(35.0, 1.0, 300.0)
+    """A ball about the camera's centre that holds it with its lens."""
+    table_radius_mm: float = bounded(110.0, 1.0, 2000.0)
+    floor_z_mm: float = bounded(-195.0, -5000.0, 0.0)
+    """What the arm's base and the turntable's feet stand on."""
+    bars: tuple[Bar, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigFile:
+    """A whole rig."""
+
+    name: str = "rig"
+    description: str = ""
+    turntable: TurntablePart = TurntablePart()
+    lights: LightsPart = LightsPart()
+    arm: ArmPart | None = None
+    camera: CameraPart = CameraPart()
+    clearance: Clearance = Clearance()
+
+
+def load_rig(path: Path | str) -> RigFile:
+    """Load and check a rig file.
+
+    Raises
+    ------
+    UserError
+        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or parts that do not fit each other.
+    """
+    table, text = read_toml(Path(path))
+    place = Place(str(path), text)
+    rig = from_plain(RigFile, table, place)
+    check_rig(rig, place)
+    return rig
+
+
+def check_rig(rig: RigFile, place: Place) -> None:
+    """Refuse what is well-typed but cannot be."""
+    if rig.lights.panel_strip == rig.lights.front_strip:
+        raise place.at("lights", "front_strip").error(
+            "must differ from panel_strip: each lamp is a strip of its own", rig.lights.front_strip
+        )
+    for i, bar in enumerate(rig.clearance.bars):
+        if any(low >= high for low, high in zip(bar.low_mm, bar.high_mm, strict=True)):
+            raise place.at("clearance", "bars", i, "high_mm").error("must be above low_mm on every axis", list(bar.high_mm))
+    if rig.arm is not None:
+        _check_arm(rig.arm, place.at("arm"))
+
+
+def _check_arm(arm: ArmPart, place: Place) -> None:
+    if len(arm.joints) != JOINTS:
+        raise place.at("joints").error(f"must be {JOINTS}: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
+    if len({joint.servo for joint in arm.joints}) != JOINTS:
+        raise place.at("joints").error("must have a servo number each, no two the same", [joint.servo for joint in arm.joints])
+    for i, (joint, rest) in enumerate(zip(arm.joints, arm.park_deg, strict=True)):
+        if joint.min_deg >= joint.max_deg:
+            raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)
+        if not joint.min_deg <= rest <= joint.max_deg:
+            raise place.at("park_deg").error(f"element {i + 1} must be between its joint's {joint.min_deg:g} and {joint.max_deg:g}", rest)
+    if arm.min_volt >= arm.max_volt:
+        raise place.at("max_volt").error(f"must be above min_volt {arm.min_volt:g}", arm.max_volt)
