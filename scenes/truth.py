@@ -40,8 +40,8 @@ class Truth:
     n_water: float
     canister_from_strip: tuple[tuple[float, ...], ...]
     views: tuple[TrueView, ...]
-    traits: dict[str, float] = field(default_factory=dict)
-    """At least total_length_mm, surface_mm2, tips, branch_points where the specimen has a skeleton."""
+    traits: dict[str, Any] = field(default_factory=dict)
+    """Fields of `scenes.traits.Traits` where the specimen has a skeleton, otherwise volume_mm3 and surface_mm2."""
     drawn: dict[str, Any] = field(default_factory=dict)
     """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 

@@ -197,21 +197,3 @@ def scale_to_volume(
         f"specimen.volume_ml {volume_mm3 / 1000.0:g} was not reached in {rounds} rounds with these roots ({len(roots)} of them): "
         "change their number, lengths or diameters."
     )
-
-
-def traits_of(roots: Sequence[Root], solid: manifold3d.Manifold) -> dict[str, float]:
-    """Return total_length_mm, surface_mm2 (of the union), tips, branch_points, roots and mean_diameter_mm (by length)."""
-    lengths_mm = [np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) for root in roots]
-    total_mm = float(sum(length.sum() for length in lengths_mm))
-    weighted = sum(
-        float(np.sum(length * (np.asarray(root.diameters_mm)[1:] + np.asarray(root.diameters_mm)[:-1]) / 2.0))
-        for root, length in zip(roots, lengths_mm, strict=True)
-    )
-    return {
-        "total_length_mm": total_mm,
-        "surface_mm2": float(solid.surface_area()),
-        "tips": float(len(roots)),
-        "branch_points": float(sum(root.parent >= 0 for root in roots)),
-        "roots": float(len(roots)),
-        "mean_diameter_mm": weighted / total_mm if total_mm > 0.0 else 0.0,
-    }

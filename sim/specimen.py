@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -10,7 +11,9 @@ import trimesh
 from scenes.errors import UserError
 from scenes.model import Scene
 from scenes.rsml import Root, read_rsml
+from scenes.schema import to_plain
 from scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from scenes.traits import measure_traits
 from sim import growth, meshes, solids
 from sim.solids import Array, Faces
 
@@ -32,8 +35,8 @@ class SpecimenSolid:
     """Exact volume of the polyhedron."""
     roots: tuple[Root, ...] = ()
     """Centrelines with final diameters; empty for spheres and meshes."""
-    traits: dict[str, float] = field(default_factory=dict)
-    """surface_mm2; with roots also total_length_mm, tips, branch_points, roots and mean_diameter_mm."""
+    traits: dict[str, Any] = field(default_factory=dict)
+    """volume_mm3 and surface_mm2; with roots every field of `scenes.traits.Traits`."""
     notes: tuple[str, ...] = ()
     """What was repaired or is odd about the specimen, a sentence each, for the user."""
 
@@ -100,9 +103,12 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm
     if hidden_mm > TOUCH_MM:
         notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and never seen.")
-    traits = solids.traits_of(roots, solid) if roots else {"surface_mm2": float(solid.surface_area())}
+    volume_mm3, surface_mm2 = float(solid.volume()), float(solid.surface_area())
+    traits: dict[str, Any] = {"volume_mm3": volume_mm3, "surface_mm2": surface_mm2}
+    if roots:
+        traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
     return SpecimenSolid(
-        vertices=vertices, faces=faces, volume_mm3=float(solid.volume()), roots=tuple(roots), traits=traits, notes=tuple(notes)
+        vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes)
     )
 
 

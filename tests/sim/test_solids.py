@@ -118,15 +118,3 @@ def test_a_plant_is_scaled_to_its_volume_and_closed() -> None:
     assert mesh.is_winding_consistent
     assert mesh.volume == pytest.approx(123.456, rel=1e-6)
     assert len(solid.decompose()) == 1
-
-
-def test_traits_of_a_fork() -> None:
-    trunk = straight((0, 0, -20), (0, 0, -60), 2.0)
-    branch = Root(points_mm=np.array([[0, 0, -40.0], [20, 0, -40]]), diameters_mm=np.ones(2), order=1, parent=0, label="")
-    solid = solids.union_of_roots([trunk, branch])
-    traits = solids.traits_of([trunk, branch], solid)
-    assert traits["total_length_mm"] == pytest.approx(60.0)
-    assert (traits["tips"], traits["branch_points"]) == (2.0, 1.0)
-    assert traits["mean_diameter_mm"] == pytest.approx((40.0 * 2.0 + 20.0 * 1.0) / 60.0)
-    sides_mm2 = np.pi * (2.0 * 40.0 + 1.0 * 19.0) + 4.0 * np.pi + np.pi * 0.5
-    assert traits["surface_mm2"] == pytest.approx(sides_mm2, rel=0.03)

@@ -1,0 +1,219 @@
+"""Traits of a root system from its centre lines and its solid, by the field's definitions; the truth and the result use the same code.
+
+Definitions follow GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1) where it has one, carried from pictures to space.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+SLICE_MM = 1.0
+"""Distance of the horizontal planes that count roots for the bushiness."""
+EMERGENCE_MM = 5.0
+"""Length of lateral over which its angle to the parent is taken."""
+DEPTH_BIN_MM = 10.0
+DIAMETER_BIN_MM = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traits:
+    """What is measured of a root system. Depth is counted downward from the highest point of the roots."""
+
+    total_length_mm: float
+    volume_mm3: float
+    surface_mm2: float
+    """Of the solid's outside."""
+    mean_diameter_mm: float
+    """Mean over the length."""
+    median_diameter_mm: float
+    """Half of the length is thinner."""
+    max_diameter_mm: float
+    depth_mm: float
+    """Vertical extent."""
+    width_mm: float
+    """Largest horizontal distance between two points."""
+    convex_hull_mm3: float
+    solidity: float
+    """Volume over the volume of the convex hull."""
+    bushiness: float
+    """Largest number of roots that a horizontal plane meets, over the median of the planes that meet any."""
+    roots: int
+    tips: int
+    branch_points: int
+    """Points where laterals leave; several at one place count once."""
+    length_by_order_mm: tuple[float, ...]
+    """Taproots first."""
+    length_by_depth_mm: tuple[float, ...]
+    """In bins of 10 mm from the top."""
+    length_by_diameter_mm: tuple[float, ...]
+    """In bins of 0.1 mm from 0."""
+    angle_to_gravity_deg: float
+    """Mean over the length of the angle between root, toward its tip, and straight down."""
+    angle_to_parent_deg: float | None
+    """Mean over the laterals of the angle between their first 5 mm and the parent there; None without laterals."""
+    specific_root_length_m_per_g: float | None = None
+    """Total length over the given mass; None without one."""
+    tissue_density_g_per_ml: float | None = None
+    """Given mass over the volume; None without one."""
+
+
+@dataclass(frozen=True)
+class _Segments:
+    """All straight pieces of all roots."""
+
+    start: Array
+    step: Array
+    length: Array
+    diameter: Array
+    order: NDArray[np.int64]
+
+
+def measure_traits(
+    roots: Sequence[Root], vertices_mm: Array, *, volume_mm3: float, surface_mm2: float, mass_g: float | None = None
+) -> Traits:
+    """Measure the traits of a root system.
+
+    Parameters
+    ----------
+    roots : parents before children, points from base to tip, canister frame (z up).
+    vertices_mm : (V, 3) points of the solid's surface.
+    volume_mm3, surface_mm2 : of the solid, overlaps of roots counted once.
+    mass_g : mass of the roots, if it was weighed.
+
+    Raises
+    ------
+    ValueError
+        Without any root of some length, or with a mass that is not positive.
+    """
+    pieces = _segments(roots)
+    total_mm = float(pieces.length.sum())
+    if total_mm <= 0.0:
+        raise ValueError("there is no root with a length to measure")
+    if mass_g is not None and not mass_g > 0.0:
+        raise ValueError(f"{mass_g=} must be positive")
+    hull_mm3, width_mm = _hull(vertices_mm)
+    top_mm, bottom_mm = float(vertices_mm[:, 2].max()), float(vertices_mm[:, 2].min())
+    cosine = np.clip(-pieces.step[:, 2] / np.maximum(pieces.length, 1e-12), -1.0, 1.0)
+    by_diameter = np.argsort(pieces.diameter)
+    half = int(np.searchsorted(np.cumsum(pieces.length[by_diameter]), 0.5 * total_mm))
+    angles = _emergence_deg(roots)
+    return Traits(
+        total_length_mm=total_mm,
+        volume_mm3=volume_mm3,
+        surface_mm2=surface_mm2,
+        mean_diameter_mm=float(pieces.diameter @ pieces.length) / total_mm,
+        median_diameter_mm=float(pieces.diameter[by_diameter[half]]),
+        max_diameter_mm=float(max(root.diameters_mm.max() for root in roots)),
+        depth_mm=top_mm - bottom_mm,
+        width_mm=width_mm,
+        convex_hull_mm3=hull_mm3,
+        solidity=volume_mm3 / hull_mm3 if hull_mm3 > 0.0 else 1.0,
+        bushiness=_bushiness(pieces),
+        roots=len(roots),
+        tips=len(roots),
+        branch_points=_branch_points(roots),
+        length_by_order_mm=_binned(pieces.order, pieces.length),
+        length_by_depth_mm=_by_depth(pieces, top_mm),
+        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM).astype(np.int64), pieces.length),
+        angle_to_gravity_deg=float(np.rad2deg(np.arccos(cosine)) @ pieces.length) / total_mm,
+        angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
+        specific_root_length_m_per_g=None if mass_g is None else total_mm / 1000.0 / mass_g,
+        tissue_density_g_per_ml=None if mass_g is None else mass_g / (volume_mm3 / 1000.0),
+    )
+
+
+def tube_volume_mm3(roots: Sequence[Root]) -> float:
+    """Return the sum of the roots' volumes as chains of truncated cones, overlaps counted twice."""
+    return float(sum(_cones(root)[0] for root in roots))
+
+
+def _cones(root: Root) -> tuple[float, float]:
+    """Return volume and lateral surface of a chain of truncated cones."""
+    length = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+    a, b = root.diameters_mm[:-1] / 2.0, root.diameters_mm[1:] / 2.0
+    return float(np.sum(np.pi * length * (a * a + a * b + b * b) / 3.0)), float(np.sum(np.pi * (a + b) * np.hypot(length, a - b)))
+
+
+def _segments(roots: Sequence[Root]) -> _Segments:
+    step = np.concatenate([np.zeros((0, 3)), *(np.diff(root.points_mm, axis=0) for root in roots)])
+    diameter = [(root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0 for root in roots]
+    return _Segments(
+        start=np.concatenate([np.zeros((0, 3)), *(root.points_mm[:-1] for root in roots)]),
+        step=step,
+        length=np.linalg.norm(step, axis=1),
+        diameter=np.concatenate([np.zeros(0), *diameter]),
+        order=np.concatenate([np.zeros(0, np.int64), *(np.full(len(root.points_mm) - 1, root.order) for root in roots)]),
+    )
+
+
+def _binned(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.bincount(np.maximum(index, 0), weights=length))
+
+
+def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
+    """Return the length in each bin of depth; pieces across the border of two bins are divided."""
+    a, b = top_mm - pieces.start[:, 2], top_mm - pieces.start[:, 2] - pieces.step[:, 2]
+    high, low = np.minimum(a, b), np.maximum(a, b)
+    edges = DEPTH_BIN_MM * np.arange(1, max(1, int(np.ceil(float(low.max()) / DEPTH_BIN_MM - 1e-9))))
+    slope = np.maximum(low - high, 1e-9)
+    above = [float(pieces.length @ np.clip((edge - high) / slope, 0.0, 1.0)) for edge in edges]
+    return tuple(float(value) for value in np.diff([0.0, *above, float(pieces.length.sum())]))
+
+
+def _hull(points_mm: Array) -> tuple[float, float]:
+    """Return the volume of the convex hull and the largest horizontal distance; flat points have no volume."""
+    try:
+        hull = ConvexHull(points_mm)
+        corners, volume = points_mm[hull.vertices, :2], float(hull.volume)
+    except QhullError:
+        corners, volume = points_mm[:, :2], 0.0
+    widest = 0.0
+    for corner in corners:  # the corners of a hull are few
+        widest = max(widest, float(np.max(np.sum((corners - corner) ** 2, axis=1))))
+    return volume, widest**0.5
+
+
+def _bushiness(pieces: _Segments) -> float:
+    """Count the centre lines that cross each horizontal plane."""
+    low = np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
+    high = np.maximum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
+    base = float(low.min()) + SLICE_MM / 2.0
+    planes = max(1, int(np.ceil((float(high.max()) - base) / SLICE_MM)))
+    # A piece crosses the planes k with low < base + k * SLICE <= high.
+    first = np.clip(np.floor((low - base) / SLICE_MM).astype(np.int64) + 1, 0, planes)
+    last = np.clip(np.floor((high - base) / SLICE_MM).astype(np.int64) + 1, 0, planes)
+    change = np.bincount(first, minlength=planes + 1) - np.bincount(last, minlength=planes + 1)
+    count = np.cumsum(change)[:planes]
+    met = count[count > 0]
+    return float(met.max() / np.median(met)) if len(met) else 1.0
+
+
+def _branch_points(roots: Sequence[Root]) -> int:
+    places = {(root.parent, *np.round(root.points_mm[0], 3).tolist()) for root in roots if root.parent >= 0}
+    return len(places)
+
+
+def _emergence_deg(roots: Sequence[Root]) -> Array:
+    """Return each lateral's angle to its parent at the place where it leaves, in degrees."""
+    found = []
+    for root in roots:
+        if root.parent < 0:
+            continue
+        parent = roots[root.parent].points_mm
+        nearest = int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
+        along = parent[min(nearest + 1, len(parent) - 1)] - parent[max(nearest - 1, 0)]
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        reach = min(EMERGENCE_MM, float(way[-1]))
+        end = np.array([np.interp(reach, way, root.points_mm[:, axis]) for axis in range(3)])
+        lateral = end - root.points_mm[0]
+        size = float(np.linalg.norm(along) * np.linalg.norm(lateral))
+        if size > 0.0:
+            found.append(float(np.rad2deg(np.arccos(np.clip(along @ lateral / size, -1.0, 1.0)))))
+    return np.array(found)

@@ -1,0 +1,68 @@
+"""Traits of small root systems that can be counted by hand."""
+
+import numpy as np
+import pytest
+
+from scenes.rsml import Root
+from scenes.traits import measure_traits, tube_volume_mm3
+
+RNG = np.random.default_rng(0)
+
+
+def line(start, end, diameter_mm, *, order=0, parent=-1, count=41) -> Root:
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    points = np.asarray(start) * (1.0 - share) + np.asarray(end) * share
+    return Root(points_mm=points, diameters_mm=np.full(count, float(diameter_mm)), order=order, parent=parent)
+
+
+TAP = line([0.0, 0.0, -10.0], [0.0, 0.0, -50.0], 2.0)
+LEFT = line([0.0, 0.0, -20.0], [-20.0, 0.0, -20.0], 1.0, order=1, parent=0)
+RIGHT = line([0.0, 0.0, -20.0], [15.0, 0.0, -35.0], 0.55, order=1, parent=0)
+BOX = np.array([[x, y, z] for x in (-20.0, 15.0) for y in (-1.0, 1.0) for z in (-50.0, -10.0)])
+
+
+def test_a_tree_of_three_roots():
+    found = measure_traits([TAP, LEFT, RIGHT], BOX, volume_mm3=140.0, surface_mm2=300.0, mass_g=0.14)
+    slanted = 15.0 * np.sqrt(2.0)
+    total = 40.0 + 20.0 + slanted
+    assert found.total_length_mm == pytest.approx(total)
+    assert found.mean_diameter_mm == pytest.approx((40.0 * 2.0 + 20.0 + slanted * 0.55) / total)
+    assert (found.median_diameter_mm, found.max_diameter_mm) == pytest.approx((1.0, 2.0))
+    assert (found.roots, found.tips, found.branch_points) == (3, 3, 1)
+    assert found.depth_mm == pytest.approx(40.0)
+    assert found.width_mm == pytest.approx(np.hypot(35.0, 2.0))
+    assert found.convex_hull_mm3 == pytest.approx(35.0 * 2.0 * 40.0)
+    assert found.solidity == pytest.approx(140.0 / 2800.0)
+    assert found.length_by_order_mm == pytest.approx((40.0, 20.0 + slanted))
+    assert found.length_by_depth_mm == pytest.approx((10.0, 10.0 + 20.0 + 10.0 * np.sqrt(2.0), 10.0 + 5.0 * np.sqrt(2.0), 10.0))
+    assert found.length_by_diameter_mm[5] == pytest.approx(slanted)
+    assert found.angle_to_gravity_deg == pytest.approx((0.0 * 40.0 + 90.0 * 20.0 + 45.0 * slanted) / total, abs=1e-5)
+    assert found.angle_to_parent_deg == pytest.approx((90.0 + 45.0) / 2.0, abs=1e-5)
+    assert found.specific_root_length_m_per_g == pytest.approx(total / 1000.0 / 0.14)
+    assert found.tissue_density_g_per_ml == pytest.approx(1.0)
+
+
+def test_bushiness_is_the_largest_over_the_median_count():
+    stems = [line([x, 0.0, 0.0], [x, 0.0, -10.0], 1.0) for x in range(3)] + [line([9.0, 0.0, 0.0], [9.0, 0.0, -40.0], 1.0)]
+    found = measure_traits(stems, RNG.normal(size=(30, 3)), volume_mm3=1.0, surface_mm2=1.0)
+    assert found.bushiness == pytest.approx(4.0 / 1.0)
+
+
+def test_traits_do_not_depend_on_how_finely_roots_are_cut():
+    coarse = measure_traits([line([0, 0, 0], [3, 4, -30], 1.0, count=2)], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    fine = measure_traits([line([0, 0, 0], [3, 4, -30], 1.0, count=301)], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    assert coarse.total_length_mm == pytest.approx(fine.total_length_mm)
+    assert coarse.angle_to_gravity_deg == pytest.approx(fine.angle_to_gravity_deg)
+    assert coarse.bushiness == fine.bushiness
+
+
+def test_volume_of_a_cone():
+    cone = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -30.0]]), diameters_mm=np.array([4.0, 0.0]), order=0, parent=-1)
+    assert tube_volume_mm3([cone]) == pytest.approx(np.pi * 4.0 * 30.0 / 3.0)
+
+
+def test_no_roots_and_no_mass_are_refused():
+    with pytest.raises(ValueError, match="no root"):
+        measure_traits([], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    with pytest.raises(ValueError, match="mass_g"):
+        measure_traits([TAP], BOX, volume_mm3=1.0, surface_mm2=1.0, mass_g=0.0)
