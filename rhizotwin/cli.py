@@ -131,6 +131,7 @@ def build_parser() -> Parser:
     _add_reconstruct(commands)
     _add_import(commands)
     _add_score(commands)
+    _add_export(commands)
     _add_demo(commands)
     return parser
 
@@ -275,6 +276,22 @@ def _add_score(commands: Commands) -> None:
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder made by 'rhizotwin reconstruct'")
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="the simulated dataset that the result was made from")
     parser.add_argument("--json", action="store_true", help="print every number as JSON instead of a table")
+
+
+def _add_export(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "export",
+        "write a result in the files of other programs",
+        description="Write a result's surface (.ply, .stl in mm; .glb in metres, y up), its voxels (.nrrd: 0 to 255 is the share of\n"
+        "root, mm), or its cameras (.json: nerfstudio's transforms.json; a name without suffix: a folder with COLMAP's text model).\n"
+        "Cameras are those in air: the roots are seen through the wall and the water, which straight rays do not follow.",
+        epilog="examples:\n  rhizotwin export my_result -o root.stl\n  rhizotwin export my_result -o root.nrrd\n"
+        "  rhizotwin export my_result --dataset my_dataset -o transforms.json",
+    )
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder made by 'rhizotwin reconstruct'")
+    _add_output(parser, "FILE", "what to write; its suffix says in which form")
+    parser.add_argument("--dataset", type=Path, metavar="DATASET", help="the dataset that the result was made from; cameras need its lens")
 
 
 def _add_demo(commands: Commands) -> None:

@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> None:
         "reconstruct": reconstruct,
         "import": import_,
         "score": score,
+        "export": export,
         "demo": demo,
     }
     handlers[options.command](options)
@@ -109,6 +110,13 @@ def score(options: argparse.Namespace) -> None:
 
     found = compare(options.result, options.dataset)
     print(json.dumps(found.to_dict(), indent=1) if options.json else found.table())
+
+
+def export(options: argparse.Namespace) -> None:
+    """Write a result in the form of another program."""
+    from rhizotwin import exports
+
+    print(exports.describe(exports.export(options.result, options.output, dataset_folder=options.dataset)))
 
 
 def demo(options: argparse.Namespace) -> None:

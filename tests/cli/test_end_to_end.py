@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import nrrd
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from rhizotwin import cli
+from rhizotwin.nerfstudio import read_cameras
 from scenes import files, frames
 from scenes.dataset import load_dataset
 from scenes.truth import load_truth
@@ -48,6 +51,44 @@ def test_simulate_reconstruct_score(dataset: Path, tmp_path: Path, capsys: pytes
     assert cli.main(["score", str(tmp_path / "result"), str(dataset)]) == 0
     assert "volume" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_exports_open_elsewhere_and_say_the_same(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = tmp_path / "result"
+    assert cli.main(["reconstruct", str(dataset), "-o", str(result), "--device", "cpu", "--voxel-mm", "0.6"]) == 0
+    for name in ("root.stl", "root.glb", "root.ply", "root.nrrd", "cameras.json", "colmap"):
+        words = ["export", str(result), "-o", str(tmp_path / name), "--dataset", str(dataset)]
+        assert cli.main(words) == 0, capsys.readouterr().err
+        assert cli.main(words) == 2  # never over a file that is there
+    volume = json.loads((result / "result.json").read_text())["volume_mm3"]
+    surface = trimesh.load_mesh(result / "shape.ply")
+    for name, unit in (("root.stl", 1.0), ("root.ply", 1.0), ("root.glb", 1000.0)):
+        mesh = trimesh.load_mesh(tmp_path / name)
+        assert mesh.volume * unit**3 == pytest.approx(surface.volume, rel=1e-3)
+    up = trimesh.load_mesh(tmp_path / "root.glb").centroid * 1000.0
+    np.testing.assert_allclose([up[0], -up[2], up[1]], surface.centroid, atol=0.01)
+
+    block, header = nrrd.read(str(tmp_path / "root.nrrd"))
+    step = header["space directions"][0][0]
+    assert block.sum() / 255.0 * step**3 == pytest.approx(volume, rel=0.005)
+    middle = np.array([np.average(np.arange(n), weights=block.sum(axis=tuple({0, 1, 2} - {axis}))) for axis, n in enumerate(block.shape)])
+    np.testing.assert_allclose(header["space origin"] + step * middle, surface.centroid, atol=0.1)
+
+    views = {view["file"]: np.array(view["cam_from_canister"]) for view in json.loads((result / "result.json").read_text())["views"]}
+    read = read_cameras(tmp_path / "cameras.json", load_dataset(dataset).scene.camera)
+    assert read.camera == load_dataset(dataset).scene.camera
+    for file, pose in views.items():
+        np.testing.assert_allclose(read.cam_from_canister[Path(file).name], pose, atol=1e-9)
+    rows = [line.split() for line in (tmp_path / "colmap" / "images.txt").read_text().splitlines() if line and not line.startswith("#")]
+    assert [row[-1] for row in rows] == list(views)
+    w, x, y, z, *shift = (float(value) for value in rows[3][1:8])
+    np.testing.assert_allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), views[rows[3][-1]][:3, :3], atol=1e-9)
+    np.testing.assert_allclose(shift, views[rows[3][-1]][:3, 3], atol=1e-9)
+    capsys.readouterr()
+    assert cli.main(["export", str(result), "-o", str(tmp_path / "other.json")]) == 2
+    assert "--dataset" in capsys.readouterr().err
+    assert cli.main(["export", str(result), "-o", str(tmp_path / "root.xyz")]) == 2
+    assert ".stl" in capsys.readouterr().err
 
 
 def test_the_truth_changes_nothing_in_the_result(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,153 @@
+"""A result in the files of other programs: meshes, voxels, and cameras in the forms of nerfstudio and COLMAP.
+
+The cameras are the true ones, in air. Programs that follow straight rays from them see the root through the canister's wall and the water
+as if it were magnified and bent: their pictures can be undistorted by no lens model. Cameras serve to look at the rig, the strip and the
+shoot, or for programs that trace the refraction themselves; each file says so.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nrrd
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from recon import result_files
+from recon.surface import paint
+from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
+from scenes import atomic, frames
+from scenes.dataset import Dataset, load_dataset
+from scenes.errors import UserError
+
+REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
+MOST_VOXELS = 1_500_000_000
+"""Bytes that a dense block may take."""
+
+
+def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = None) -> list[Path]:
+    """Write a result in the form that the output's name asks for: .ply, .stl, .glb, .nrrd, .json (nerfstudio) or a folder (COLMAP).
+
+    Raises
+    ------
+    UserError
+        For a damaged result, an unknown suffix, a file that is there already, or cameras without the dataset (which has the lens).
+    """
+    writers: dict[str, Callable[[Path, Path], list[Path]]] = {".ply": _mesh, ".stl": _mesh, ".glb": _mesh, ".nrrd": _voxels}
+    suffix = output.suffix.lower()
+    if suffix not in (*writers, ".json", ""):
+        known = ", ".join(writers)
+        raise UserError(
+            f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)"
+        )
+    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+        raise UserError(f"{output} exists already; choose another name")
+    summary = result_files.read_summary(result_folder)
+    if suffix in writers:
+        return writers[suffix](result_folder, output)
+    if dataset_folder is None:
+        raise UserError(f"{output}: cameras need the lens, which is in the dataset; give it with --dataset DATASET")
+    dataset = load_dataset(dataset_folder)
+    result_files.check_same_scan(summary, result_folder, dataset)
+    posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
+    return _nerfstudio(output, dataset, posed) if suffix == ".json" else _colmap(output, dataset, posed)
+
+
+def _mesh(result_folder: Path, output: Path) -> list[Path]:
+    """Write the surface: PLY and STL in mm with z up, GLB in metres with y up as its standard asks."""
+    mesh = result_files.read_mesh(result_folder / "shape.ply")
+    vertices = mesh.vertices_mm
+    if output.suffix.lower() == ".glb":
+        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / 1000.0
+    solid = trimesh.Trimesh(vertices, mesh.faces, process=False)
+    atomic.write_bytes(output, bytes(solid.export(file_type=output.suffix.lower()[1:])))
+    return [output]
+
+
+def _voxels(result_folder: Path, output: Path) -> list[Path]:
+    """Write the occupancy as a dense block of bytes (255 is all root) whose space is the canister frame in mm."""
+    leaves = result_files.read_leaves(result_folder)
+    low, high = leaves.low.min(axis=0), (leaves.low + leaves.size[:, None]).max(axis=0)
+    shape = tuple(int(n) for n in high - low)
+    if np.prod(np.array(shape, np.float64)) > MOST_VOXELS:
+        size = "x".join(str(n) for n in shape)
+        raise UserError(f"{output}: the dense block would be {size} voxels, too large; reconstruct with larger voxels (--voxel-mm)")
+    block = np.zeros(shape, np.uint8)
+    slab = 64
+    for first in range(0, shape[2], slab):  # painted in floats slab by slab, so that memory stays bounded
+        part = np.zeros((shape[0], shape[1], min(slab, shape[2] - first)), np.float32)
+        index = leaves.low - low
+        touching = (index[:, 2] < first + slab) & (index[:, 2] + leaves.size > first)
+        paint(part, index[touching] - np.array([0, 0, first], np.int32), leaves.size[touching], leaves.occupancy[touching])
+        block[:, :, first : first + slab] = np.round(part * 255.0).astype(np.uint8)
+    centre_mm = leaves.origin_mm + leaves.voxel_mm * (low + 0.5)
+    header: dict[str, Any] = {
+        "space dimension": 3,
+        "space units": ["mm", "mm", "mm"],
+        "space directions": np.eye(3) * leaves.voxel_mm,
+        "space origin": centre_mm,
+        "kinds": ["domain", "domain", "domain"],
+        "encoding": "gzip",
+        "content": "root occupancy, 0 to 255, canister frame (z up)",
+    }
+    temporary = atomic.beside(output)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        nrrd.write(str(temporary), block, header, index_order="F")
+        temporary.replace(output)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return [output]
+
+
+def _nerfstudio(output: Path, dataset: Dataset, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
+    camera = dataset.scene.camera
+    k1, k2, p1, p2, k3 = camera.distortion
+    lens = {
+        "camera_model": "OPENCV",
+        "w": camera.image_wh[0],
+        "h": camera.image_wh[1],
+        "fl_x": camera.focal_px[0],
+        "fl_y": camera.focal_px[1],
+        "cx": camera.principal_px[0] + 0.5,  # nerfstudio counts from the corner of the first pixel
+        "cy": camera.principal_px[1] + 0.5,
+        "k1": k1,
+        "k2": k2,
+        "k3": k3,
+        "p1": p1,
+        "p2": p2,
+    }
+    listed = [
+        {"file_path": file, "transform_matrix": (frames.invert(cam_from_canister) @ OPENCV_FROM_OPENGL).tolist()}
+        for file, cam_from_canister in posed
+    ]
+    atomic.write_json(output, {"note": REFRACTION, **lens, "frames": listed})
+    return [output]
+
+
+def _colmap(output: Path, dataset: Dataset, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
+    """Write COLMAP's text model: FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points."""
+    camera = dataset.scene.camera
+    k1, k2, p1, p2, k3 = camera.distortion
+    (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
+    numbers = (fx, fy, cx + 0.5, cy + 0.5, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
+    lens = f"1 FULL_OPENCV {camera.image_wh[0]} {camera.image_wh[1]} " + " ".join(f"{number:.17g}" for number in numbers)
+    lines = []
+    for number, (file, cam_from_canister) in enumerate(posed, start=1):
+        x, y, z, w = Rotation.from_matrix(cam_from_canister[:3, :3]).as_quat()
+        pose = " ".join(f"{value:.17g}" for value in (w, x, y, z, *cam_from_canister[:3, 3]))
+        lines += [f"{number} {pose} 1 {file}", ""]
+    written = {"cameras.txt": [lens], "images.txt": lines, "points3D.txt": []}
+    with atomic.new_folder(output) as building:
+        for name, rows in written.items():
+            atomic.write_text(building / name, "\n".join([f"# {REFRACTION}", *rows]) + "\n")
+    return [output / name for name in written]
+
+
+def describe(written: list[Path]) -> str:
+    """Return a sentence on what was written, with the warning that cameras need."""
+    warning = f" ({REFRACTION})" if written[0].suffix in (".json", ".txt") else ""
+    return f"wrote {', '.join(json.dumps(str(path))[1:-1] for path in written)}{warning}"
