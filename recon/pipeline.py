@@ -8,9 +8,11 @@ import numpy as np
 
 from recon import drawing, markers, poses, result, shaping
 from recon.cameras import View
+from recon.canister_seat import CanisterSeat, find_seat
 from recon.refraction import Optics
 from recon.run import Run
 from recon.silhouettes import Silhouette
+from scenes import frames
 from scenes.dataset import sha256_of
 from scenes.errors import UserError
 from scenes.provenance import peak_memory_mib, versions
@@ -45,7 +47,7 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
 
     Parameters
     ----------
-    measure, single_view : as in `markers.detect_markers` and `poses.find_poses`.
+    measure, single_view : as in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also takes the strip for true in the canister.
 
     Returns
     -------
@@ -88,15 +90,41 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
     ]
     run.warnings += solved.warnings
     run.warnings += [f"{view.file} is left out: {view.reason}" for view in found if not view.used]
-    return found, _rig(solved)
+    with run.stage("seat"):
+        seat = None if single_view else _seat(run, found)
+    strip_from_canister = np.eye(4) if seat is None else frames.invert(seat.canister_from_strip)
+    found = [
+        view
+        if view.cam_from_canister is None
+        else replace(view, cam_from_canister=(np.array(view.cam_from_canister) @ strip_from_canister).tolist())
+        for view in found
+    ]
+    return found, _rig(solved, seat, strip_from_canister)
 
 
-def _rig(solved: poses.Poses) -> dict[str, Any]:
+def _seat(run: Run, found: list[result.ViewResult]) -> CanisterSeat | None:
+    """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
+    used = {
+        k: View(camera=run.dataset.scene.camera, cam_from_canister=np.array(view.cam_from_canister))
+        for k, view in enumerate(found)
+        if view.used
+    }
+    keys = list(used)
+    return find_seat([used[k] for k in keys], lambda i: run.images[keys[i]], run.dataset.scene)
+
+
+def _rig(solved: poses.Poses, seat: CanisterSeat | None, strip_from_canister: frames.Array) -> dict[str, Any]:
     """Return what all views together gave as JSON values."""
+    table_from_strip = solved.table_from_canister
     return {
+        "canister_from_strip": None if seat is None else seat.canister_from_strip.tolist(),
+        "canister_from_strip_sigma": None if seat is None else seat.sigma.tolist(),
+        "canister_edges": None
+        if seat is None
+        else {"count": seat.edges, "before_mm": seat.before_mm, "after_mm": seat.after_mm, "radius_excess_mm": seat.radius_excess_mm},
         "reprojection_before_px": solved.before_px,
         "reprojection_after_px": solved.after_px,
-        "table_from_canister": None if solved.table_from_canister is None else solved.table_from_canister.tolist(),
+        "table_from_canister": None if table_from_strip is None else (table_from_strip @ strip_from_canister).tolist(),
         "table_from_canister_sigma": None if solved.seat_sigma is None else solved.seat_sigma.tolist(),
         "marker_inset_px": solved.inset_px,
         "rings": [
