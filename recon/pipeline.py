@@ -47,7 +47,7 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
 
     Parameters
     ----------
-    measure, single_view : as in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also takes the strip for true in the canister.
+    measure, single_view : as in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also trusts the strip.
 
     Returns
     -------
@@ -88,6 +88,7 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
         )
         for frame, view in zip(run.frames, solved.views, strict=True)
     ]
+    run.camera = run.camera.focused(solved.focal_scale)
     run.warnings += solved.warnings
     run.warnings += [f"{view.file} is left out: {view.reason}" for view in found if not view.used]
     with run.stage("seat"):
@@ -104,11 +105,7 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
 
 def _seat(run: Run, found: list[result.ViewResult]) -> CanisterSeat | None:
     """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
-    used = {
-        k: View(camera=run.dataset.scene.camera, cam_from_canister=np.array(view.cam_from_canister))
-        for k, view in enumerate(found)
-        if view.used
-    }
+    used = {k: View(camera=run.camera, cam_from_canister=np.array(view.cam_from_canister)) for k, view in enumerate(found) if view.used}
     keys = list(used)
     return find_seat([used[k] for k in keys], lambda i: run.images[keys[i]], run.dataset.scene)
 
@@ -127,6 +124,8 @@ def _rig(solved: poses.Poses, seat: CanisterSeat | None, strip_from_canister: fr
         "table_from_canister": None if table_from_strip is None else (table_from_strip @ strip_from_canister).tolist(),
         "table_from_canister_sigma": None if solved.seat_sigma is None else solved.seat_sigma.tolist(),
         "marker_inset_px": solved.inset_px,
+        "focal_scale": solved.focal_scale,
+        "focal_scale_sigma": solved.focal_sigma,
         "rings": [
             {
                 "ring": ring.ring,
@@ -149,11 +148,7 @@ def usable(run: Run, found: list[result.ViewResult]) -> dict[int, View]:
     UserError
         Where they are too few.
     """
-    views = {
-        k: View(camera=run.dataset.scene.camera, cam_from_canister=np.array(view.cam_from_canister))
-        for k, view in enumerate(found)
-        if view.used
-    }
+    views = {k: View(camera=run.camera, cam_from_canister=np.array(view.cam_from_canister)) for k, view in enumerate(found) if view.used}
     if len(views) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in found if view.reason})[:3])
         raise UserError(

@@ -28,6 +28,9 @@ LOOSE = np.array([np.deg2rad(3.0), 10.0])
 LEAST_RING = 5
 """Views of a ring among which a moved one can be told."""
 OUTLIER_WEIGHT = 0.1
+AS_CALIBRATED = 1e-7
+SURE = 5.0
+"""A change of focus since the calibration is believed beyond this many standard deviations."""
 STRANGERS = 3
 """So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's strip is another."""
 
@@ -83,6 +86,10 @@ class Poses:
     """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
     inset_px: float = 0.0
     """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
+    focal_scale: float = 1.0
+    """Focal lengths over the given ones, as the pictures tell them."""
+    focal_sigma: float | None = None
+    """Its standard deviation."""
     before_px: float | None = None
     """Median reprojection error of the views with the commanded table angles and one nominal seat."""
     after_px: float | None = None
@@ -167,6 +174,12 @@ def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, S
     return replace(view, single_view_px=local.rms_px), seen
 
 
+def _refocused(view: ViewPose, seen: Sightings, focal_scale: float) -> ViewPose:
+    """Find the pose of a view that is not part of the rig with the lens as the rig's views found it."""
+    pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
+    return view if pose is None else replace(view, cam_from_canister=pose)
+
+
 def _view(pose: Array, local: view_fit.Linearised, covariance: Array, count: int) -> ViewPose:
     return ViewPose(
         used=True,
@@ -201,13 +214,20 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))
     while True:
         first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
-        fit = fit_rig([seen[k] for k in keys], first.rig, first.command_rad, first.known)
+        sights = [seen[k] for k in keys]
+        fit = fit_rig(sights, first.rig, first.command_rad, first.known, focus_prior=AS_CALIBRATED)
         worst = _moved(fit, keys)
         if not worst:
             break
         for k, moved in worst.items():
             views[k] = replace(views[k], used=False, reason=moved)
         keys = [k for k in keys if k not in worst]
+    refocused = fit_rig(sights, fit.rig, first.command_rad, first.known)
+    focus_off = abs(refocused.rig.focal_scale - 1.0)
+    if focus_off > SURE * refocused.focal_sigma:  # otherwise the calibration knows better: focus and distance look much alike
+        fit = refocused
+        for k in set(seen) - set(keys):
+            views[k] = _refocused(views[k], seen[k], fit.rig.focal_scale)
     for i, k in enumerate(keys):
         view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
@@ -237,6 +257,8 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         table_from_canister=fit.rig.table_from_canister,
         seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
+        focal_scale=fit.rig.focal_scale,
+        focal_sigma=refocused.focal_sigma,
         before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
         warnings=first.warnings,

@@ -19,6 +19,8 @@ TABLE_PRIOR_RAD = np.deg2rad(0.1)
 FREE_PRIOR_RAD = 0.3
 """How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a tilted, shifted seat changes."""
 INSET_PRIOR_PX = 0.05
+FOCUS_PRIOR = 0.005
+"""How far a lens may be from its calibration: focusing changes the focal lengths by parts of a per cent."""
 TAIL = 4.0
 """Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
@@ -46,6 +48,8 @@ class Rig:
     """(4, 4), without height and turn."""
     inset_px: float
     """How much larger on each side the markers look than they are."""
+    focal_scale: float
+    """Focal lengths over the given ones."""
     spread: Array
     """(R, 2) standard deviation of ``own`` on each axis: rad and mm."""
 
@@ -71,13 +75,17 @@ class RigFit:
     """(V, 6, 6) of the left-hand twist (rad, mm) of cam_from_canister."""
     ring_covariance: Array
     """(R, 6, 6) of the left-hand twist of cam_from_rig."""
+    focal_sigma: float
+    """Standard deviation of ``rig.focal_scale``."""
     offset_covariance: Array
     """(4, 4) of the canister's tilt about x, y (rad) and offset x, y (mm)."""
     scale: float
     """Factor between the corners' residuals and their covariances."""
 
 
-def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_]) -> RigFit:
+def fit_rig(
+    seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], *, focus_prior: float = FOCUS_PRIOR
+) -> RigFit:
     """Fit the rig to all pictures by Gauss-Newton; each step reduces a picture to the normal equations of its pose, which loses nothing.
 
     Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is found from the pictures
@@ -90,6 +98,7 @@ def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: ND
     start : a rig near the solution; ``own`` such that the views' poses are those of the single views.
     command_rad : (V,) commanded table angles.
     known : (V,) whether the angle was commanded at all.
+    focus_prior : standard deviation of the focal lengths over the given ones; tiny: they are as given.
     """
     rig, scale = start, 1.0
     angle_sigma = np.where(known, TABLE_PRIOR_RAD, FREE_PRIOR_RAD)
@@ -97,19 +106,21 @@ def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: ND
     for _ in range(MOST_STEPS):
         views = _linearised(seen, rig, scale)
         scale = max(scale * _misfit(views), LEAST_SCALE)
-        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma)
+        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
         rig = _stepped(replace(rig, spread=spread), shared, local)
         if max(np.abs(local).max(), np.abs(shared).max()) < ENOUGH:
             break
     views = _linearised(seen, rig, scale)
-    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma)
-    return system.report(weight, views, scale, np.array([linearise(s, rig.rig_pose(k)).rms_px for k, s in enumerate(seen)]))
+    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
+    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
+    return system.report(weight, views, scale, np.array(rig_px))
 
 
 def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
-    return tuple(linearise(s, rig.pose(k), inset_px=rig.inset_px, scale=scale) for k, s in enumerate(seen))
+    shared = {"inset_px": rig.inset_px, "focal_scale": rig.focal_scale, "scale": scale}
+    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(seen))
 
 
 def _misfit(views: Sequence[Linearised]) -> float:
@@ -125,12 +136,13 @@ def _inverse(normal: Array) -> Array:
 
 
 def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
-    """Move a rig by a step of the shared (1 + 6 R + 4) and the local (V, 7) unknowns."""
-    rings = shared[1:-4].reshape(-1, 6)
+    """Move a rig by a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns."""
+    rings = shared[2:-4].reshape(-1, 6)
     seat = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
     return replace(
         rig,
         inset_px=rig.inset_px + float(shared[0]),
+        focal_scale=rig.focal_scale + float(shared[1]),
         cam_from_rig=np.array([twist(step) @ pose for step, pose in zip(rings, rig.cam_from_rig, strict=True)]),
         table_from_canister=twist(seat) @ rig.table_from_canister,
         angle_rad=rig.angle_rad + local[:, 0],
@@ -140,39 +152,44 @@ def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations about a rig. Shared unknowns: inset, 6 a ring, 4 of the seat; local ones: table angle, 6 of the own movement."""
+    """Normal equations about a rig.
+
+    Shared unknowns: inset, focus, 6 a ring, 4 of the seat; local ones: table angle, 6 of the own movement.
+    """
 
     rig: Rig
     by_shared: Array
-    """(V, 7, S) of (twist, inset) by the shared unknowns."""
+    """(V, 8, S) of (twist, inset, focus) by the shared unknowns."""
     by_local: Array
-    """(V, 7, 7)."""
+    """(V, 8, 7)."""
     normal: Array
-    """(V, 7, 7) of (twist, inset)."""
+    """(V, 8, 8) of (twist, inset, focus)."""
     gradient: Array
-    """(V, 7)."""
+    """(V, 8)."""
     own: Array
     """(V, 6) the views' own movement."""
     angle_off: Array
     """(V,) table angle less the commanded one."""
     angle_sigma: Array
     """(V,)."""
+    focus_prior: float
 
     @classmethod
-    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array) -> "_System":
+    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, focus_prior: float) -> "_System":
         count, rings = len(views), len(rig.cam_from_rig)
-        by_shared, by_local = np.zeros((count, 7, 1 + 6 * rings + 4)), np.zeros((count, 7, 7))
-        by_shared[:, 6, 0] = 1.0
+        by_shared, by_local = np.zeros((count, 8, 2 + 6 * rings + 4)), np.zeros((count, 8, 7))
+        by_shared[:, 6, 0] = by_shared[:, 7, 1] = 1.0
         by_local[:, :6, 1:] = np.eye(6)
         for k in range(count):
             ring = int(rig.ring[k])
-            by_shared[k, :6, 1 + 6 * ring : 7 + 6 * ring] = adjoint(rig.own[k])
+            by_shared[k, :6, 2 + 6 * ring : 8 + 6 * ring] = adjoint(rig.own[k])
             cam_from_rig = rig.own[k] @ rig.cam_from_rig[ring]
             by_local[k, :6, 0] = adjoint(cam_from_rig)[:, 2]
             by_shared[k, :6, -4:] = adjoint(cam_from_rig @ frames.rotation_z(float(rig.angle_rad[k])))[:, SEAT]
         own = np.array([np.concatenate([frames.to_rotvec(pose), pose[:3, 3]]) for pose in rig.own])
         normal = np.array([view.normal for view in views])
-        return cls(rig, by_shared, by_local, normal, np.array([view.gradient for view in views]), own, angle_off, angle_sigma)
+        gradient = np.array([view.gradient for view in views])
+        return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, focus_prior)
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return the shared (S,) and local (V, 7) step, the covariances (S, S), (V, 7, 7), and the cross covariance (V, S, 7)."""
@@ -186,9 +203,10 @@ class _System:
         right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
         seat = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
         shared_prior = np.full(self.by_shared.shape[2], 1e-9)
-        shared_prior[0], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, SEAT_PRIOR**-2.0
+        shared_prior[0], shared_prior[1], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, self.focus_prior**-2.0, SEAT_PRIOR**-2.0
         shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
         shared_right[0] -= shared_prior[0] * self.rig.inset_px
+        shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)
         shared_right[-4:] -= shared_prior[-4:] * seat
         inverse = _inverse(local_normal)
         gain = inverse @ cross
@@ -218,13 +236,14 @@ class _System:
         mixed = self.by_shared @ cross @ self.by_local.transpose(0, 2, 1)
         covariance = self.by_shared @ shared @ self.by_shared.transpose(0, 2, 1) + mixed + mixed.transpose(0, 2, 1)
         covariance = covariance + self.by_local @ local @ self.by_local.transpose(0, 2, 1)
-        rings = [shared[1 + 6 * k : 7 + 6 * k, 1 + 6 * k : 7 + 6 * k] for k in range(len(self.rig.cam_from_rig))]
+        rings = [shared[2 + 6 * k : 8 + 6 * k, 2 + 6 * k : 8 + 6 * k] for k in range(len(self.rig.cam_from_rig))]
         return RigFit(
             rig=self.rig,
             views=views,
             rig_px=rig_px,
             covariance=covariance[:, :6, :6],
             ring_covariance=np.array(rings),
+            focal_sigma=float(np.sqrt(shared[1, 1])),
             offset_covariance=shared[-4:, -4:],
             scale=scale,
         )

@@ -66,6 +66,7 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
         own=own,
         table_from_canister=np.eye(4),
         inset_px=0.0,
+        focal_scale=1.0,
         spread=np.array([_spread(own[ring == r]) for r in range(len(stations))]),
     )
     return FirstRig(rig=rig, command_rad=command, known=known, stations=tuple(stations), warnings=tuple(warnings))

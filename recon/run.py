@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from scenes.dataset import Dataset, Frame, load_dataset, read_image
 from scenes.errors import UserError
+from scenes.model import Camera
 from scenes.pictures import Grey
 
 T = TypeVar("T")
@@ -30,6 +31,11 @@ class Run:
     """Pictures (H, W) as stored, one a frame."""
     timings_s: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    camera: Camera = field(init=False)
+    """The lens: as given, until the pictures tell how it was focused."""
+
+    def __post_init__(self) -> None:
+        self.camera = self.dataset.scene.camera
 
     @classmethod
     def of(cls, dataset_folder: Path, *, progress: bool) -> "Run":

@@ -37,12 +37,15 @@ class Sightings:
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Least squares of one picture about a pose, for a left-hand twist (rotation rad, translation mm) and the inset (px)."""
+    """Least squares of one picture about a pose, for a left-hand twist (rotation rad, translation mm), the inset (px) and the lens's focus.
+
+    The focus is the relative change of the focal lengths.
+    """
 
     normal: Array
-    """(7, 7)."""
+    """(8, 8)."""
     gradient: Array
-    """(7,)."""
+    """(8,)."""
     chi2: Array
     """(M,) of each marker, before weighting."""
     weight: Array
@@ -72,19 +75,23 @@ def sightings(markers: Markers, scene: Scene) -> Sightings:
     )
 
 
-def linearise(seen: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, scale: float = 1.0) -> Linearised:
+def linearise(
+    seen: Sightings, cam_from_canister: Array, *, inset_px: float = 0.0, focal_scale: float = 1.0, scale: float = 1.0
+) -> Linearised:
     """Linearise a picture's reprojection about a pose.
 
     Parameters
     ----------
     inset_px : how much larger on each side the markers' images are than they should be (shared by all pictures).
+    focal_scale : factor on the camera's focal lengths (shared by all pictures).
     scale : factor on the corners' standard deviations.
     """
-    count = len(seen.px)
+    count, camera = len(seen.px), seen.camera.focused(focal_scale)
     cam = frames.apply(cam_from_canister, seen.points_mm.reshape(-1, 3))
-    at_cam, slopes = cv2.projectPoints(cam, np.zeros(3), np.zeros(3), matrix(seen.camera), np.array(seen.camera.distortion))[:2]
+    at_cam, slopes = cv2.projectPoints(cam, np.zeros(3), np.zeros(3), matrix(camera), np.array(camera.distortion))[:2]
     off = seen.px.reshape(count, 8) - at_cam.reshape(count, 8) - inset_px * seen.outward
-    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), seen.outward[:, :, None]], axis=2)
+    by_focus = (at_cam.reshape(count, 4, 2) - np.array(camera.principal_px)).reshape(count, 8, 1) / focal_scale
+    design = np.concatenate([slopes[:, :6].reshape(count, 8, 6), seen.outward[:, :, None], by_focus], axis=2)
     white = np.einsum("mij,mj->mi", seen.whitener, off) / scale
     white_design = seen.whitener @ design / scale
     chi2 = np.sum(white * white, axis=1)

@@ -20,8 +20,9 @@ from recon import result_files
 from recon.surface import paint
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from scenes import atomic, frames
-from scenes.dataset import Dataset, load_dataset
+from scenes.dataset import load_dataset
 from scenes.errors import UserError
+from scenes.model import Camera
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
 MOST_VOXELS = 1_500_000_000
@@ -53,7 +54,8 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary, result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
-    return _nerfstudio(output, dataset, posed) if suffix == ".json" else _colmap(output, dataset, posed)
+    camera = dataset.scene.camera.focused(summary.get("rig", {}).get("focal_scale", 1.0))
+    return _nerfstudio(output, camera, posed) if suffix == ".json" else _colmap(output, camera, posed)
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -103,8 +105,7 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
-def _nerfstudio(output: Path, dataset: Dataset, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
-    camera = dataset.scene.camera
+def _nerfstudio(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
         "camera_model": "OPENCV",
@@ -128,9 +129,8 @@ def _nerfstudio(output: Path, dataset: Dataset, posed: list[tuple[str, NDArray[n
     return [output]
 
 
-def _colmap(output: Path, dataset: Dataset, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
+def _colmap(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
     """Write COLMAP's text model: FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points."""
-    camera = dataset.scene.camera
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     numbers = (fx, fy, cx + 0.5, cy + 0.5, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)

@@ -3,7 +3,7 @@
 A field's unit is in its name. ``limits`` in a field's metadata are inclusive bounds that `scenes.schema` enforces.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from scenes.limits import bounded
@@ -85,8 +85,6 @@ class Camera:
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
         """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
-        from dataclasses import replace
-
         scale = image_wh[0] / self.image_wh[0]
         cx, cy = self.principal_px
         margin_y = (image_wh[1] - scale * self.image_wh[1]) / 2.0
@@ -96,6 +94,10 @@ class Camera:
             focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale),
             principal_px=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5 + margin_y),
         )
+
+    def focused(self, scale: float) -> "Camera":
+        """Return the same camera with focal lengths ``scale`` times as long (lenses breathe when they are focused)."""
+        return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +161,8 @@ class Disturbances:
     """Diameter of the lens opening; 0 is a pinhole, otherwise what is off the focus distance blurs."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
     """Focus distance minus the distance from camera to the table's axis."""
+    focal_error: float = bounded(0.0, -0.05, 0.05)
+    """True over given focal length, less 1: the lens was focused anew after it was calibrated; unknown to the reconstruction."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
     """Lens distortion added to the camera's, known to the reconstruction (a calibrated lens)."""
     arm_deg: float = bounded(0.0, 0.0, 10.0)

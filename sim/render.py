@@ -71,7 +71,7 @@ class Renderer:
         self.sensors = [
             mi.load_dict(
                 sensor.sensor_dict(
-                    scene.camera,
+                    scene.camera.focused(1.0 + wrong.focal_error),
                     distortion=world.distortion,
                     aperture_mm=wrong.aperture_mm,
                     focus_mm=ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)) + wrong.focus_error_mm,

@@ -75,10 +75,10 @@ def test_derivative_of_a_view_agrees_with_differences():
     seen = sightings(shoot(SCENE, pose, rng), SCENE)
 
     def cost(step: np.ndarray) -> float:
-        local = linearise(seen, twist(step[:6]) @ pose, inset_px=step[6])
+        local = linearise(seen, twist(step[:6]) @ pose, inset_px=step[6], focal_scale=1.0 + step[7])
         return float(np.sum(36.0 * np.log1p(local.chi2 / 72.0)))
 
-    slopes = [(cost(h * unit) - cost(-h * unit)) / (2 * h) for unit, h in zip(np.eye(7), [1e-6] * 3 + [1e-4] * 3 + [1e-4], strict=True)]
+    slopes = [(cost(h * unit) - cost(-h * unit)) / (2 * h) for unit, h in zip(np.eye(8), [1e-6] * 3 + [1e-4] * 4 + [1e-7], strict=True)]
     np.testing.assert_allclose(linearise(seen, pose).gradient, -np.array(slopes), rtol=2e-3, atol=1.0)
 
 
@@ -232,3 +232,17 @@ def test_a_camera_placed_anew_within_a_ring_gets_a_pose_of_its_own():
 
     as_one = find_poses(made.markers, made.scene, [replace(frame, placement=0) for frame in made.captured])
     assert not all(view.used for view in as_one.views) or as_one.rings[0].own_mm > 0.2
+
+
+def test_a_lens_that_was_focused_after_its_calibration_is_found():
+    true = SCENE.camera.focused(1.004)
+    made = scan(rings=(Ring(views=16),))
+    rng = np.random.default_rng(4)
+    for k, pose in enumerate(made.poses):
+        made.markers[k] = shoot(replace(made.scene, camera=true), pose, rng)
+    found = find_poses(made.markers, made.scene, made.captured)
+    assert found.focal_scale == pytest.approx(1.004, abs=4.0 * found.focal_sigma)
+    assert found.focal_sigma < 0.0004
+    assert np.median(made.errors(found)[:, 0]) < 0.2
+    as_given = find_poses(scan().markers, made.scene, scan().captured)
+    assert as_given.focal_scale == pytest.approx(1.0, abs=1e-9)  # chance is not believed
