@@ -223,11 +223,13 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
             views[k] = replace(views[k], used=False, reason=moved)
         keys = [k for k in keys if k not in worst]
     refocused = fit_rig(sights, fit.rig, first.command_rad, first.known)
-    focus_off = abs(refocused.rig.focal_scale - 1.0)
-    if focus_off > SURE * refocused.focal_sigma:  # otherwise the calibration knows better: focus and distance look much alike
-        fit = refocused
+    focal_scale = 1.0
+    if (
+        abs(refocused.rig.focal_scale - 1.0) > SURE * refocused.focal_sigma
+    ):  # else the calibration knows better: focus looks much like distance
+        fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(seen) - set(keys):
-            views[k] = _refocused(views[k], seen[k], fit.rig.focal_scale)
+            views[k] = _refocused(views[k], seen[k], focal_scale)
     for i, k in enumerate(keys):
         view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
@@ -257,7 +259,7 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         table_from_canister=fit.rig.table_from_canister,
         seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
-        focal_scale=fit.rig.focal_scale,
+        focal_scale=focal_scale,
         focal_sigma=refocused.focal_sigma,
         before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
