@@ -8,12 +8,14 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias, TypeVar
 
 from scenes.errors import UserError
+
+T = TypeVar("T")
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 DEFAULT_VOXEL_MM = 0.27
@@ -95,7 +97,7 @@ def _fail(sentence: str, code: int) -> int:
 def _explain(error: BaseException, command: str) -> tuple[str, int]:
     """Return the sentence that explains an error in a command, and the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        kept = command in ("simulate", "demo")  # finished pictures
+        kept = command in ("simulate", "demo", "plan")  # finished pictures
         return f"stopped; {'the same command takes it up again' if kept else 'nothing was written; run it again'}", EXIT_STOPPED
     if isinstance(error, UserError):
         return str(error), EXIT_MISTAKE
@@ -132,7 +134,11 @@ def build_parser() -> Parser:
     _add_import(commands)
     _add_score(commands)
     _add_export(commands)
+    _add_plan(commands)
     _add_demo(commands)
+    from rhizotwin import print_cli  # it takes its helpers from here
+
+    print_cli.add(commands)
     return parser
 
 
@@ -294,6 +300,46 @@ def _add_export(commands: Commands) -> None:
     parser.add_argument("--dataset", type=Path, metavar="DATASET", help="the dataset that the result was made from; cameras need its lens")
 
 
+def _add_plan(commands: Commands) -> None:
+    parser = _add(
+        commands,
+        "plan",
+        "try capture plans on the twin before building or scanning",
+        description="Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and picture\n"
+        "sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png. A stopped run is taken up by the same\n"
+        "command. Each combination takes about a minute for 40 pictures of 800x600 on two cores.",
+        epilog="examples:\n  rhizotwin plan radish_day15a -o my_plan --views 20,40,41\n"
+        "  rhizotwin plan printed_8ml -o my_plan --views 21,41 --heights=-42 --heights=-100,-42 --within 3\n"
+        "  rhizotwin plan my_scene.toml -o my_plan --image-wh 800x600,1600x1200 --profile bench --seeds 3",
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a scene file (TOML) or a name from 'rhizotwin scenes'")
+    _add_output(parser, "FOLDER", "folder for the table, the figure and the scores: new, or of an earlier plan")
+    parser.add_argument(
+        "--views", type=_list_of(_views), default=(20, 40, 41), metavar="N,N,...", help="views in a ring to try; default: 20,40,41"
+    )
+    parser.add_argument(
+        "--heights",
+        type=_list_of(_height_mm),
+        action="append",
+        metavar="=MM,MM,...",
+        help="heights of the camera over the canister's rim, one a ring, all looking at the same point; once for each set to try; default: "
+        "the scene's first ring, and it with a second one 60 mm lower",
+    )
+    parser.add_argument("--image-wh", type=_list_of(_image_wh), metavar="WxH,WxH,...", help="picture sizes to try; default: the scene's")
+    parser.add_argument(
+        "--profile", default="bench", metavar="NAME", help="what the rig gets wrong: clean, bench, harsh or a file; default: %(default)s"
+    )
+    parser.add_argument("--seeds", type=_seeds, default=1, metavar="N", help="runs of each plan with other errors; default: %(default)s")
+    parser.add_argument(
+        "--within",
+        type=_percent,
+        default=5.0,
+        metavar="PERCENT",
+        help="name the cheapest plan whose volume stays within this; default: %(default)s",
+    )
+    _add_device(parser)
+
+
 def _add_demo(commands: Commands) -> None:
     parser = _add(
         commands,
@@ -345,6 +391,27 @@ def _samples(text: str) -> int:
     return _whole(text, 1, 1 << 16, f"give 1 to {1 << 16}")
 
 
+def _seeds(text: str) -> int:
+    return _whole(text, 1, 1000, "give 1 to 1000")
+
+
+def _height_mm(text: str) -> float:
+    return _between(text, (-2000.0, 2000.0), "mm")
+
+
+def _percent(text: str) -> float:
+    return _between(text, (0.01, 1000.0), "%")
+
+
+def _list_of(one: Callable[[str], T]) -> Callable[[str], tuple[T, ...]]:
+    """Return a reader of a list with commas."""
+
+    def read(text: str) -> tuple[T, ...]:
+        return tuple(dict.fromkeys(one(part) for part in text.split(",")))
+
+    return read
+
+
 def _seed(text: str) -> int:
     return _whole(text, 0, 2**63 - 1, "give 0 or a positive whole number")
 
@@ -368,11 +435,15 @@ def _diameter_mm(text: str) -> float:
 
 
 def _millimetres(text: str, limits: tuple[float, float]) -> float:
+    return _between(text, limits, "mm")
+
+
+def _between(text: str, limits: tuple[float, float], unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of millimetres") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of {unit}") from None
     low, high = limits
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} mm")
+        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} {unit}")
     return value

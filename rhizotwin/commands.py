@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from rhizotwin import print_commands
 from scenes import files
 from scenes.checks import check_scene
 from scenes.errors import UserError
@@ -27,7 +28,10 @@ def run(options: argparse.Namespace) -> None:
         "import": import_,
         "score": score,
         "export": export,
+        "plan": plan,
         "demo": demo,
+        "markers": print_commands.markers,
+        "calibrate": print_commands.calibrate,
     }
     handlers[options.command](options)
 
@@ -117,6 +121,29 @@ def export(options: argparse.Namespace) -> None:
     from rhizotwin import exports
 
     print(exports.describe(exports.export(options.result, options.output, dataset_folder=options.dataset)))
+
+
+def plan(options: argparse.Namespace) -> None:
+    """Try capture plans on the twin."""
+    from rhizotwin import planning
+
+    scene = change_scene(files.load_scene(options.scene), profile=options.profile)
+    first_mm = scene.plan.rings[0].height_mm
+    heights = options.heights or [(first_mm,), (first_mm - 60.0, first_mm)]
+    variants = [
+        planning.Variant(heights_mm=rings, views=views, image_wh=image_wh)
+        for image_wh in options.image_wh or (scene.camera.image_wh,)
+        for rings in dict.fromkeys(heights)
+        for views in options.views
+    ]
+    _start(options)
+    rows = planning.run_plans(scene, variants, options.output, profile_name=options.profile, seeds=options.seeds, say=print)
+    chosen = planning.best(rows, within=options.within / 100.0)
+    if chosen is None:
+        print(f"no plan stays within {options.within:g} % of the volume; try more views, pixels or rings")
+    else:
+        print(f"cheapest plan within {options.within:g} %: {chosen.variant.name}, {chosen.pictures} pictures")
+    print(f"picture: {options.output / 'plan.png'}; numbers: {options.output / 'plan.csv'}")
 
 
 def demo(options: argparse.Namespace) -> None:

@@ -41,9 +41,7 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
     suffix = output.suffix.lower()
     if suffix not in (*writers, ".json", ""):
         known = ", ".join(writers)
-        raise UserError(
-            f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)"
-        )
+        raise UserError(f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise UserError(f"{output} exists already; choose another name")
     summary = result_files.read_summary(result_folder)

@@ -13,7 +13,7 @@ from scenes.errors import UserError
 from scenes.model import Scene
 from sim import integrators, lights, optics, sensor
 from sim.specimen import SpecimenSolid
-from sim.world import World
+from sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
@@ -92,20 +92,38 @@ class Renderer:
         coverage : (H, W) float32
             Fraction of each pixel whose refracted primary rays meet the specimen.
         """
-        camera = self.world.cameras[k]
+        return self.look(self.world.cameras[k], ring=self.ring_of_view[k], stream=k)
+
+    def look(self, camera: TrueCamera, *, ring: int, stream: int = 0) -> tuple[Image, Image]:
+        """Render what a camera anywhere sees.
+
+        Parameters
+        ----------
+        camera : TrueCamera
+            Where it is, and where the canister is.
+        ring : int
+            Ring of the plan whose focus the lens has.
+        stream : int
+            Number of the path tracer's random stream.
+
+        Returns
+        -------
+        image, coverage
+            As from `view`.
+        """
         lights.place(self.mitsuba_scene, self.lights, camera)
-        eye = self.sensors[self.ring_of_view[k]]
+        eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
         image, coverage = self._lattice(eye)
         if self.fidelity == "path":
-            image = self._traced(eye, k)
+            image = self._traced(eye, stream)
         return image, coverage
 
-    def _traced(self, eye: Any, k: int) -> Image:
-        """Path-trace view k, in as many passes as memory asks for, each with its own seed."""
+    def _traced(self, eye: Any, stream: int) -> Image:
+        """Path-trace a view, in as many passes as memory asks for, each with its own seed."""
         width, height = self.image_wh
         most = max(1, MAX_PATHS // (width * height))
-        seeds = np.random.default_rng([self.world.seed, _TRACING, k])
+        seeds = np.random.default_rng([self.world.seed, _TRACING, stream])
         total = np.zeros((height, width), dtype=np.float32)
         for start in range(0, self.samples, most):
             count = min(most, self.samples - start)

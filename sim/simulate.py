@@ -2,29 +2,26 @@
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from scenes import plan
-from scenes.atomic import write_bytes, write_image, write_json
+from scenes.atomic import write_image, write_json
 from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from scenes.errors import UserError
-from scenes.files import scene_to_dict
-from scenes.model import Disturbances, Scene
+from scenes.model import Scene
 from scenes.provenance import versions
-from scenes.rsml import write_rsml
-from scenes.truth import TrueView, Truth, save_truth
+from scenes.truth import save_truth
 from sim.exposure import expose, mask_picture
 from sim.render import Fidelity, Renderer, checked_samples
 from sim.specimen import SpecimenSolid, build_specimen
-from sim.world import World, draw_world, lens_distortion
+from sim.truth import truth_of, write_specimen
+from sim.world import World, as_given, draw_world
 
 PROGRESS_FILE = "truth/simulate.json"
 """What the set is made with and which frames are done; it is what a second start compares and continues."""
@@ -86,19 +83,13 @@ def simulate(
     }
     done = _take_up(folder, settings)
     world = draw_world(scene, seed=seed)
-    _write_specimen(folder, solid)
+    write_specimen(folder, solid)
     frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
-    save_truth(folder, _truth(world, solid, frames))
+    save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
     origin = {"program": "rhizotwin simulate", **settings}
-    dataset = Dataset(folder=folder, scene=_as_given(scene), frames=frames, seed=seed, origin=origin)
+    dataset = Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin)
     save_dataset(dataset)
     return dataset
-
-
-def _as_given(scene: Scene) -> Scene:
-    """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
-    camera = replace(scene.camera, distortion=lens_distortion(scene))
-    return replace(scene, description="", camera=camera, specimen=None, disturbances=Disturbances())
 
 
 def _render_frames(
@@ -165,34 +156,6 @@ def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
         elif earlier.get(key) != settings[key]:
             named.append(f"{key} ({earlier.get(key)}, now {settings[key]})" if key == "variant" else key)
     return named
-
-
-def _write_specimen(folder: Path, solid: SpecimenSolid) -> None:
-    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
-    write_bytes(folder / "truth" / "specimen.ply", bytes(mesh.export(file_type="ply")))
-    if solid.roots:
-        write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
-
-
-def _truth(world: World, solid: SpecimenSolid, frames: tuple[Frame, ...]) -> Truth:
-    low, high = solid.extents_min_mm, solid.extents_max_mm
-    return Truth(
-        volume_mm3=solid.volume_mm3,
-        extents_min_mm=(float(low[0]), float(low[1]), float(low[2])),
-        extents_max_mm=(float(high[0]), float(high[1]), float(high[2])),
-        n_water=world.n_water,
-        canister_from_strip=_rows(world.canister_from_strip),
-        views=tuple(
-            TrueView(file=frame.file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg)
-            for frame, camera in zip(frames, world.cameras, strict=True)
-        ),
-        traits=dict(solid.traits),
-        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"], "notes": list(solid.notes)},
-    )
-
-
-def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
 def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:

@@ -3,14 +3,14 @@
 Each effect has its own random stream, keyed by effect, ring and view: no picture depends on the pictures before it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes import frames, plan
-from scenes.model import Scene
+from scenes.model import Disturbances, Scene
 from sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
 
 # One number an effect: the second key of its random stream.
@@ -103,6 +103,12 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
     """Return k1, k2, p1, p2, k3 of the scene's lens with its profile's distortion added."""
     k1, k2, p1, p2, k3 = (a + b for a, b in zip(scene.camera.distortion, scene.disturbances.distortion, strict=True))
     return k1, k2, p1, p2, k3
+
+
+def as_given(scene: Scene) -> Scene:
+    """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
+    camera = replace(scene.camera, distortion=lens_distortion(scene))
+    return replace(scene, description="", camera=camera, specimen=None, disturbances=Disturbances())
 
 
 def _rng(seed: int, effect: int, *keys: int) -> np.random.Generator:

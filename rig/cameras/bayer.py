@@ -1,0 +1,72 @@
+"""From the raw numbers of a colour sensor to grey, linear in light."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.pictures import Grey
+
+COLOURS = ("R", "Gr", "Gb", "B")
+"""The order in which black levels are given; Gr is the green in the rows of red."""
+FULL = 0.999
+"""Fraction of ``white`` from which a pixel counts as full: converters stop a few numbers short."""
+
+
+def grey_from_bayer(
+    raw: NDArray[np.uint16],
+    *,
+    order: str,
+    black: tuple[float, float, float, float],
+    white: float,
+    colour_gains: tuple[float, float],
+    block: int,
+    bits: int,
+) -> Grey:
+    """Average each block of raw pixels, black level taken off and colours balanced.
+
+    With gains that make a grey surface equal in all colours, the four pixels of a quad weigh the same, so that the mean sits in the
+    quad's middle, and no edge is moved or coloured as by interpolation.
+
+    Parameters
+    ----------
+    raw
+        (H, W) numbers of the sensor.
+    order
+        Colours of the upper left quad by rows, such as "RGGB".
+    black
+        Numbers without light for `COLOURS`.
+    white
+        Number at which a pixel is full.
+    colour_gains
+        Factors of red and blue.
+    block
+        Pixels of a side that become one; even.
+    bits
+        Depth of the result: up to 8 in uint8, more left-aligned in uint16.
+
+    Returns
+    -------
+    ndarray
+        (H / block, W / block). Proportional to the light; the raw range above black is full scale. A block with a full pixel is at full
+        scale too: its light is not known.
+    """
+    gains = {"R": colour_gains[0], "Gr": 1.0, "Gb": 1.0, "B": colour_gains[1]}
+    floors = dict(zip(COLOURS, black, strict=True))
+    light = np.zeros((raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
+    full: NDArray[np.bool_] = np.zeros(light.shape, np.bool_)
+    for i in range(2):
+        for j in range(2):
+            colour = order[2 * i + j]
+            if colour == "G":
+                colour = "Gr" if "R" in order[2 * i : 2 * i + 2] else "Gb"
+            plane = raw[i::2, j::2]
+            np.logical_or(full, plane >= FULL * white, out=full)
+            light += (plane.astype(np.float32) - np.float32(floors[colour])) * np.float32(gains[colour] / (4.0 * (white - floors[colour])))
+    quads = block // 2
+    if quads > 1:
+        shape = (light.shape[0] // quads, quads, light.shape[1] // quads, quads)
+        light, full = light.reshape(shape).mean(axis=(1, 3)), full.reshape(shape).any(axis=(1, 3))
+    light[full] = 1.0
+    numbers = np.rint(np.clip(light, 0.0, 1.0) * (2**bits - 1))
+    if bits <= 8:
+        return numbers.astype(np.uint8)
+    return numbers.astype(np.uint16) << np.uint16(16 - bits)

@@ -1,0 +1,212 @@
+"""A camera on another computer that runs `rhizotwin camera`; nothing but Python's own HTTP."""
+
+import hashlib
+import http.client
+import json
+import math
+import uuid
+from dataclasses import dataclass
+from email.message import Message
+from typing import Any
+from urllib.parse import urlsplit
+
+from rig.cameras import protocol
+from rig.cameras.settings import CameraSettings, check_picture
+from rig.clock import Clock
+from rig.devices import Shot
+from rig.errors import LostError, NoAnswerError, RigError
+from scenes.errors import UserError
+from scenes.pictures import decode_grey
+from scenes.schema import to_plain
+
+RETRIES = 3
+PAUSE_S = 0.5
+"""Between attempts."""
+ANSWER_S = 10.0
+"""Time for an answer, beyond the exposure."""
+OPENING_S = 30.0
+"""Time to open a camera, beyond some exposures."""
+MAX_TEXT_BYTES = 65536
+TOLERANCE, TOLERANCE_S = 0.05, 1e-4
+"""Of exposure and gain; the server's own driver checks them closer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Answer:
+    headers: Message
+    data: bytes
+
+
+class _DamagedError(Exception):
+    """An answer that did not arrive whole; the request may be repeated."""
+
+
+class HttpCamera:
+    """Client of a `rig.cameras.server.CameraServer`. A request is repeated under the same name until its answer arrives whole."""
+
+    def __init__(self, address: str, settings: CameraSettings, *, clock: Clock) -> None:
+        """Check the address; nothing is sent before `prepare`.
+
+        Raises
+        ------
+        RigError
+            When the address is no http://host:port.
+        """
+        self._host, self._port = _host_port(address)
+        self._name = f"camera at {address.rstrip('/')}"
+        self._settings = settings
+        self._clock = clock
+        self._session = ""
+        self._said = "not open"
+
+    def describe(self) -> str:
+        """Say what the server says of its camera."""
+        return f"{self._said}, {self._name.removeprefix('camera ')}" if self._session else f"{self._name}, not open"
+
+    def prepare(self) -> None:
+        """Have the server open its camera with these settings, and take a picture to prove them."""
+        greeting = self._json(self._ask("GET", "/describe", None, timeout_s=ANSWER_S))
+        if greeting.get("program") != protocol.PROGRAM or greeting.get("protocol") != protocol.PROTOCOL:
+            raise RigError(
+                f"{self._name}: what answers is no rhizotwin camera of this version; start the same version's rhizotwin camera there"
+            )
+        session = uuid.uuid4().hex
+        body = {"session": session, "settings": to_plain(self._settings)}
+        timeout_s = 5.0 * self._settings.exposure_s + OPENING_S
+        self._said = str(self._json(self._ask("POST", "/prepare", body, timeout_s=timeout_s)).get("camera"))
+        self._session = session
+        self.capture()
+
+    def capture(self) -> Shot:
+        """Take a picture; its exposure begins after this call."""
+        if not self._session:
+            raise RigError(f"{self._name}: is not open; prepare it first")
+        picture = uuid.uuid4().hex
+        body = {"session": self._session, "picture": picture}
+        timeout_s = self._settings.exposure_s + ANSWER_S
+        return self._shot(self._ask("POST", "/capture", body, timeout_s=timeout_s, picture=picture))
+
+    def close(self) -> None:
+        """End the session on this side; the server keeps its camera for the next."""
+        self._session = ""
+
+    def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
+        """Send a request until its answer arrives whole; answers that say what is wrong are raised at once."""
+        reason = ""
+        for attempt in range(1 + RETRIES):
+            if attempt:
+                self._clock.sleep(PAUSE_S)
+            try:
+                return self._exchange(method, path, body, timeout_s=timeout_s, picture=picture)
+            except (OSError, http.client.HTTPException, _DamagedError) as error:
+                reason = str(error) or type(error).__name__
+        raise NoAnswerError(
+            f"{self._name}: no whole answer after {1 + RETRIES} attempts ({reason}); check the network, and that rhizotwin camera "
+            "runs there with --host 0.0.0.0 or behind an ssh tunnel"
+        )
+
+    def _exchange(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str) -> _Answer:
+        connection = http.client.HTTPConnection(self._host, self._port, timeout=timeout_s)
+        try:
+            headers = {"Content-Type": "application/json", "Connection": "close"}
+            connection.request(method, path, body=None if body is None else json.dumps(body), headers=headers)
+            response = connection.getresponse()
+            answer = _Answer(headers=response.headers, data=self._read(response, self._most_bytes() if picture else MAX_TEXT_BYTES))
+        finally:
+            connection.close()
+        if response.status != http.client.OK:
+            kind = LostError if response.status == http.client.CONFLICT else RigError
+            raise kind(f"{self._name}: {_complaint(response.status, answer.data)}")
+        if picture:
+            self._check_whole(answer, picture)
+        else:
+            _parse(answer.data)
+        return answer
+
+    def _read(self, response: http.client.HTTPResponse, most: int) -> bytes:
+        """Read as much as was announced, and no more than can be right."""
+        announced = response.getheader("Content-Length", "")
+        if not (announced.isascii() and announced.isdigit()):
+            raise _DamagedError("an answer without its length")
+        if int(announced) > most:
+            raise RigError(
+                f"{self._name}: announces an answer of {announced} bytes, at most {most} can be right; start the same version there"
+            )
+        data = response.read(int(announced))
+        if len(data) != int(announced):
+            raise _DamagedError(f"{len(data)} of {announced} bytes arrived")
+        return data
+
+    def _most_bytes(self) -> int:
+        """Return how long a picture's PNG can be: noise cannot be compressed, each row has a byte more, and there are headers."""
+        width, height = self._settings.image_wh
+        return (2 * width + 1) * height * 101 // 100 + MAX_TEXT_BYTES
+
+    def _check_whole(self, answer: _Answer, picture: str) -> None:
+        if answer.headers.get(protocol.PICTURE) != picture:
+            raise _DamagedError("the answer to another request")
+        if answer.headers.get(protocol.SHA256) != hashlib.sha256(answer.data).hexdigest():
+            raise _DamagedError("the picture was damaged on its way")
+
+    def _json(self, answer: _Answer) -> dict[str, Any]:
+        return _parse(answer.data)
+
+    def _shot(self, answer: _Answer) -> Shot:
+        try:
+            image = decode_grey(answer.data, where=self._name)
+        except UserError as error:
+            raise RigError(f"{error}; start the same version of rhizotwin camera there") from error
+        check_picture(image, self._settings, name=self._name)
+        exposure_s = self._number(answer, protocol.EXPOSURE_S)
+        gain = self._number(answer, protocol.GAIN)
+        wanted = self._settings
+        if exposure_s is not None and abs(exposure_s - wanted.exposure_s) > max(TOLERANCE * wanted.exposure_s, TOLERANCE_S):
+            raise RigError(f"{self._name}: exposed {1000 * exposure_s:g} ms instead of {1000 * wanted.exposure_s:g} ms; correct exposure_s")
+        if gain is not None and abs(gain - wanted.gain) > max(TOLERANCE * wanted.gain, 0.5):
+            raise RigError(f"{self._name}: took a picture with gain {gain:g} instead of {wanted.gain:g}; correct gain")
+        return Shot(image=image, exposure_s=exposure_s, gain=gain)
+
+    def _number(self, answer: _Answer, header: str) -> float | None:
+        text = answer.headers.get(header)
+        if text is None:
+            return None
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise RigError(
+                f"{self._name}: says {header} {text[:40]!r}, which is no number; start the same version of rhizotwin camera there"
+            )
+        return number
+
+
+def _host_port(address: str) -> tuple[str, int]:
+    """Split http://host:port."""
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port, parts = None, None, urlsplit("")
+    if parts.scheme != "http" or not host or parts.path not in ("", "/") or parts.query or parts.fragment or "@" in parts.netloc:
+        raise RigError(f"camera: address {address!r} is no http://HOST:PORT; give that of the computer that runs rhizotwin camera")
+    return host, protocol.DEFAULT_PORT if port is None else port
+
+
+def _parse(data: bytes) -> dict[str, Any]:
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise _DamagedError("an answer that is no JSON") from error
+    if not isinstance(value, dict):
+        raise _DamagedError("an answer that is no JSON object")
+    return value
+
+
+def _complaint(status: int, data: bytes) -> str:
+    """Return the sentence of a failure's answer."""
+    try:
+        sentence = _parse(data).get("error")
+    except _DamagedError:
+        sentence = None
+    return sentence if isinstance(sentence, str) else f"what answers is no rhizotwin camera (HTTP status {status}); check the address"

@@ -1,0 +1,183 @@
+"""A camera on this Raspberry Pi, by picamera2, which is imported when the camera is opened and not before.
+
+Pictures are made of the sensor's raw numbers, not of the processed stream. What the processor does by default is neither linear nor the
+same from one picture to the next (contrast stretch, gamma, lens shading, noise reduction, sharpening); a linear tuning file can stop
+that, but leaves 8 bits, of which the dark marker strip beside a bright panel gets few. The raw numbers are 12 bits, linear, and need
+no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels becomes one grey pixel (`rig.cameras.bayer`), so that the HQ camera's 4056x3040
+raw pixels give 2028x1520, with the noise of the four averaged. Pixels are left-aligned in 16 bits; the converter's range above black is
+full scale.
+"""
+
+import importlib
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from rig.cameras.pi_frames import RELATIVE, RawMode, choose_mode, grey_of_frame, metadata_faults
+from rig.cameras.settings import CameraSettings, check_picture
+from rig.devices import Shot
+from rig.errors import RigError
+
+INSTALL = "sudo apt install python3-picamera2, and a Python that sees it (the system's own, or a venv made with --system-site-packages)"
+TRIES = 8
+"""Frames that may pass before the settings hold: more than a change takes while running (buffers + 4)."""
+BUFFERS = 2
+PATIENCE_S = 10.0
+"""Beyond the exposures that a picture waits for; then the camera counts as stopped."""
+
+_TROUBLE = (RuntimeError, OSError, ValueError, IndexError, KeyError, TypeError)
+
+
+class PiCamera:
+    """Camera by picamera2: everything automatic off, settings proved by each picture's own metadata."""
+
+    def __init__(self, address: str, settings: CameraSettings) -> None:
+        """Find picamera2; the camera is opened by `prepare`.
+
+        Raises
+        ------
+        RigError
+            When picamera2 cannot be imported, or the address is no number.
+        """
+        if not (address.isascii() and address.isdigit()):
+            raise RigError(
+                f"camera: address {address!r} is no number of a camera; with kind picamera2 it is 0 for the first, 1 for the second"
+            )
+        self._number = int(address)
+        self._name = f"camera {address}"
+        self._settings = settings
+        self._library = _picamera2(self._name)
+        self._camera: Any = None
+        self._mode: RawMode | None = None
+        self._last_ns = -1
+
+    def describe(self) -> str:
+        """Say which sensor it is and how it is read."""
+        if self._camera is None or self._mode is None:
+            return f"Raspberry Pi {self._name}, not open"
+        model = self._camera.camera_properties.get("Model", "unknown sensor")
+        (width, height), mode, settings = self._settings.image_wh, self._mode, self._settings
+        return (
+            f"Raspberry Pi {self._name} ({model}), {width}x{height} of {mode.size[0]}x{mode.size[1]} raw pixels of {mode.bits} bits, "
+            f"{1000.0 * settings.exposure_s:g} ms, gain {settings.gain:g}"
+        )
+
+    def prepare(self) -> None:
+        """Open the camera anew with its settings given before it starts, and take a picture to prove them."""
+        self.close()
+        try:
+            self._open()
+        except RigError:
+            self.close()
+            raise
+        except _TROUBLE as error:
+            self.close()
+            raise RigError(
+                f"{self._name}: cannot be opened ({_reason(error)}); look for it with rpicam-hello --list-cameras, check its cable, and "
+                "stop other programs that use it"
+            ) from error
+        self.capture()
+
+    def capture(self) -> Shot:
+        """Take a picture whose exposure begins after this call; frames with other settings or of an earlier time are passed over."""
+        if self._camera is None or self._mode is None:
+            raise RigError(f"{self._name}: is not open; prepare it first")
+        faults: list[str] = []
+        for _ in range(TRIES):
+            raw, metadata = self._frame()
+            faults = metadata_faults(metadata, self._settings)
+            if int(metadata.get("SensorTimestamp", 0)) <= self._last_ns:
+                faults.append("the same frame again")
+            if not faults:
+                self._last_ns = int(metadata.get("SensorTimestamp", 0))
+                stream = self._camera.camera_configuration()["raw"]
+                image = grey_of_frame(raw, stream, metadata, mode=self._mode, settings=self._settings, name=self._name)
+                check_picture(image, self._settings, name=self._name)
+                return Shot(image=image, exposure_s=1e-6 * float(metadata["ExposureTime"]), gain=float(metadata["AnalogueGain"]))
+        raise RigError(
+            f"{self._name}: its settings do not hold: {', '.join(faults)}, after {TRIES} frames; ask for an exposure and a gain that the "
+            "sensor can"
+        )
+
+    def close(self) -> None:
+        """Stop the camera and give it back."""
+        camera, self._camera, self._mode, self._last_ns = self._camera, None, None, -1
+        if camera is not None:
+            with suppress(*_TROUBLE):
+                camera.close()
+
+    def _open(self) -> None:
+        settings = self._settings
+        self._camera = camera = self._library.Picamera2(self._number)
+        mode = choose_mode(camera.sensor_modes, settings.image_wh, name=self._name)
+        camera.configure(
+            camera.create_still_configuration(
+                main={"size": (640, 480)},  # must be there, is not used
+                raw={"size": mode.size, "format": mode.format},
+                buffer_count=BUFFERS,
+                queue=False,
+                controls={
+                    "AeEnable": False,
+                    "AwbEnable": False,
+                    "ExposureTime": round(1e6 * settings.exposure_s),
+                    "AnalogueGain": settings.gain,
+                    "ColourGains": settings.colour_gains,
+                    "FrameDurationLimits": (100, 1_000_000_000),
+                },
+            )
+        )
+        _check_range(camera.camera_controls, "ExposureTime", 1e6 * settings.exposure_s, "us", self._name)
+        _check_range(camera.camera_controls, "AnalogueGain", settings.gain, "", self._name)
+        self._mode = mode
+        camera.start()
+
+    def _frame(self) -> tuple[Any, Mapping[str, Any]]:
+        """Fetch the raw numbers and the metadata of one request."""
+        try:
+            # Drops the frames that wait, and the one whose exposure has begun.
+            request = self._camera.capture_request(wait=4.0 * self._settings.exposure_s + PATIENCE_S, flush=True)
+            try:
+                return request.make_array("raw"), request.get_metadata()
+            finally:
+                request.release()
+        except TimeoutError as error:
+            with suppress(*_TROUBLE):
+                self._camera.cancel_all_and_flush()  # else closing it waits for ever
+            self.close()
+            raise RigError(f"{self._name}: gives no frames any more; check its cable, and start the program again") from error
+        except _TROUBLE as error:
+            self.close()
+            raise RigError(
+                f"{self._name}: taking a picture failed ({_reason(error)}); check its cable, and start the program again"
+            ) from error
+
+
+def _picamera2(name: str) -> Any:
+    try:
+        return importlib.import_module("picamera2")
+    except ImportError as error:
+        raise RigError(f"{name}: picamera2 cannot be imported here ({error}); on a Raspberry Pi: {INSTALL}") from error
+    except (ValueError, AttributeError) as error:  # compiled for another numpy
+        raise RigError(
+            f"{name}: picamera2 does not fit the numpy beside it ({error}); use Raspberry Pi OS of Debian 13 or newer, and its own "
+            "python3-numpy"
+        ) from error
+
+
+def _check_range(controls: Mapping[str, Any], key: str, value: float, unit: str, name: str) -> None:
+    """Refuse what the sensor says it cannot; its upper limit may be 0 for none."""
+    low, high = controls[key][:2]
+    if value < low * (1.0 - RELATIVE) or (high > low and value > high * (1.0 + RELATIVE)):
+        raise RigError(
+            f"{name}: {key} {value:g} {unit}".rstrip() + f" is beyond what the sensor can, {low:g} to {high:g}; change the rig file"
+        )
+
+
+def _reason(error: BaseException) -> str:
+    """Tell an error with its cause: picamera2 wraps what libcamera says."""
+    texts = []
+    at: BaseException | None = error
+    while at is not None:
+        texts.append(str(at).rstrip(".") or type(at).__name__)
+        at = at.__cause__
+    return ": ".join(texts)

@@ -1,0 +1,22 @@
+"""What the camera server and its client say to each other, over HTTP.
+
+    GET  /describe                                       -> JSON {program, protocol, camera}
+    POST /prepare  JSON {session, settings}              -> JSON {camera}
+    POST /capture  JSON {session, picture}               -> PNG, with `SHA256`, `PICTURE`, `EXPOSURE_S` and `GAIN` in headers
+    any failure                                          -> JSON {error: one sentence}
+
+The client draws the names of session and picture, so that a request may be repeated when its answer was lost: the same session is not
+prepared twice, and the same picture is not taken twice. A session ends when another one begins.
+"""
+
+import re
+
+PROGRAM = "rhizotwin camera"
+PROTOCOL = 1
+DEFAULT_PORT = 8471
+SHA256 = "Rhizotwin-Sha256"
+PICTURE = "Rhizotwin-Picture"
+EXPOSURE_S = "Rhizotwin-Exposure-S"
+GAIN = "Rhizotwin-Gain"
+NAME = re.compile(r"[0-9a-f]{32}")
+"""Names of sessions and pictures."""

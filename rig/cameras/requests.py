@@ -1,0 +1,186 @@
+"""The camera server's answers to requests, and what it refuses (see `rig.cameras.protocol`)."""
+
+import ipaddress
+import json
+import socket
+import socketserver
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import urlsplit
+
+from rig.cameras import protocol
+from rig.cameras.service import CameraService
+from rig.cameras.settings import CameraSettings
+from rig.errors import LostError, RigError
+from scenes.errors import UserError
+from scenes.schema import Place, from_plain
+
+MAX_BODY_BYTES = 4096
+IDLE_S = 30.0
+"""A connection on which nothing comes or goes for so long is dropped."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Prepare:
+    """Body of /prepare."""
+
+    session: str
+    settings: CameraSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Capture:
+    """Body of /capture."""
+
+    session: str
+    picture: str
+
+
+class _Refusal(Exception):  # noqa: N818 - an answer, not an error of the program
+    def __init__(self, status: HTTPStatus, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+class RequestServer(ThreadingHTTPServer):
+    """Listens, and answers each request in a thread of its own."""
+
+    daemon_threads = True
+
+    def __init__(self, host: str, port: int, service: CameraService, say: Callable[[str], None]) -> None:
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self.service = service
+        self.say = say
+        own = socket.gethostname().lower()
+        self.names = {"localhost", own, f"{own}.local", host.lower()} - {""}
+        """What this computer is called."""
+        super().__init__((host, port), _Handler)
+
+    def server_bind(self) -> None:
+        """Bind without asking a name server for this computer's name, which can take long."""
+        socketserver.TCPServer.server_bind(self)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over clients that went away; anything else is a mistake of the program."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: RequestServer
+    server_version = "rhizotwin"
+    sys_version = ""
+    timeout = IDLE_S
+
+    def do_GET(self) -> None:
+        """Answer /describe."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Answer /prepare and /capture."""
+        self._answer(self._post)
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
+        """Keep quiet: what is worth a line goes to ``say``."""
+
+    def _answer(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except _Refusal as refusal:
+            self._send_json(refusal.status, {"error": str(refusal)})
+        except LostError as error:
+            self._send_json(HTTPStatus.CONFLICT, {"error": str(error)})
+        except RigError as error:
+            self.server.say(str(error))
+            self._send_json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": str(error)})
+
+    def _get(self) -> None:
+        self._check_host()
+        if self.path != "/describe":
+            raise _Refusal(HTTPStatus.NOT_FOUND, "this is a rhizotwin camera, to be named in the rig file of another computer")
+        said = self.server.service.describe()
+        self._send_json(HTTPStatus.OK, {"program": protocol.PROGRAM, "protocol": protocol.PROTOCOL, "camera": said})
+
+    def _post(self) -> None:
+        body = self._body()
+        self._check_host()
+        if self.path == "/prepare":
+            wanted = self._parsed(body, _Prepare)
+            _check_name(wanted.session)
+            said = self.server.service.prepare(wanted.session, wanted.settings)
+            self.server.say(f"for {self.client_address[0]}: {said}")
+            self._send_json(HTTPStatus.OK, {"camera": said})
+        elif self.path == "/capture":
+            asked = self._parsed(body, _Capture)
+            _check_name(asked.session)
+            _check_name(asked.picture)
+            self._send_picture(asked)
+        else:
+            raise _Refusal(HTTPStatus.NOT_FOUND, "there is only /describe, /prepare and /capture here")
+
+    def _send_picture(self, asked: _Capture) -> None:
+        picture = self.server.service.capture(asked.session, asked.picture)
+        headers = {"Content-Type": "image/png", protocol.PICTURE: asked.picture, protocol.SHA256: picture.sha256}
+        if picture.exposure_s is not None:
+            headers[protocol.EXPOSURE_S] = repr(float(picture.exposure_s))
+        if picture.gain is not None:
+            headers[protocol.GAIN] = repr(float(picture.gain))
+        self._send(HTTPStatus.OK, headers, picture.png)
+
+    def _body(self) -> bytes:
+        """Read a request's body, also of one that will be refused: a connection closed before that may lose the answer."""
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()):
+            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "requests must say their length")
+        body = self.rfile.read(min(int(length[:9]), 16 * MAX_BODY_BYTES))
+        if len(length) > 9 or int(length) > MAX_BODY_BYTES:
+            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"requests may have {MAX_BODY_BYTES} bytes")
+        return body
+
+    def _parsed(self, body: bytes, kind: type[Any]) -> Any:
+        """Check a request's JSON."""
+        if self.headers.get_content_type() != "application/json":
+            raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "requests must be of type application/json")
+        try:
+            return from_plain(kind, json.loads(body), Place("request"))
+        except (ValueError, RecursionError) as error:
+            raise _Refusal(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
+        except UserError as error:
+            raise _Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
+
+    def _check_host(self) -> None:
+        """Refuse requests that a browser was led here with by another site's name; addresses cannot be led anywhere."""
+        try:
+            name = (urlsplit(f"//{self.headers.get('Host', '')}").hostname or "").rstrip(".").lower()
+        except ValueError:
+            name = ""
+        if name in self.server.names:
+            return
+        with suppress(ValueError):
+            ipaddress.ip_address(name)
+            return
+        raise _Refusal(
+            HTTPStatus.FORBIDDEN,
+            f"this computer is not called {name[:80]!r}; write its IP address, or its own name {socket.gethostname()}, into the rig file",
+        )
+
+    def _send_json(self, status: HTTPStatus, value: dict[str, Any]) -> None:
+        self._send(status, {"Content-Type": "application/json"}, json.dumps(value).encode())
+
+    def _send(self, status: HTTPStatus, headers: dict[str, str], data: bytes) -> None:
+        self.send_response(status)
+        for key, value in headers.items():
+            self.send_header(key, value)
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+
+def _check_name(name: str) -> None:
+    if protocol.NAME.fullmatch(name) is None:
+        raise _Refusal(HTTPStatus.BAD_REQUEST, "names of sessions and pictures are 32 hexadecimal digits")

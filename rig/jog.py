@@ -1,0 +1,269 @@
+"""Line commands for a person on the bench: every device by hand, with the arm's ways checked before anything moves."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rig import preflight
+from rig.clearance import check_path, plan_path
+from rig.devices import Arm
+from rig.errors import RigError
+from rig.homing import facing_angle
+from rig.kinematics import cam_from_rig as camera_at
+from rig.markers import Sighting, read_strip, why_unread
+from rig.open import Devices
+from rig.placing import camera_wanted, joints_for
+from rig.safety import Say, make_safe, park
+from rig.session import encode_png
+from rig.stand import place_of
+from rig.turning import ANGLES_DEG
+from scenes.atomic import write_bytes
+from scenes.errors import UserError
+from scenes.model import Ring, Scene
+from scenes.pictures import Grey
+
+JOINT_COUNT = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Word:
+    """A command that can be typed."""
+
+    usage: str
+    does: str
+    run: Callable[[list[str]], None]
+
+
+class Jog:
+    """The devices of a rig, moved by typed lines."""
+
+    def __init__(self, devices: Devices, scene: Scene, *, say: Say) -> None:
+        self._devices = devices
+        self._scene = scene
+        self._say = say
+        self._table_ready = self._camera_ready = self._arm_ready = False
+        self._words: Mapping[str, Word] = {
+            "table": Word(usage="table +9 | table 90", does="turn by an angle with a sign, or to one without", run=self._table),
+            "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
+            "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
+            "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
+            "go": Word(
+                usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go
+            ),
+            "park": Word(usage="park", does="bring the arm to its place of rest", run=self._park),
+            "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
+            "pose": Word(usage="pose", does="say where table, joints and camera are", run=self._pose),
+            "markers": Word(usage="markers", does="take a picture and say what the strip shows", run=self._markers),
+            "picture": Word(usage="picture FILE.png", does="take a picture and write it", run=self._picture),
+            "help": Word(usage="help", does="say this", run=self._help),
+        }
+
+    def run(self, lines: Iterable[str], *, stop_at_mistake: bool) -> None:
+        """Do what the lines say until ``quit``, and leave the rig safe.
+
+        Parameters
+        ----------
+        lines : typed by a person, or from a pipe.
+        stop_at_mistake : raise the first error, as for a pipe; otherwise it is said, and the next line is done.
+        """
+        try:
+            for line in lines:
+                words = line.split("#", 1)[0].split()
+                if not words:
+                    continue
+                if words[0] in ("quit", "exit"):
+                    break
+                try:
+                    self._do(words)
+                except UserError as error:
+                    if stop_at_mistake:
+                        raise
+                    self._say(str(error))
+        finally:
+            self._leave()
+
+    def _do(self, words: list[str]) -> None:
+        word = self._words.get(words[0])
+        if word is None:
+            raise UserError(f"there is no command {words[0]!r}; there are {', '.join(self._words)} and quit")
+        try:
+            word.run(words[1:])
+        except (ValueError, IndexError):
+            raise UserError(f"{' '.join(words)!r} is not understood, write: {word.usage}") from None
+
+    def _leave(self) -> None:
+        table = self._devices.table
+        known = False
+        try:
+            known = self._table_ready and table.knows_zero()
+        except RigError:
+            known = False
+        finally:
+            make_safe(self._devices, self._scene, say=self._say, board=self._table_ready, arm=self._arm_ready, finished=not known)
+        if known:
+            self._say("turntable: its motor stays on, so that its angle is kept")
+
+    def _board(self) -> None:
+        """Connect to the board when it is first needed."""
+        if not self._table_ready:
+            self._say(preflight.check_table(self._devices.table))
+            self._table_ready = True
+
+    def _arm(self) -> Arm:
+        """Connect to the arm when it is first needed."""
+        arm = self._devices.arm
+        if arm is None:
+            raise UserError("this rig has no arm")
+        if not self._arm_ready:
+            self._say(preflight.check_arm(arm))
+            self._arm_ready = True
+        return arm
+
+    def _look(self) -> tuple[Sighting | None, str]:
+        image = self._shot()
+        seen = read_strip(image, self._scene)
+        return seen, "" if seen is not None else why_unread(image, self._scene)
+
+    def _table(self, words: list[str]) -> None:
+        (text,) = words
+        self._board()
+        table = self._devices.table
+        by = text[0] in "+-"
+        if not by and not table.knows_zero():
+            raise RigError("turntable: its angle is not known; type home first, or turn by an angle with a sign")
+        goal_deg = finite(text) + (table.position_deg() if by else 0.0)
+        low, high = ANGLES_DEG
+        if table.knows_zero() and not low <= goal_deg <= high:
+            raise RigError(f"turntable: {goal_deg:g} deg is outside {low:g} to {high:g} deg, which its counter is used for; add or take away 360")
+        self._say(f"table at {table.move_to(goal_deg):.3f} deg")
+
+    def _home(self, words: list[str]) -> None:
+        self._board()
+        if words:
+            (text,) = words
+            angle_deg = finite(text)
+        else:
+            seen, why = self._look()
+            if seen is None:
+                raise RigError(f"turntable: no angle from the markers: {why}")
+            angle_deg = facing_angle(seen, self._scene)
+        angle_deg %= 360.0
+        self._devices.table.declare(angle_deg)
+        self._say(f"table at {angle_deg:.3f} deg")
+
+    def _lights(self, words: list[str]) -> None:
+        panel, front = finite(words[0]), finite(words[1]) if len(words) > 1 else 0.0
+        if len(words) > 2 or not (0.0 <= panel <= 1.0 and 0.0 <= front <= 1.0):
+            raise ValueError(words)
+        self._board()
+        self._devices.lights.set(panel=panel, front=front)
+
+    def _joint(self, words: list[str]) -> None:
+        number, text = words
+        k = int(number) - 1
+        if not 0 <= k < JOINT_COUNT:
+            raise ValueError(number)
+        angle_deg = finite(text)
+        arm = self._arm()
+        here = arm.read_joints()
+        goal = list(here)
+        goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
+        check_path(self._devices.rig, self._scene, [here, tuple(goal)])
+        self._say(joints_text(arm.move_to(tuple(goal))))
+
+    def _go(self, words: list[str]) -> None:
+        distance_mm, height_mm = finite(words[0]), finite(words[1])
+        tilt_deg = finite(words[2]) if len(words) > 2 else 0.0
+        if len(words) > 3 or distance_mm <= 0.0:
+            raise ValueError(words)
+        arm = self._arm()
+        goal = joints_for(self._devices.rig, camera_wanted(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
+        for joints_deg in plan_path(self._devices.rig, self._scene, arm.read_joints(), goal):
+            read = arm.move_to(joints_deg)
+        self._say(joints_text(read))
+
+    def _park(self, words: list[str]) -> None:
+        nothing(words)
+        arm = self._arm()
+        park(arm, self._devices.rig, self._scene)
+        self._say(joints_text(arm.read_joints()))
+
+    def _relax(self, words: list[str]) -> None:
+        nothing(words)
+        arm = self._devices.arm
+        if arm is None:
+            raise UserError("this rig has no arm")
+        arm.relax()
+        self._arm_ready = False
+
+    def _pose(self, words: list[str]) -> None:
+        nothing(words)
+        self._board()
+        table, part = self._devices.table, self._devices.rig.arm
+        known = "" if table.knows_zero() else " (not homed)"
+        self._say(f"table at {table.position_deg():.3f} deg{known}")
+        if part is not None:
+            joints = self._arm().read_joints()
+            distance_mm, height_mm, tilt_deg = place_of(camera_at(part, joints))
+            self._say(joints_text(joints))
+            self._say(f"by the joints the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+
+    def _markers(self, words: list[str]) -> None:
+        nothing(words)
+        seen, why = self._look()
+        if seen is None:
+            raise RigError(f"markers: {why}")
+        distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
+        self._say(
+            f"{seen.markers} markers, {seen.reprojection_px:.2f} px off; the table shows {facing_angle(seen, self._scene) % 360.0:.2f} deg"
+        )
+        self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
+
+    def _picture(self, words: list[str]) -> None:
+        (name,) = words
+        path = Path(name)
+        if path.suffix.lower() != ".png":
+            raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
+        if path.exists():
+            raise UserError(f"{name} exists already; choose another name")
+        image = self._shot()
+        write_bytes(path, encode_png(image))
+        found = preflight.exposure_of(image)
+        self._say(f"{path}: {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated")
+
+    def _help(self, words: list[str]) -> None:
+        nothing(words)
+        width = max(len(word.usage) for word in self._words.values())
+        for word in self._words.values():
+            self._say(f"  {word.usage:<{width}}  {word.does}")
+        self._say(f"  {'quit':<{width}}  lights off, arm parked and let go")
+
+    def _shot(self) -> Grey:
+        camera = self._devices.camera
+        if not self._camera_ready:
+            self._say(preflight.check_camera(camera))
+            self._camera_ready = True
+        image = camera.capture().image
+        preflight.check_size(image, self._scene.camera)
+        return image
+
+
+def finite(text: str) -> float:
+    """Return a number; words such as nan and inf are none."""
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def nothing(words: list[str]) -> None:
+    """Refuse words that a command does not take."""
+    if words:
+        raise ValueError(words)
+
+
+def joints_text(joints_deg: tuple[float, ...]) -> str:
+    """Show joint angles, base to wrist roll."""
+    return "joints at " + ", ".join(f"{angle:.1f}" for angle in joints_deg) + " deg"

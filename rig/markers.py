@@ -1,0 +1,66 @@
+"""Where the camera stands by the marker strip in one picture. The only place where the rig leans on the reconstruction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.markers import detect_markers
+from recon.view_fit import LEAST_MARKERS, linearise, sightings, single_view
+from scenes import frames
+from scenes.frames import Array
+from scenes.model import Scene
+from scenes.pictures import Grey
+
+WORST_PX = 3.0
+"""Above this reprojection error the markers are not the scene's strip seen by the scene's camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sighting:
+    """What the strip in one picture says."""
+
+    cam_from_canister: Array
+    """(4, 4), OpenCV axes."""
+    markers: int
+    reprojection_px: float
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Azimuth of the camera about the canister's axis, from the strip's seam, counter-clockwise seen from above."""
+        x, y, _ = frames.invert(self.cam_from_canister)[:3, 3]
+        return float(np.rad2deg(np.arctan2(y, x)))
+
+    def cam_from_rig(self, table_deg: float, *, direction: int) -> Array:
+        """Return where the camera stands in the rig's frame when the table is known to stand at an angle."""
+        return self.cam_from_canister @ frames.rotation_z(-direction * np.deg2rad(table_deg))
+
+
+def read_strip(image: Grey, scene: Scene) -> Sighting | None:
+    """Find the camera's pose from the markers of one picture; None when the strip cannot be read (`why_unread` says why).
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16 of the size of the scene's camera.
+    scene : strip, net pot and camera with its calibrated lens.
+    """
+    found = _read(image, scene)
+    return found if isinstance(found, Sighting) else None
+
+
+def why_unread(image: Grey, scene: Scene) -> str:
+    """Say why the strip cannot be read in a picture; empty when it can."""
+    found = _read(image, scene)
+    return found if isinstance(found, str) else ""
+
+
+def _read(image: Grey, scene: Scene) -> Sighting | str:
+    markers = detect_markers(image, scene.strip)
+    count = len(markers.ids)
+    if count < LEAST_MARKERS:
+        return markers.diagnosis or f"only {count} markers were found, at least {LEAST_MARKERS} are needed"
+    seen = sightings(markers, scene)
+    pose = single_view(seen)
+    reprojection_px = np.inf if pose is None else linearise(seen, pose).rms_px
+    if pose is None or not reprojection_px < WORST_PX:
+        return f"{count} markers do not fit the scene's strip and lens: check the strip's sizes and the camera in the scene file"
+    return Sighting(cam_from_canister=pose, markers=count, reprojection_px=float(reprojection_px))

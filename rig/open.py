@@ -1,0 +1,93 @@
+"""From a rig file to open devices."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from rig.arm import open_arm as arm_on
+from rig.cameras import open_camera
+from rig.clock import Clock
+from rig.devices import Arm, Camera, Lights, Turntable
+from rig.errors import RigError
+from rig.lights import MarlinLights
+from rig.marlin import MarlinLink
+from rig.port import Port
+from rig.recording import Recorder
+from rig.rig_file import RigFile
+from rig.turntable import MarlinTurntable
+from scenes.model import Scene
+
+
+@dataclass(kw_only=True)
+class Devices:
+    """The open devices of a rig."""
+
+    rig: RigFile
+    clock: Clock
+    table: Turntable
+    lights: Lights
+    camera: Camera
+    arm: Arm | None
+    open_board: Callable[[], tuple[Turntable, Lights]]
+    """Opens the board of table and lights anew, after it was lost."""
+
+    def reconnect_board(self) -> None:
+        """Close what is left of table and lights, and open them anew."""
+        with suppress(RigError):
+            self.table.close()
+        self.table, self.lights = self.open_board()
+
+    def close(self) -> None:
+        """Close every device; one that fails does not keep the others open."""
+        for device in (self.camera, self.arm, self.table):
+            with suppress(RigError):
+                if device is not None:
+                    device.close()
+
+
+def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | None = None, recorder: Recorder | None = None) -> Devices:
+    """Open the devices of a rig; nothing moves, lights up or is energised yet.
+
+    Parameters
+    ----------
+    scene : its camera says the size and depth of the pictures.
+    camera : the twin's; None: the rig file's.
+    recorder : keeps every byte on the wire.
+
+    Raises
+    ------
+    RigError
+        When a device is not there; those opened before it are closed.
+    """
+
+    def board() -> tuple[Turntable, Lights]:
+        return open_board(rig, clock=clock, recorder=recorder)
+
+    table, lights = board()
+    opened: list[Turntable | Arm] = [table]
+    try:
+        arm = open_arm(rig, clock=clock, recorder=recorder)
+        opened += [] if arm is None else [arm]
+        lens = scene.camera
+        eye = open_camera(rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=clock) if camera is None else camera
+    except BaseException:
+        for device in opened:
+            with suppress(RigError):
+                device.close()
+        raise
+    return Devices(rig=rig, clock=clock, table=table, lights=lights, camera=eye, arm=arm, open_board=board)
+
+
+def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
+    """Open the Marlin board that turns the table and switches the lights."""
+    part = rig.turntable
+    link = MarlinLink(Port(part.port, baud=part.baud, clock=clock, device="turntable", recorder=recorder))
+    return MarlinTurntable(link, part, clock), MarlinLights(link, rig.lights, clock)
+
+
+def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
+    """Open the arm's port; None for a rig without an arm."""
+    part = rig.arm
+    if part is None:
+        return None
+    return arm_on(Port(part.port, baud=part.baud, clock=clock, device="arm", recorder=recorder), part, clock)

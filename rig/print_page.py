@@ -1,0 +1,154 @@
+"""Pages to be printed at true scale: what stands on them, in millimetres, and the ruler and square by which the printer is checked."""
+
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from scenes.frames import Array
+
+PAGES_MM: Final = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
+"""Width and height of upright pages."""
+MARGIN_MM: Final = 10.0
+"""Left free all round: printers do not reach the edge."""
+RULER_MM: Final = 100.0
+SQUARE_MM: Final = 50.0
+LINE_MM: Final = 0.1
+TEXT_MM: Final = 2.2
+"""Height of capitals in the text."""
+LEADING: Final = 1.75
+RULER_HIGH_MM: Final = 11.0
+"""What a ruler takes up with its figures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fill:
+    """Rectangles (N, 4), filled as one: left, top, right, bottom."""
+
+    rectangles_mm: Array
+    grey: float = 0.0
+    """0 black, 1 white."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A filled polygon (N, 2)."""
+
+    points_mm: Array
+    grey: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A straight line."""
+
+    from_mm: tuple[float, float]
+    to_mm: tuple[float, float]
+    width_mm: float = LINE_MM
+    grey: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Text:
+    """One line of text; ``at_mm`` is on its baseline."""
+
+    at_mm: tuple[float, float]
+    text: str
+    height_mm: float = TEXT_MM
+    grey: float = 0.0
+    align: Literal["left", "center", "right"] = "left"
+    turned: bool = False
+    """Read from below upwards."""
+
+
+Part: TypeAlias = Fill | Shape | Line | Text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """One page; x to the right and y down from its top left corner, in mm on the paper."""
+
+    size_mm: tuple[float, float]
+    """Of the paper."""
+    parts: tuple[Part, ...]
+    stretch_xy: tuple[float, float] = (1.0, 1.0)
+    """How much larger everything is drawn, for a printer that prints too small."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Paper:
+    """What is printed on, and how true the printer is."""
+
+    size_mm: tuple[float, float] = PAGES_MM["a4"]
+    turn: Literal["either", "portrait", "landscape", "as given"] = "either"
+    printed_ruler_mm: tuple[float, float] = (RULER_MM, RULER_MM)
+    """What 100 mm came out as on this printer, across and down the page, printed without this correction."""
+
+    @property
+    def stretch_xy(self) -> tuple[float, float]:
+        """How much larger everything must be drawn."""
+        return RULER_MM / self.printed_ruler_mm[0], RULER_MM / self.printed_ruler_mm[1]
+
+    def sizes_mm(self) -> list[tuple[float, float]]:
+        """Return the page's size in each way it may be turned."""
+        low, high = sorted(self.size_mm)
+        turned = {"portrait": [(low, high)], "landscape": [(high, low)], "either": [(low, high), (high, low)]}
+        return turned.get(self.turn, [self.size_mm])
+
+    def room_mm(self, size_mm: tuple[float, float]) -> tuple[float, float]:
+        """Return the width and height within the margins of a page, as they come out of the printer."""
+        across, down = self.stretch_xy
+        return (size_mm[0] - 2.0 * MARGIN_MM) / across, (size_mm[1] - 2.0 * MARGIN_MM) / down
+
+    def corner_mm(self) -> tuple[float, float]:
+        """Return where the room within the margins begins."""
+        return MARGIN_MM / self.stretch_xy[0], MARGIN_MM / self.stretch_xy[1]
+
+
+def ruler(left_mm: float, top_mm: float, *, upright: bool = False) -> list[Part]:
+    """Return a ruler of 100 mm, between the middles of its first line, at ``left_mm`` (upright: ``top_mm``), and its last."""
+    parts: list[Part] = []
+    for mm in range(int(RULER_MM) + 1):
+        long_mm = 5.0 if mm % 10 == 0 else 3.5 if mm % 5 == 0 else 2.2
+        if upright:
+            parts.append(Line(from_mm=(left_mm, top_mm + mm), to_mm=(left_mm + long_mm, top_mm + mm)))
+        else:
+            parts.append(Line(from_mm=(left_mm + mm, top_mm), to_mm=(left_mm + mm, top_mm + long_mm)))
+        if mm % 10 == 0 and upright:
+            parts.append(Text(at_mm=(left_mm + 6.0, top_mm + mm + 0.7), text=str(mm), height_mm=1.6))
+        elif mm % 10 == 0:
+            parts.append(
+                Text(at_mm=(left_mm + mm, top_mm + 7.6), text=f"{mm} mm" if mm == RULER_MM else str(mm), height_mm=1.6, align="center")
+            )
+    return parts
+
+
+def square(left_mm: float, top_mm: float) -> list[Part]:
+    """Return a grey square of 50 mm, from edge to edge."""
+    edges = np.array([[left_mm, top_mm, left_mm + SQUARE_MM, top_mm + SQUARE_MM]])
+    middle = (left_mm + SQUARE_MM / 2.0, top_mm + SQUARE_MM / 2.0)
+    return [Fill(rectangles_mm=edges, grey=0.85), Text(at_mm=middle, text=f"{SQUARE_MM:g} x {SQUARE_MM:g} mm", align="center")]
+
+
+def lines(left_mm: float, top_mm: float, texts: list[str], *, height_mm: float = TEXT_MM) -> list[Part]:
+    """Return lines of text below each other, the first one's capitals beginning at ``top_mm``."""
+    return [
+        Text(at_mm=(left_mm, top_mm + height_mm * (1.0 + LEADING * number)), text=text, height_mm=height_mm)
+        for number, text in enumerate(texts)
+    ]
+
+
+def printing_notes(paper: Paper) -> list[str]:
+    """Return what every page says about checking the printer."""
+    across, down = paper.printed_ruler_mm
+    notes = [
+        "Print at 100 % (actual size, no fitting to the page), then measure:",
+        "the ruler must be 100.0 mm long, the square 50.0 mm wide and high.",
+    ]
+    if (across, down) == (RULER_MM, RULER_MM):
+        return [
+            *notes,
+            "If not, write this file again with --printed-ruler-mm and what 100 mm",
+            "became across and down the page, such as 99.6x99.8.",
+        ]
+    return [*notes, f"Drawn for a printer that makes {across:g} mm across and", f"{down:g} mm down of 100 mm."]

@@ -1,0 +1,255 @@
+"""A scan's folder: what an earlier run left is taken up, and every picture is written at once, whole or not at all.
+
+A frame is listed in dataset.json before its picture is written; a listed frame without its picture never reached the disk, is dropped when
+the scan is taken up, and is taken again. Pictures are encoded and written beside the next movement, one at a time and in order.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from rig.rig_file import RigFile
+from scenes.atomic import write_bytes
+from scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
+from scenes.errors import UserError
+from scenes.model import Disturbances, Scene
+from scenes.pictures import Grey
+from scenes.plan import View
+from scenes.provenance import versions
+from scenes.schema import to_plain
+
+PROGRAM = "rhizotwin scan"
+_VERSIONED = ("numpy", "opencv-python-headless", "pyserial")
+_MAY_CHANGE = {("name",), ("description",), ("turntable", "port"), ("arm", "port"), ("camera", "address")}
+"""What may differ in the rig file when a scan is taken up: a device plugged in again has another name."""
+_MOST_NAMED = 4
+
+
+class Session:
+    """The frames of a scan, on the disk and still to be taken."""
+
+    def __init__(self, dataset: Dataset, planned: Sequence[View]) -> None:
+        self._dataset = replace(dataset, frames=())
+        self._frames = {frame.file: frame for frame in dataset.frames}
+        self._planned = tuple(planned)
+        self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="writer")
+        self._pending: Future[None] | None = None
+        self._begun_s = max((frame.time_s or 0.0 for frame in dataset.frames), default=0.0)
+
+    @property
+    def folder(self) -> Path:
+        """The dataset folder."""
+        return self._dataset.folder
+
+    @property
+    def complete(self) -> bool:
+        """Whether the scan was finished."""
+        return bool(self._dataset.origin["complete"])
+
+    @property
+    def begun_s(self) -> float:
+        """Time of the scan that earlier runs used up."""
+        return self._begun_s
+
+    def remaining(self) -> list[View]:
+        """Return the views that have no picture yet."""
+        self.flush()
+        return [view for view in self._planned if file_of(view) not in self._frames]
+
+    def next_placement(self, ring: int) -> int:
+        """Return the number of a new placement of the camera in a ring."""
+        return 1 + max((frame.placement for frame in self._frames.values() if frame.ring == ring), default=-1)
+
+    def frames_of(self, ring: int) -> list[Frame]:
+        """Return a ring's frames that are on the disk."""
+        self.flush()
+        return [frame for frame in self._frames.values() if frame.ring == ring]
+
+    def dataset(self) -> Dataset:
+        """Return the dataset as it is, frames in the order of the plan."""
+        self.flush()
+        return self._snapshot()
+
+    def note(self, event: str, text: str, *, time_s: float) -> None:
+        """Keep an event in the log; it is written with the next frame, or by `save`."""
+        said = {"event": event, "text": text, "scan_s": round(time_s, 3), "utc": datetime.now(UTC).isoformat(timespec="seconds")}
+        self._dataset = replace(self._dataset, origin={**self._dataset.origin, "log": [*self._dataset.origin["log"], said]})
+
+    def record(self, frame: Frame, image: Grey) -> None:
+        """Begin to write a frame and its picture, once the one before is written; what went wrong with that is raised here."""
+        self.flush()
+        self._pending = self._writer.submit(self._write, frame, image)
+
+    def drop(self, files: Sequence[str]) -> None:
+        """Take pictures out that turned out wrong; they are taken again."""
+        self.flush()
+        for file in files:  # before the list: a listed picture that is missing is taken again as well
+            (self.folder / file).unlink(missing_ok=True)
+            self._frames.pop(file, None)
+        if self._frames:
+            save_dataset(self._snapshot())
+        else:
+            (self.folder / "dataset.json").unlink(missing_ok=True)
+
+    def flush(self) -> None:
+        """Wait until everything is on the disk.
+
+        Raises
+        ------
+        UserError
+            When the last picture could not be written.
+        """
+        pending = self._pending
+        if pending is not None:
+            try:
+                pending.result()
+            finally:
+                if pending.done():  # otherwise stopped while waiting: the picture is still being written
+                    self._pending = None
+
+    def save(self, *, complete: bool = False) -> Dataset:
+        """Write the log, and whether the scan is finished, beside the frames."""
+        self.flush()
+        if complete:
+            self._dataset = replace(self._dataset, origin={**self._dataset.origin, "complete": True})
+        dataset = self._snapshot()
+        if dataset.frames:  # a dataset has at least one
+            save_dataset(dataset)
+        return dataset
+
+    def close(self) -> None:
+        """Wait for the writer."""
+        self._writer.shutdown(wait=True)
+
+    def _write(self, frame: Frame, image: Grey) -> None:
+        data = encode_png(image)
+        self._frames[frame.file] = replace(frame, sha256=hashlib.sha256(data).hexdigest())
+        save_dataset(self._snapshot())
+        write_bytes(self.folder / frame.file, data)
+
+    def _snapshot(self) -> Dataset:
+        found = (self._frames.get(file_of(view)) for view in self._planned)
+        return replace(self._dataset, frames=tuple(frame for frame in found if frame is not None))
+
+
+def take_up(
+    folder: Path,
+    scene: Scene,
+    planned: Sequence[View],
+    *,
+    rig: RigFile,
+    settings: Mapping[str, Any],
+    seed: int | None = None,
+    resume: bool = False,
+) -> Session:
+    """Begin a scan in a new folder, or take up the one that was stopped there.
+
+    Parameters
+    ----------
+    folder : new or empty; or left by a scan that was stopped, with ``resume``.
+    scene : as given; what stands in the canister is left out of the dataset.
+    planned : the views to take.
+    rig, settings : what the scan is made with, compared with what it was begun with.
+    seed : of the twin's errors.
+    resume : whether a stopped scan is taken up; without frames in the folder it begins as a new one.
+
+    Raises
+    ------
+    UserError
+        When the folder holds something else, or a scan of another scene, plan, rig or other settings: the differences are named.
+    """
+    folder = Path(folder)
+    origin: dict[str, Any] = {
+        "program": PROGRAM,
+        "rig": to_plain(rig),
+        "settings": dict(settings),
+        "versions": versions(_VERSIONED),
+        "complete": False,
+        "planned_views": len(planned),
+        "log": [],
+    }
+    known = replace(scene, description="", specimen=None, disturbances=Disturbances())
+    new = Dataset(folder=folder, scene=known, frames=(), seed=seed, origin=origin)
+    if not (folder / "dataset.json").is_file():
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder} is a file, give the name of a new folder for the dataset")
+        _remove_temporary(folder)
+        if folder.is_dir() and any(not path.is_dir() for path in folder.rglob("*")):
+            raise UserError(f"{folder} is not empty and holds no stopped scan: choose a new folder for the dataset")
+        return Session(new, planned)
+    before = load_dataset(folder)
+    if before.origin.get("program") != PROGRAM:
+        raise UserError(f"{folder} holds a dataset that was not made by scanning: choose a new folder for the scan")
+    if not resume:
+        state = "a finished scan" if before.origin.get("complete") else f"a scan that was stopped after {len(before.frames)} pictures"
+        hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
+        raise UserError(f"{folder} holds {state}: {hint}choose a new folder")
+    _refuse_differences(before, new)
+    _remove_temporary(folder)
+    kept = tuple(frame for frame in before.frames if _is_whole(folder, frame))
+    strange = {frame.file for frame in kept} - {file_of(view) for view in planned}
+    if strange:
+        raise UserError(f"{folder} holds {sorted(strange)[0]}, which the plan does not have: choose a new folder for the scan")
+    complete = bool(before.origin.get("complete")) and len(kept) == len(planned)
+    return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
+
+
+def file_of(view: View) -> str:
+    """Return the path of a view's picture in the dataset."""
+    return f"images/view_{view.index:03d}.png"
+
+
+def encode_png(image: Grey) -> bytes:
+    """Encode a picture; OpenCV's own setting (a filter, then little compression) is the fastest and the smallest for noisy pictures."""
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not encoded:
+        raise ValueError(f"OpenCV cannot encode {image.shape=} {image.dtype=} as PNG")
+    return data.tobytes()
+
+
+def _remove_temporary(folder: Path) -> None:
+    """Remove what a killed scan left half-written under a temporary name (`scenes.atomic.beside`)."""
+    for path in [*folder.glob(".dataset.json.*.tmp"), *folder.glob("images/.view_*.tmp")]:
+        path.unlink(missing_ok=True)
+
+
+def _is_whole(folder: Path, frame: Frame) -> bool:
+    """Tell whether a listed frame's picture is there; one that is there, but not the recorded one, is refused by name."""
+    path = folder / frame.file
+    if not path.is_file():
+        return False
+    if frame.sha256 and sha256_of(path) != frame.sha256:
+        raise UserError(f"{path}: is not the picture that was recorded; remove it, then it is taken again")
+    return True
+
+
+def _refuse_differences(before: Dataset, now: Dataset) -> None:
+    """Refuse to mix pictures of different scenes, plans, rigs or settings in one dataset."""
+    found = _differences(to_plain(before.scene), to_plain(now.scene), ())
+    found = [("scene", *path) for path in found if path not in (("name",), ("description",))]
+    rig = _differences(before.origin.get("rig", {}), now.origin["rig"], ())
+    found += [("rig", *path) for path in rig if path not in _MAY_CHANGE]
+    settings = json.loads(json.dumps(now.origin["settings"]))
+    found += _differences({**before.origin.get("settings", {}), "seed": before.seed}, {**settings, "seed": now.seed}, ())
+    if found:
+        names = ", ".join(".".join(path) for path in found[:_MOST_NAMED]) + (" and more" if len(found) > _MOST_NAMED else "")
+        raise UserError(f"{now.folder} holds a scan that was begun with another {names}: give the same as then, or choose a new folder")
+
+
+def _differences(before: Any, now: Any, path: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return the paths of values that differ."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        names = [*before, *(name for name in now if name not in before)]
+        return [found for name in names for found in _differences(before.get(name), now.get(name), (*path, str(name)))]
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        pairs = enumerate(zip(before, now, strict=True), start=1)
+        return [found for i, (old, new) in pairs for found in _differences(old, new, (*path, str(i)))]
+    return [] if before == now else [path]

@@ -1,0 +1,247 @@
+"""The faults that a twin can have, as data: on the wire, in a device, in the camera."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from scenes.errors import UserError
+from scenes.schema import suggestion
+
+Device = Literal["table", "arm", "camera"]
+Where = Literal["reply", "request", "device", "shot"]
+
+FOR_GOOD = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One thing that goes wrong."""
+
+    kind: str
+    """A kind of `MENU`."""
+    device: Device
+    at_message: int | None = None
+    """It happens at this message (from 1) of the device: reply, request or picture, as the kind says."""
+    at_s: float | None = None
+    """Or it happens at this virtual time, to the first message from then on. Neither: at once."""
+    amount: float = 0.5
+    """Seconds (of a delay, an absence), or which part of a message is hit (0 to 1); see the kind."""
+    count: int = 1
+    """So many messages one after the other."""
+    joint: int = 1
+    """Which servo of the arm: index of the joint, base first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultKind:
+    """An entry of the menu."""
+
+    name: str
+    what: str
+    """What happens, in words; says what ``amount`` means."""
+    devices: tuple[Device, ...]
+    where: Where
+    amounts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
+    """Amounts that are drawn from."""
+    counts: tuple[int, ...] = (1,)
+    """Numbers of messages that are drawn from."""
+    protocol: Literal["lx", "lsc"] | None = None
+    """Only with this protocol of the arm."""
+
+
+_SERIAL: tuple[Device, ...] = ("table", "arm")
+_SEVERAL = (1, 1, 1, 2, 4, FOR_GOOD)
+
+MENU: tuple[FaultKind, ...] = (
+    FaultKind(name="reply_dropped", what="a reply is lost", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(name="reply_corrupted", what="a bit of a reply is wrong", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(
+        name="reply_late",
+        what="a reply comes AMOUNT seconds late",
+        devices=_SERIAL,
+        where="reply",
+        amounts=(0.02, 0.1, 0.5, 2.0, 8.0, 20.0, 60.0),
+        counts=(1, 1, 3),
+    ),
+    FaultKind(name="reply_doubled", what="a reply comes twice", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(name="reply_truncated", what="a reply ends too early", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(name="garbage", what="noise comes before a reply", devices=_SERIAL, where="reply", counts=_SEVERAL),
+    FaultKind(name="echo", what="the host hears what it sends", devices=("arm",), where="request", counts=(1, 5, FOR_GOOD), protocol="lx"),
+    FaultKind(name="request_corrupted", what="a bit of what the host sends is wrong", devices=_SERIAL, where="request", counts=_SEVERAL),
+    FaultKind(name="request_dropped", what="what the host sends is lost", devices=_SERIAL, where="request", counts=_SEVERAL),
+    FaultKind(name="ok_missing", what="an ok is lost", devices=("table",), where="reply", counts=_SEVERAL),
+    FaultKind(
+        name="ok_missing_after_resend", what="a line is corrupted, and no ok follows the Resend", devices=("table",), where="request"
+    ),
+    FaultKind(
+        name="busy",
+        what="the board says busy every two seconds, AMOUNT seconds long, before it answers",
+        devices=("table",),
+        where="reply",
+        amounts=(3.0, 9.0, 45.0),
+    ),
+    FaultKind(name="unasked", what="the board sends frame 8 unasked", devices=("arm",), where="reply", counts=_SEVERAL, protocol="lsc"),
+    FaultKind(name="reset", what="the board starts anew by itself", devices=("table",), where="device"),
+    FaultKind(name="stopped", what="Marlin stops itself because of an error", devices=("table",), where="device"),
+    FaultKind(
+        name="unplugged",
+        what="the cable is pulled, and put back after AMOUNT seconds (0: never)",
+        devices=_SERIAL,
+        where="device",
+        amounts=(0.0, 0.5, 3.0, 20.0),
+    ),
+    FaultKind(
+        name="stalled", what="a servo is blocked for AMOUNT seconds (0: for good)", devices=("arm",), where="device", amounts=(0.0, 0.5, 5.0)
+    ),
+    FaultKind(
+        name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)
+    ),
+    FaultKind(
+        name="brown_out",
+        what="the arm's voltage breaks down for AMOUNT seconds; the servos lose their torque",
+        devices=("arm",),
+        where="device",
+        amounts=(0.2, 1.0, 10.0),
+    ),
+    FaultKind(
+        name="camera_stopped",
+        what="the camera gives no picture for AMOUNT seconds (0: never again)",
+        devices=("camera",),
+        where="shot",
+        amounts=(0.0, 5.0, 30.0),
+    ),
+    FaultKind(name="stale_frame", what="the camera gives an old picture", devices=("camera",), where="shot", counts=(1, 1, 2, FOR_GOOD)),
+    FaultKind(
+        name="wrong_exposure",
+        what="the camera exposes AMOUNT times as long as told, and says so",
+        devices=("camera",),
+        where="shot",
+        amounts=(0.5, 2.0),
+        counts=(1, 1, 2, FOR_GOOD),
+    ),
+)
+_KINDS = {kind.name: kind for kind in MENU}
+KIND_NAMES: tuple[str, ...] = tuple(_KINDS)
+
+
+def kind_of(name: str) -> FaultKind:
+    """Return an entry of the menu by its name.
+
+    Raises
+    ------
+    UserError
+        For an unknown name.
+    """
+    if name not in _KINDS:
+        raise UserError(f'there is no fault "{name}"{suggestion(name, list(_KINDS))}; there are {", ".join(_KINDS)}')
+    return _KINDS[name]
+
+
+def draw_faults(
+    rng: np.random.Generator, kinds: tuple[str, ...], *, messages: int = 100, duration_s: float = 120.0, shots: int = 10
+) -> tuple[Fault, ...]:
+    """Place one fault of each kind at a random moment of a scan.
+
+    Parameters
+    ----------
+    rng
+        What draws device, moment, amount and count.
+    kinds
+        Names of the menu.
+    messages, duration_s, shots
+        How many replies (or requests) of a device, seconds and pictures the scan is expected to take: the moment is drawn within them.
+    """
+    faults = []
+    for kind in map(kind_of, kinds):
+        device = kind.devices[int(rng.integers(len(kind.devices)))]
+        count_at = int(rng.integers(1, (shots if device == "camera" else messages) + 1))
+        by_time = device != "camera" and bool(rng.integers(2))
+        faults.append(
+            Fault(
+                kind=kind.name,
+                device=device,
+                at_message=None if by_time else count_at,
+                at_s=float(rng.uniform(0.0, duration_s)) if by_time else None,
+                amount=float(rng.choice(kind.amounts)),
+                count=int(rng.choice(kind.counts)),
+                joint=int(rng.integers(5)),
+            )
+        )
+    return tuple(faults)
+
+
+def parse_fault(text: str) -> Fault:
+    """Read a fault from a line such as ``reset``, ``reply_late table amount=3 at_s=20`` or ``stalled joint=2``.
+
+    Raises
+    ------
+    UserError
+        When it cannot be understood, with what would be.
+    """
+    name, *words = text.split() or [""]
+    kind = kind_of(name)
+    device: Device = kind.devices[0]
+    values: dict[str, float] = {}
+    for word in words:
+        key, equals, number = word.partition("=")
+        if word in kind.devices:
+            device = next(known for known in kind.devices if known == word)
+        elif equals and key in ("at_message", "at_s", "amount", "count", "joint"):
+            try:
+                values[key] = float(number)
+            except ValueError:
+                raise UserError(f'fault "{text}": {key} must be a number, not {number!r}') from None
+        else:
+            raise UserError(
+                f'fault "{text}": {word!r} is not understood; after {name} come {" or ".join(kind.devices)} and '
+                "at_message=N, at_s=SECONDS, amount=X, count=N, joint=N"
+            )
+    fault = Fault(kind=name, device=device, amount=values.get("amount", kind.amounts[0]))
+    return replace(
+        fault,
+        at_message=int(values["at_message"]) if "at_message" in values else None,
+        at_s=values.get("at_s"),
+        count=int(values.get("count", 1)),
+        joint=int(values.get("joint", 1)),
+    )
+
+
+class Pending:
+    """The faults that have not happened yet."""
+
+    def __init__(self, faults: tuple[Fault, ...]) -> None:
+        for fault in faults:
+            kind_of(fault.kind)
+        self._left = list(faults)
+        self.happened: list[tuple[float, Fault]] = []
+        """What happened, with its time."""
+
+    def add(self, fault: Fault) -> None:
+        """Let a fault happen from now on."""
+        kind_of(fault.kind)
+        self._left.append(fault)
+
+    def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
+        """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did."""
+        return [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where and _is_due(fault, number, now_s)]
+
+    def use(self, fault: Fault, now_s: float) -> None:
+        """Count one message that a fault has hit."""
+        self.happened.append((now_s, fault))
+        i = next(i for i, left in enumerate(self._left) if left is fault)
+        if fault.count > 1:
+            self._left[i] = replace(fault, count=fault.count - 1)
+        else:
+            del self._left[i]
+
+    def next_s(self) -> float:
+        """Return the time of the next fault that happens to a device by the clock."""
+        times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
+        return min(times, default=float("inf"))
+
+
+def _is_due(fault: Fault, number: int, now_s: float) -> bool:
+    if fault.at_message is not None:
+        return number >= fault.at_message
+    return fault.at_s is None or now_s >= fault.at_s

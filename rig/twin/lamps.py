@@ -1,0 +1,69 @@
+"""The model of a lamp: a strip of LEDs, each with its colour, and a brightness for all; light follows with a ramp. Knows no protocol."""
+
+import numpy as np
+
+from rig.twin.imperfections import Imperfections, Key
+
+LEDS = 30
+Rgb = tuple[int, int, int]
+
+
+class Lamp:
+    """One strip of LEDs.
+
+    Parameters
+    ----------
+    full_rgb
+        The colour that gives level 1 at full brightness.
+    imperfections
+        Ramp and error of the brightness.
+    key
+        Of the lamp's random stream.
+    """
+
+    def __init__(self, *, full_rgb: Rgb, imperfections: Imperfections, key: Key) -> None:
+        error = float(np.random.default_rng(key).uniform(-1.0, 1.0)) * imperfections.lamp_level_error
+        self._full = max(sum(full_rgb), 1) / (1.0 + error)
+        self._ramp_s = imperfections.lamp_ramp_s
+        self._rgb = [(0, 0, 0)] * LEDS
+        self._brightness = 255
+        self._level = 0.0
+
+    @property
+    def level(self) -> float:
+        """The light now, as a fraction of full."""
+        return self._level
+
+    @property
+    def goal(self) -> float:
+        """The level that the lamp has or is on its way to."""
+        return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
+
+    def show(self, rgb: Rgb, *, led: int | None = None) -> None:
+        """Give all LEDs (or one, if there is such a one) a colour, 0-255 each."""
+        if led is None:
+            self._rgb = [rgb] * LEDS
+        elif 0 <= led < LEDS:
+            self._rgb[led] = rgb
+        self._settle()
+
+    def dim(self, brightness: int) -> None:
+        """Scale all LEDs, 0-255; kept until changed."""
+        self._brightness = brightness
+        self._settle()
+
+    def power_up(self) -> None:
+        """Go dark, as the LEDs do when their board starts."""
+        self._rgb = [(0, 0, 0)] * LEDS
+        self._brightness = 255
+        self._settle()
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass."""
+        if self._level != self.goal:
+            step = dt_s / self._ramp_s if self._ramp_s > 0.0 else np.inf
+            self._level += float(np.clip(self.goal - self._level, -step, step))
+
+    def _settle(self) -> None:
+        if self._ramp_s == 0.0:
+            self._level = self.goal

@@ -1,0 +1,161 @@
+"""The bus-servo protocol of LX servos: binary frames in, frames out. Knows no physics and no wire (echo is the wire's).
+
+After LewanSoul's "Bus Servo Communication Protocol". Frame: 55 55 | id | length | command | parameters | checksum.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+
+from rig.twin.adapter import Reply
+from rig.twin.servo import Servo, Supply
+
+THINKING_S = 0.0015
+"""From the end of a question to its answer."""
+BROADCAST = 254
+MAX_LENGTH = 10
+"""Longer frames do not exist: a length above is noise."""
+
+
+class LxAdapter:
+    """The servos on one bus."""
+
+    def __init__(self, servos: dict[int, Servo], supply: Supply) -> None:
+        self._servos = servos
+        self._supply = supply
+        self._buffer = bytearray()
+        self._kept: dict[tuple[int, int], bytes] = {}  # parameters of settings that are only stored: (servo, write command)
+
+    def receive(self, data: bytes, now_s: float) -> list[Reply]:
+        """Take bytes from the host; frames with a wrong checksum are ignored, as is everything while the supply is down."""
+        if not self._supply.up:
+            self._buffer.clear()
+            return []
+        self._buffer += data
+        replies: list[Reply] = []
+        while (frame := self._frame()) is not None:
+            answers = [answer for servo in self._meant(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None]
+            if answers:
+                replies.append(Reply(now_s + THINKING_S, _collided(answers)))
+        return replies
+
+    def next_s(self) -> float:
+        """Return infinity: servos never speak unasked."""
+        return math.inf
+
+    def poll(self, _now_s: float) -> list[Reply]:
+        """Do nothing: servos never speak unasked."""
+        return []
+
+    def _frame(self) -> bytes | None:
+        """Take the next whole and correct frame out of the buffer."""
+        buffer = self._buffer
+        while True:
+            start = buffer.find(b"\x55\x55")
+            if start < 0:
+                del buffer[: max(len(buffer) - 1, 0)]
+                return None
+            del buffer[:start]
+            if len(buffer) < 4:
+                return None
+            length = buffer[3]
+            if not 3 <= length <= MAX_LENGTH:
+                del buffer[0]
+                continue
+            if len(buffer) < length + 3:
+                return None
+            frame = bytes(buffer[: length + 3])
+            if frame[-1] == checksum(frame[2:-1]):
+                del buffer[: length + 3]
+                return frame
+            del buffer[0]
+
+    def _meant(self, number: int) -> list[int]:
+        if number == BROADCAST:
+            return sorted(self._servos)
+        return [number] if number in self._servos else []
+
+    def _answer(self, number: int, command: int, parameters: bytes) -> bytes | None:
+        """Carry a command out for one servo; return its frame if the command asks for one."""
+        servo = self._servos[number]
+        if command in _READS:
+            return frame_of(number, command, _READS[command](number, servo, self._supply)) if not parameters else None
+        if command in _STORED_READS:
+            write, default = _STORED_READS[command]
+            return frame_of(number, command, self._kept.get((number, write), default)) if not parameters else None
+        if command in _STORED_WRITES:
+            if len(parameters) == _STORED_WRITES[command]:
+                self._kept[number, command] = parameters
+            return None
+        self._write(number, servo, command, parameters)
+        return None
+
+    def _write(self, number: int, servo: Servo, command: int, parameters: bytes) -> None:
+        if command in (1, 7) and len(parameters) == 4:
+            low, high = struct.unpack("<HH", self._kept.get((number, 20), _ANGLE_LIMITS))
+            counts, duration_ms = struct.unpack("<HH", parameters)
+            goal = min(max(counts, low), high), min(duration_ms, 30000)
+            if command == 1:
+                servo.move(*goal)
+            else:
+                servo.waiting = goal
+        elif command == 11 and servo.waiting is not None:
+            goal, servo.waiting = servo.waiting, None
+            servo.move(*goal)
+        elif command == 12:
+            servo.stop()
+        elif command == 13 and len(parameters) == 1 and parameters[0] < BROADCAST:
+            self._servos[parameters[0]] = self._servos.pop(number)
+        elif command == 24 and len(parameters) == 1:
+            servo.temperature_limit = min(max(parameters[0], 50), 100)
+        elif command == 31 and len(parameters) == 1:
+            servo.load(parameters[0] == 1)
+
+
+def checksum(body: bytes) -> int:
+    """Return the last byte of a frame: the inverted sum of id, length, command and parameters."""
+    return ~sum(body) & 0xFF
+
+
+def frame_of(number: int, command: int, parameters: bytes) -> bytes:
+    """Return a whole frame."""
+    body = bytes([number, len(parameters) + 3, command]) + parameters
+    return b"\x55\x55" + body + bytes([checksum(body)])
+
+
+def _collided(frames: list[bytes]) -> bytes:
+    """Return what the host hears when several servos answer at once: a low level wins on the wire."""
+    heard = bytearray(b"\xff" * max(len(frame) for frame in frames))
+    for frame in frames:
+        for i, byte in enumerate(frame):
+            heard[i] &= byte
+    return bytes(heard)
+
+
+def _u16(*values: int) -> bytes:
+    return struct.pack(f"<{len(values)}H", *values)
+
+
+_ANGLE_LIMITS = _u16(0, 1000)
+
+_READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
+    2: lambda _n, servo, _s: _u16(*servo.command),
+    8: lambda _n, servo, _s: _u16(*(servo.waiting or servo.command)),
+    14: lambda number, _servo, _s: bytes([number]),
+    25: lambda _n, servo, _s: bytes([servo.temperature_limit]),
+    26: lambda _n, servo, _s: bytes([servo.celsius]),
+    27: lambda _n, _servo, supply: _u16(supply.millivolt),
+    28: lambda _n, servo, _s: struct.pack("<h", servo.counts),
+    32: lambda _n, servo, _s: bytes([servo.holds]),
+}
+
+# Settings that do nothing here but are told back. Read command: write command and default.
+_STORED_READS: dict[int, tuple[int, bytes]] = {
+    19: (17, b"\x00"),
+    21: (20, _ANGLE_LIMITS),
+    23: (22, _u16(6500, 12000)),
+    30: (29, b"\x00\x00\x00\x00"),
+    34: (33, b"\x00"),
+    36: (35, b"\x07"),
+}
+_STORED_WRITES = {write: len(default) for write, default in _STORED_READS.values()} | {18: 0}

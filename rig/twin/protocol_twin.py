@@ -1,0 +1,140 @@
+"""pyserial's handler of ``twin://ID/table`` and ``twin://ID/arm``: ports of a twin within this process, in its virtual time.
+
+A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over. Nothing sleeps, nothing runs
+in parallel, so the same seed gives the same bytes.
+"""
+
+import errno
+import math
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from serial import PortNotOpenError, SerialBase, SerialException
+
+from rig.twin.clock import VirtualClock
+from rig.twin.line import Line
+
+CALL_S = 20e-6
+"""What asking a port costs: a loop that only asks comes to its deadline, too."""
+GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
+
+
+@dataclass(eq=False)
+class Socket:
+    """Where a port is plugged in."""
+
+    line: Line
+    clock: VirtualClock
+    opened: Callable[[], None]
+    """Called when a host opens the port."""
+    users: int = 0
+
+
+_SOCKETS: "weakref.WeakValueDictionary[str, Socket]" = weakref.WeakValueDictionary()
+
+
+def register(url: str, socket: Socket) -> None:
+    """Let a URL lead to a socket, for as long as the socket exists."""
+    _SOCKETS[url.lower()] = socket
+
+
+class Serial(SerialBase):
+    """A port of a twin; behaves as a USB serial port on Linux does, its errors included."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._socket: Socket | None = None
+        self._plugs = 0
+        super().__init__(*args, **kwargs)
+
+    def open(self) -> None:
+        """Open the port; what had arrived before is dropped."""
+        if self.is_open:
+            raise SerialException("Port is already open.")
+        socket = _SOCKETS.get(str(self._port).lower())
+        if socket is None or not socket.line.plugged:
+            error = f"[Errno 2] No such file or directory: '{self._port}'"
+            raise SerialException(errno.ENOENT, f"could not open port {self._port}: {error}")
+        if self._exclusive and socket.users:
+            error = "[Errno 11] Resource temporarily unavailable"
+            raise SerialException(errno.EAGAIN, f"Could not exclusively lock port {self._port}: {error}")
+        socket.users += 1
+        self._socket, self._plugs = socket, socket.line.plugs
+        self.is_open = True
+        socket.line.drop_input()
+        socket.opened()
+
+    def close(self) -> None:
+        """Close the port."""
+        if self.is_open and self._socket is not None:
+            self._socket.users -= 1
+            self._socket = None
+        self.is_open = False
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that have arrived."""
+        socket = self._there()
+        if self._dead(socket):
+            raise OSError(errno.EIO, "Input/output error")
+        socket.clock.sleep(CALL_S)
+        return socket.line.waiting
+
+    def read(self, size: int = 1) -> bytes:
+        """Read up to ``size`` bytes, waiting for them in virtual time as long as the time-out allows."""
+        socket = self._there()
+        clock = socket.clock
+        deadline_s = math.inf if self._timeout is None else clock.now_s() + max(self._timeout, CALL_S)
+        data = b""
+        while True:
+            if self._dead(socket):
+                raise SerialException(GONE)
+            data += socket.line.take(size - len(data))
+            if len(data) >= size or clock.now_s() >= deadline_s:
+                return data
+            if math.isinf(deadline_s) and math.isinf(clock.next_s()):
+                raise SerialException("a read without a time-out would wait for ever: nothing is to come in virtual time")
+            clock.step(deadline_s)
+
+    def write(self, data: Any, /) -> int:
+        """Send bytes."""
+        socket = self._there()
+        if self._dead(socket):
+            raise SerialException("write failed: [Errno 5] Input/output error")
+        payload = bytes(data)
+        socket.line.write(payload, socket.clock.now_s())
+        return len(payload)
+
+    def flush(self) -> None:
+        """Return at once, as on a pseudo-terminal."""
+        self._there()
+
+    def reset_input_buffer(self) -> None:
+        """Drop what has arrived."""
+        self._there().line.drop_input()
+
+    def reset_output_buffer(self) -> None:
+        """Do nothing: what was written is on its way."""
+        self._there()
+
+    def _there(self) -> Socket:
+        if not self.is_open or self._socket is None:
+            raise PortNotOpenError()
+        return self._socket
+
+    def _dead(self, socket: Socket) -> bool:
+        """Whether the cable was pulled since the port was opened; a new plug needs a new port."""
+        return not socket.line.plugged or socket.line.plugs != self._plugs
+
+    def _reconfigure_port(self) -> None:
+        """Accept any setting, as a USB port does."""
+
+    def _update_dtr_state(self) -> None:
+        """Ignore it."""
+
+    def _update_rts_state(self) -> None:
+        """Ignore it."""
+
+    def _update_break_state(self) -> None:
+        """Ignore it."""

@@ -1,0 +1,204 @@
+"""The model of a bus servo: position control at uniform speed, gears with play, gravity, heat, and the supply. Knows no protocol.
+
+Positions are counts of the servo (0.24 degrees each). ``sensed`` is what its potentiometer feels, ``true`` where its output really is:
+
+    true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the play + error of this move + sag
+"""
+
+import math
+
+import numpy as np
+
+from rig.twin.imperfections import Imperfections, Key
+
+DEG_PER_COUNT = 0.24
+MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT
+"""Counts/s: 60 degrees in 0.22 s."""
+STOPS = (-60.0, 1060.0)
+"""Where the gears run against their ends, counts."""
+FRICTION = 0.3
+"""Torque, as a fraction of the stretched arm's at the shoulder, under which a servo without current does not turn."""
+FALL_SPEED = 400.0
+"""Counts/s of an unloaded servo at torque 1 beyond friction."""
+SEEN_SAG = 0.5
+"""Part of the sag that the potentiometer feels; the rest is in the gears behind it."""
+IDLE_VOLT = 7.58
+AMBIENT_CELSIUS = 24.0
+WARM_UP_S = 300.0
+"""Time constant of heating and cooling."""
+COOL_BELOW = 5.0
+"""An overheated servo holds again when it is this far below its limit, degrees."""
+_ZERO, _MOVE = 1, 2
+
+
+class Supply:
+    """The arm's power supply."""
+
+    def __init__(self, *, key: Key) -> None:
+        self._volt = IDLE_VOLT + float(np.random.default_rng(key).uniform(-0.05, 0.05))
+        self._low_for_s = 0.0
+        self.load_volt = 0.0
+        """Drop by the servos that move now."""
+
+    @property
+    def millivolt(self) -> int:
+        """The voltage now."""
+        return round(1000.0 * ((4.2 if self._low_for_s > 0.0 else self._volt) - self.load_volt))
+
+    @property
+    def up(self) -> bool:
+        """Whether it is enough for the servos' processors to run."""
+        return self._low_for_s <= 0.0
+
+    def brown_out(self, for_s: float) -> None:
+        """Break down for a while."""
+        self._low_for_s = for_s
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass."""
+        self._low_for_s = max(self._low_for_s - dt_s, 0.0)
+
+
+class Servo:
+    """One servo.
+
+    Parameters
+    ----------
+    start_counts
+        Where its potentiometer stands when the power comes.
+    imperfections
+        Zero, scale, repeatability, play, sag, dead band.
+    key
+        Of its random streams; the error of move n depends on the key and n only.
+    """
+
+    def __init__(self, *, start_counts: float, imperfections: Imperfections, key: Key) -> None:
+        rng = np.random.default_rng([*key, _ZERO])
+        wrong = imperfections
+        self._zero = float(rng.uniform(-1.0, 1.0)) * wrong.servo_zero_deg / DEG_PER_COUNT
+        self._scale = 1.0 + float(rng.uniform(-1.0, 1.0)) * wrong.servo_scale
+        self._play = float(rng.uniform(*wrong.servo_backlash_deg)) / DEG_PER_COUNT
+        self._give = float(rng.uniform(*wrong.servo_sag_deg)) / DEG_PER_COUNT
+        self._warmth = 3.0 + float(rng.uniform(0.0, 6.0))
+        self._repeat = wrong.servo_repeat_deg / DEG_PER_COUNT
+        self._dead_band = wrong.servo_dead_band_counts
+        self._key = key
+        self._moves = 0
+        self._celsius = AMBIENT_CELSIUS + self._warmth
+        self._sensed = start_counts
+        self._error = 0.0  # repeatability and play as they are now
+        self._from = (start_counts, 0.0)  # sensed and error where the move began
+        self._to = (start_counts, 0.0)
+        self._into_s = 0.0
+        self._duration_s = 0.0
+        self.torque = 0.0
+        """Of gravity, in the direction of growing counts, as a fraction of the stretched arm's at the shoulder."""
+        self.stalled = False
+        """Something blocks it."""
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Forget what does not survive the power: torque off, no command, default limits."""
+        self.torque_on = False
+        self.hot = False
+        self.command = (min(max(round(self._sensed), 0), 1000), 0)
+        """Last position and time (ms) that it was told."""
+        self.waiting: tuple[int, int] | None = None
+        self.commanded = False
+        self.temperature_limit = 85
+        self._into_s = self._duration_s = 0.0
+
+    @property
+    def counts(self) -> int:
+        """The position as the servo itself reads it; may lie outside 0 to 1000."""
+        return round(self._sensed + SEEN_SAG * self._sag())
+
+    @property
+    def true_counts(self) -> float:
+        """Where the output really is."""
+        return self.unbent_counts + self._sag()
+
+    @property
+    def unbent_counts(self) -> float:
+        """Where the output would be without sag."""
+        return 500.0 + (self._sensed - 500.0) * self._scale + self._zero + self._error
+
+    @property
+    def celsius(self) -> int:
+        """Temperature of its case."""
+        return round(self._celsius)
+
+    @property
+    def holds(self) -> bool:
+        """Whether it has torque."""
+        return self.torque_on and not self.hot
+
+    @property
+    def moving(self) -> bool:
+        """Whether it is on its way."""
+        return self._into_s < self._duration_s and self.holds
+
+    @property
+    def falls(self) -> bool:
+        """Whether gravity turns it."""
+        return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
+
+    def move(self, counts: int, duration_ms: int) -> None:
+        """Go to a position at uniform speed within a time, as fast as it can if that is too short; switches the torque on."""
+        self.command = (counts, duration_ms)
+        self.commanded = True
+        self.torque_on = True
+        way = counts - self._sensed
+        if abs(way) <= self._dead_band and not self.moving:
+            return
+        self._moves += 1
+        rng = np.random.default_rng([*self._key, _MOVE, self._moves])
+        stop = float(np.clip(counts + rng.uniform(-0.5, 0.5) * self._dead_band, *STOPS))
+        error = float(rng.normal(0.0, 1.0)) * self._repeat - math.copysign(self._play / 2.0, way)
+        self._from, self._to = (self._sensed, self._error), (stop, error)
+        self._into_s = 0.0
+        self._duration_s = max(duration_ms / 1000.0, abs(way) / MAX_SPEED, 1e-3)
+
+    def load(self, on: bool) -> None:
+        """Switch the torque; on, it goes to what it was last told at full speed, or holds where it stands."""
+        if on and not self.torque_on:
+            if self.commanded:
+                self.move(self.command[0], 0)
+            else:
+                self._into_s = self._duration_s = 0.0
+        self.torque_on = on
+
+    def stop(self) -> None:
+        """Stay where it is."""
+        self._into_s = self._duration_s = 0.0
+
+    def heat(self, celsius: float) -> None:
+        """Take a temperature at once."""
+        self._celsius = celsius
+        self._guard()
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass."""
+        moving = self.moving
+        if moving and not self.stalled:
+            self._into_s = min(self._into_s + dt_s, self._duration_s)
+            part = self._into_s / self._duration_s
+            self._sensed, self._error = (a + (b - a) * part for a, b in zip(self._from, self._to, strict=True))
+        elif self.falls:
+            fall = math.copysign(FALL_SPEED * (abs(self.torque) - FRICTION) * dt_s, self.torque)
+            self._sensed = min(max(self._sensed + fall, STOPS[0]), STOPS[1])
+        goal = AMBIENT_CELSIUS + self._warmth + (20.0 * self.torque**2 if self.holds else 0.0)
+        goal += 100.0 if moving and self.stalled else 10.0 if moving else 0.0
+        self._celsius += (goal - self._celsius) * (1.0 - math.exp(-dt_s / WARM_UP_S))
+        self._guard()
+
+    def _guard(self) -> None:
+        """Switch the current off above the limit of temperature, on again when cool: it then holds where it stands."""
+        if self.hot and self._celsius < self.temperature_limit - COOL_BELOW:
+            self.hot = False
+            self.stop()
+        elif self._celsius >= self.temperature_limit:
+            self.hot = True
+
+    def _sag(self) -> float:
+        return self._give * self.torque if self.holds else 0.0

@@ -1,0 +1,180 @@
+"""The model of the turntable: a stepper motor behind a gear, driven in microsteps along a queue of moves. Knows no protocol.
+
+Angles are degrees of the table. The motor's own count starts at 0 when the power comes; where the table then stands is the world's affair.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.twin.imperfections import Imperfections, Key
+
+MICROSTEPS = 32
+ACCELERATION_DEG_PER_S2 = 360.0
+MAX_SPEED_DEG_PER_S = 360.0
+QUEUE = 16
+"""Moves that wait behind the one that runs."""
+
+
+@dataclass(frozen=True)
+class _Move:
+    """One move from rest to rest: speed up, go on, slow down."""
+
+    start_steps: int
+    goal_steps: int
+    speed: float  # steps/s at the top
+    ramp_s: float
+    duration_s: float
+
+    def at(self, t_s: float) -> float:
+        """Return the position in steps, t_s after the start."""
+        if t_s >= self.duration_s:
+            return float(self.goal_steps)
+        way = abs(self.goal_steps - self.start_steps)
+        gain = self.speed / self.ramp_s
+        if t_s < self.ramp_s:
+            done = gain * t_s**2 / 2.0
+        elif t_s < self.duration_s - self.ramp_s:
+            done = self.speed * (t_s - self.ramp_s / 2.0)
+        else:
+            done = way - gain * (self.duration_s - t_s) ** 2 / 2.0
+        return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
+
+
+class Stepper:
+    """A motor with its table.
+
+    Parameters
+    ----------
+    full_step_deg
+        Table angle of one full step.
+    imperfections
+        Error within the steps, play, jump.
+    key
+        Of the random stream.
+    """
+
+    def __init__(self, *, full_step_deg: float, imperfections: Imperfections, key: Key) -> None:
+        self.steps_per_deg = MICROSTEPS / full_step_deg
+        self._full_step_deg = full_step_deg
+        self._wrong = imperfections
+        self._key = key
+        rng = np.random.default_rng(key)
+        self._phase_rad = rng.uniform(0.0, 2.0 * np.pi)
+        self._steps = 0.0
+        self._moves: deque[_Move] = deque()
+        self._into_s = 0.0  # time spent in the first move
+        self._shift_deg = 0.0  # what jumps of the rotor have added
+        self._aligned = False  # the rotor has found its phase since power-up
+        self._output_deg = 0.0
+        self._power_ups = 0
+        self.energised = False
+        self._turn_output()
+
+    @property
+    def steps(self) -> int:
+        """Microsteps given since power-up."""
+        return round(self._steps)
+
+    @property
+    def goal_steps(self) -> int:
+        """Microsteps at the end of the queue."""
+        return self._moves[-1].goal_steps if self._moves else self.steps
+
+    @property
+    def true_deg(self) -> float:
+        """Where the table really is, from where it stood when the power came."""
+        return self._output_deg
+
+    @property
+    def moving(self) -> bool:
+        """Whether a move runs."""
+        return bool(self._moves)
+
+    @property
+    def full(self) -> bool:
+        """Whether no further move fits the queue."""
+        return len(self._moves) > QUEUE
+
+    def remaining_s(self, *, moves: int = 0) -> float:
+        """Return the time until no more than ``moves`` moves are left."""
+        left = list(self._moves)[: max(len(self._moves) - moves, 0)]
+        return max(sum(move.duration_s for move in left) - self._into_s, 0.0) if left else 0.0
+
+    def queue(self, goal_deg: float, speed_deg_per_s: float) -> None:
+        """Add a move to an angle of the motor's count; it energises the motor."""
+        self.energise()
+        start, goal = self.goal_steps, round(goal_deg * self.steps_per_deg)
+        if start == goal:
+            return
+        way = abs(goal - start)
+        gain = ACCELERATION_DEG_PER_S2 * self.steps_per_deg
+        speed = min(max(speed_deg_per_s, 0.01), MAX_SPEED_DEG_PER_S) * self.steps_per_deg
+        speed = min(speed, math.sqrt(gain * way))
+        self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
+
+    def energise(self) -> None:
+        """Switch the coils on: at the first time after power-up the rotor jumps to the driver's phase."""
+        if self.energised:
+            return
+        self.energised = True
+        if not self._aligned:
+            self._aligned = True
+            rng = np.random.default_rng([*self._key, self._power_ups])
+            self._shift_deg += float(rng.uniform(-1.0, 1.0)) * self._wrong.table_jump_steps * self._full_step_deg
+        self._turn_output()
+
+    def release(self) -> None:
+        """Switch the coils off: the rotor falls back to the nearest full step."""
+        self.stop()
+        self.energised = False
+        self._turn_output()
+
+    def stop(self) -> None:
+        """Stop at once, dropping the queue."""
+        self._steps = float(round(self._steps))
+        self._moves.clear()
+        self._into_s = 0.0
+
+    def power_up(self) -> None:
+        """Start anew: count 0, coils off, wherever the table stands."""
+        stood_deg = self._output_deg
+        self.stop()
+        self._steps = 0.0
+        self.energised = False
+        self._aligned = False
+        self._power_ups += 1
+        self._shift_deg = 0.0
+        self._shift_deg = stood_deg - self._motor_deg()
+        self._turn_output()
+
+    def advance(self, dt_s: float) -> None:
+        """Let time pass."""
+        if not self._moves:
+            return
+        self._into_s += dt_s
+        while self._moves and self._into_s >= self._moves[0].duration_s:
+            move = self._moves.popleft()
+            self._into_s -= move.duration_s
+            self._steps = float(move.goal_steps)
+            self._turn_output()
+        if self._moves:
+            self._steps = self._moves[0].at(self._into_s)
+        else:
+            self._into_s = 0.0
+        self._turn_output()
+
+    def _motor_deg(self) -> float:
+        """Where the rotor is: its error repeats with every electrical turn, which is four full steps."""
+        steps = self._steps
+        if not self.energised:
+            steps = round(steps / MICROSTEPS) * MICROSTEPS
+        electrical_rad = 2.0 * math.pi * steps / (4 * MICROSTEPS) + self._phase_rad
+        return self._shift_deg + steps / self.steps_per_deg + self._wrong.table_microstep_deg * math.sin(electrical_rad)
+
+    def _turn_output(self) -> None:
+        """Let the table follow the rotor with the play between them."""
+        motor_deg, half_deg = self._motor_deg(), self._wrong.table_play_deg / 2.0
+        self._output_deg = min(max(self._output_deg, motor_deg - half_deg), motor_deg + half_deg)

@@ -1,0 +1,155 @@
+"""What the devices have really done, in the frames of `scenes.frames`: the twin's pictures show this and nothing else."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig import kinematics
+from rig.rig_file import ArmPart, RigFile
+from rig.twin.imperfections import Imperfections
+from rig.twin.lamps import Lamp
+from rig.twin.servo import Servo, Supply
+from rig.twin.stepper import Stepper
+from scenes import frames, plan
+from scenes.model import Scene
+
+# One number a device: the second key of its random streams. Those of `sim.world` are below 100.
+_SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105
+
+GRIPPER = 1
+GRIPPER_CELSIUS = 47.0
+_WEIGHTS = np.array([0.06, 0.06, 0.12])
+"""Masses at elbow, wrist and camera, kg."""
+_FALLING_STEP_S = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """Everything a picture depends on."""
+
+    cam_from_rig: frames.Array
+    rig_from_canister: frames.Array
+    table_deg: float
+    """True table angle, before the canister's offset and tilt."""
+    panel: float
+    front: float
+    """Levels of the lamps, fractions of the scene's."""
+    exposure: float = 1.0
+    """Exposure time and gain against the nominal ones."""
+
+
+class TwinWorld:
+    """The table, the arm and the lamps of a rig.
+
+    Parameters
+    ----------
+    scene
+        Strip, canister and plan.
+    rig
+        What the devices are said to be.
+    seed
+        Of every error.
+    imperfections
+        How large the errors are.
+    table_from_canister
+        How the canister really stands on the table, 4x4.
+    """
+
+    def __init__(self, scene: Scene, rig: RigFile, *, seed: int, imperfections: Imperfections, table_from_canister: frames.Array) -> None:
+        self.scene = scene
+        self.rig = rig
+        self.table_from_canister = table_from_canister
+        self.tripod_cam_from_rig = plan.views(scene)[0].cam_from_rig
+        """The camera's pose where there is no arm."""
+        self.table = Stepper(full_step_deg=rig.turntable.full_step_deg, imperfections=imperfections, key=(seed, _TABLE))
+        self._table_start_deg = float(np.random.default_rng([seed, _START]).uniform(0.0, 360.0))
+        lights = rig.lights
+        self.panel = Lamp(full_rgb=lights.panel_rgb, imperfections=imperfections, key=(seed, _LAMP, 0))
+        self.front = Lamp(full_rgb=lights.front_rgb, imperfections=imperfections, key=(seed, _LAMP, 1))
+        self.supply = Supply(key=(seed, _SUPPLY))
+        self.servos: dict[int, Servo] = {}
+        if rig.arm is not None:
+            for joint, rest_deg in zip(rig.arm.joints, rig.arm.park_deg, strict=True):
+                start = joint.zero_counts + joint.sign * joint.counts_per_deg * rest_deg
+                self.servos[joint.servo] = Servo(start_counts=start, imperfections=imperfections, key=(seed, _SERVO, joint.servo))
+            if GRIPPER not in self.servos:
+                self.servos[GRIPPER] = Servo(start_counts=500.0, imperfections=imperfections, key=(seed, _SERVO, GRIPPER))
+                self.servos[GRIPPER].heat(GRIPPER_CELSIUS)
+            self._weigh()
+
+    def lamp(self, strip: int) -> Lamp:
+        """Return the lamp on a strip of the board."""
+        return self.panel if strip == self.rig.lights.panel_strip else self.front
+
+    def advance(self, dt_s: float) -> None:
+        """Let every device act for a while."""
+        self.table.advance(dt_s)
+        self.panel.advance(dt_s)
+        self.front.advance(dt_s)
+        if not self.servos:
+            return
+        left_s = dt_s
+        while left_s > 0.0:
+            falling = any(servo.falls for servo in self.servos.values())
+            step_s = min(left_s, _FALLING_STEP_S) if falling else left_s
+            for servo in self.servos.values():
+                servo.advance(step_s)
+            self._weigh()
+            left_s -= step_s
+        self.supply.advance(dt_s)
+        self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
+
+    def brown_out(self, for_s: float) -> None:
+        """Let the arm's voltage break down for a while: every servo starts anew, without torque."""
+        self.supply.brown_out(for_s)
+        for servo in self.servos.values():
+            servo.power_up()
+        self._weigh()
+
+    @property
+    def table_deg(self) -> float:
+        """The true table angle: 0 when the strip's seam faces the camera's side."""
+        return self._table_start_deg + self.table.true_deg
+
+    @property
+    def joints_deg(self) -> tuple[float, ...]:
+        """The true joint angles, base to wrist roll; empty without an arm."""
+        return () if (arm := self.rig.arm) is None else self._angles(arm, [self.servos[j.servo].true_counts for j in arm.joints])
+
+    @property
+    def cam_from_rig(self) -> frames.Array:
+        """The true pose of the camera."""
+        if self.rig.arm is None:
+            return self.tripod_cam_from_rig
+        return kinematics.cam_from_rig(self.rig.arm, self.joints_deg)
+
+    @property
+    def rig_from_canister(self) -> frames.Array:
+        """Where the canister really is."""
+        return plan.rig_from_table(self.scene, self.table_deg) @ self.table_from_canister
+
+    def sight(self, *, exposure: float = 1.0) -> Sight:
+        """Return what a picture taken now depends on."""
+        return Sight(
+            cam_from_rig=self.cam_from_rig,
+            rig_from_canister=self.rig_from_canister,
+            table_deg=self.table_deg,
+            panel=self.panel.level,
+            front=self.front.level,
+            exposure=exposure,
+        )
+
+    def _angles(self, arm: ArmPart, counts: list[float]) -> tuple[float, ...]:
+        return tuple(joint.sign * (at - joint.zero_counts) / joint.counts_per_deg for joint, at in zip(arm.joints, counts, strict=True))
+
+    def _weigh(self) -> None:
+        """Tell the pitch servos the torque that gravity puts on them in this pose."""
+        if (arm := self.rig.arm) is None:
+            return
+        lean_rad = np.cumsum(np.deg2rad(self._angles(arm, [self.servos[j.servo].unbent_counts for j in arm.joints])[1:4]))
+        links = np.array(arm.links_mm[1:])
+        across = np.concatenate([[0.0], np.cumsum(links * np.sin(lean_rad))])
+        most = float(_WEIGHTS @ np.cumsum(links)) or 1.0
+        for i, joint in enumerate(arm.joints[1:4]):
+            torque = float(_WEIGHTS[i:] @ (across[i + 1 :] - across[i])) / most
+            self.servos[joint.servo].torque = joint.sign * torque

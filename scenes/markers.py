@@ -1,0 +1,46 @@
+"""ArUco markers as cells and as black rectangles: what is printed and what is painted come from here."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import UserError
+from scenes.frames import Array
+
+
+def dictionary_named(name: str) -> cv2.aruco.Dictionary:
+    """Return OpenCV's ArUco dictionary of a name without ``DICT_``.
+
+    Raises
+    ------
+    UserError
+        When OpenCV has no such dictionary.
+    """
+    if not hasattr(cv2.aruco, f"DICT_{name}"):
+        raise UserError(f"{name!r} is not one of OpenCV's ArUco dictionaries; use for example APRILTAG_36h11 or 5X5_100")
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+
+
+def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
+    """Return a marker's cells (n, n), True where white, row 0 at the top, its black border included.
+
+    Raises
+    ------
+    UserError
+        When the dictionary is unknown or has no such marker.
+    """
+    known = dictionary_named(dictionary)
+    if not 0 <= marker_id < len(known.bytesList):
+        raise UserError(f"marker {marker_id} is asked for, but {dictionary} has the markers 0 to {len(known.bytesList) - 1}")
+    return np.asarray(known.generateImageMarker(marker_id, known.markerSize + 2)) > 127
+
+
+def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm: float, side_mm: float) -> Array:
+    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right, bottom, y downwards."""
+    cells = marker_cells(dictionary, marker_id)
+    cell_mm = side_mm / len(cells)
+    found = []
+    for row, white in enumerate(cells):
+        steps = np.diff(np.concatenate([[0], (~white).astype(int), [0]]))
+        found += [(first, row, last, row + 1) for first, last in zip(np.flatnonzero(steps > 0), np.flatnonzero(steps < 0), strict=True)]
+    return np.array(found, np.float64) * cell_mm + np.array([left_mm, top_mm, left_mm, top_mm])

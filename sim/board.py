@@ -1,0 +1,224 @@
+"""Pictures of the calibration board before the scene's camera, in air and evenly lit, with the true lens beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from scenes import frames
+from scenes.atomic import new_folder, write_image, write_json
+from scenes.board import CharucoBoard, black_parts, check_board, save_board
+from scenes.errors import UserError
+from scenes.model import Camera, Scene
+from scenes.schema import to_plain
+from sim import sensor
+from sim.exposure import expose
+from sim.strip import INK, PAPER
+from sim.textures import bitmap
+from sim.world import lens_distortion
+
+BORDER_MM = 12.0
+"""White paper round the pattern."""
+TEXELS_PER_MM = 12.0
+MOST_TEXELS = 6000
+"""Of the texture's longer side: larger boards are painted coarser."""
+SIDE = 7
+"""Rays a pixel: SIDE x SIDE on a regular lattice; a prime."""
+MAX_RAYS = 8_000_000
+LEAST_VISIBLE = 0.6
+"""Share of the board's corners that a pose must bring into the picture."""
+LEAST_SQUARE_PX = 20.0
+ATTEMPTS = 300
+TRUTH = Path("truth") / "camera.json"
+_POSE, _NOISE = 41, 42  # keys of the random streams
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardPictures:
+    """What `simulate_board` wrote."""
+
+    camera: Camera
+    """The true lens, distortion included."""
+    cam_from_board: dict[str, frames.Array]
+    """By file name."""
+
+
+def simulate_board(
+    scene: Scene, board: CharucoBoard, folder: Path, *, pictures: int = 20, seed: int = 0, progress: bool = True
+) -> BoardPictures:
+    """Render pictures of the board, ``board.toml`` and ``truth/camera.json`` into a new folder.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its camera, the working distance of its first ring, and its ``disturbances``: distortion, lens opening, focus and noise.
+    board : CharucoBoard
+    folder : Path
+        New or empty; appears whole or not at all.
+    seed : int
+        Of poses and noise; picture k does not depend on the pictures before it.
+
+    Raises
+    ------
+    UserError
+        When the board is far too large or too small for the camera, or the folder holds something.
+    """
+    check_board(board)
+    camera = true_camera(scene)
+    poses = {f"board_{k:03d}.png": draw_pose(scene, board, seed=seed, index=k) for k in range(pictures)}
+    renderer = BoardRenderer(scene, board)
+    with new_folder(folder) as building:
+        bar = tqdm(poses.items(), desc="render", unit="picture", disable=not progress, dynamic_ncols=True)
+        for k, (name, cam_from_board) in enumerate(bar):
+            rng = np.random.default_rng([seed, _NOISE, k])
+            write_image(building / name, expose(renderer.light(cam_from_board), camera, scene.disturbances, rng=rng))
+        save_board(board, building / "board.toml")
+        views = {name: cam_from_board.tolist() for name, cam_from_board in poses.items()}
+        write_json(building / TRUTH, {"camera": to_plain(camera), "seed": seed, "cam_from_board": views})
+    return BoardPictures(camera=camera, cam_from_board=poses)
+
+
+def true_camera(scene: Scene) -> Camera:
+    """Return the scene's camera with the distortion that its lens really has; a profile's ``focal_error`` comes after the calibration."""
+    return replace(scene.camera, distortion=lens_distortion(scene))
+
+
+def working_distance_mm(scene: Scene) -> float:
+    """Return the distance from the camera to the table's axis along the optical axis, in the first ring."""
+    ring = scene.plan.rings[0]
+    return float(ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)))
+
+
+def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
+    """Return ``cam_from_board`` of one picture: the board turned by quarters, tilted every way, somewhere in the field."""
+    camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
+    middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm
+    best = 0.0
+    for _ in range(ATTEMPTS):
+        tilt_rad = np.deg2rad(rng.uniform(0.0, 10.0) if index % 5 == 0 else rng.uniform(20.0, 45.0))
+        towards_rad = 2.399963 * index + rng.uniform(0.0, 1.0)  # the golden angle spreads the directions of the tilt
+        roll_rad = np.deg2rad(90.0 * (index % 4) + rng.normal(0.0, 8.0))
+        turn = Rotation.from_rotvec(tilt_rad * np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])) * Rotation.from_rotvec(
+            [0.0, 0.0, roll_rad]
+        )
+        depth_mm = working_distance_mm(scene) * rng.uniform(0.8, 1.15)
+        at_px = (rng.uniform(0.2, 0.8, 2)) * np.array(camera.image_wh)
+        towards = np.append((at_px - camera.principal_px) / camera.focal_px, 1.0)
+        cam_from_board = frames.from_rotation_translation(turn.as_matrix(), towards * depth_mm - turn.apply(middle_mm))
+        share = _visible(camera, cam_from_board, corners_mm)
+        if share >= LEAST_VISIBLE:
+            square_px = camera.focal_px[0] * board.square_mm / depth_mm
+            if square_px < LEAST_SQUARE_PX:
+                raise UserError(
+                    f"the board's squares of {board.square_mm:g} mm are only {square_px:.0f} px wide at the working distance of "
+                    f"{working_distance_mm(scene):.0f} mm, below {LEAST_SQUARE_PX:g}: give larger ones (--square-mm)"
+                )
+            return cam_from_board
+        best = max(best, share)
+    wide_mm, high_mm = board.size_mm
+    raise UserError(
+        f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {working_distance_mm(scene):.0f} mm: at most {best:.0%} of its "
+        f"corners are in the picture, {LEAST_VISIBLE:.0%} are needed; give fewer or smaller squares"
+    )
+
+
+def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Array) -> float:
+    """Return the share of the corners that are in the picture, 0 where one is close to the camera or behind it."""
+    at_cam = frames.apply(cam_from_board, corners_mm)
+    if at_cam[:, 2].min() < 0.4 * at_cam[:, 2].mean():
+        return 0.0
+    pixels = project(camera, cam_from_board, corners_mm)
+    return float(np.mean(np.all((pixels > 4.0) & (pixels < np.array(camera.image_wh) - 5.0), axis=1)))
+
+
+def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Array) -> frames.Array:
+    """Project points (N, 3) of the board to pixels (N, 2), centres at integers."""
+    (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    found, _ = cv2.projectPoints(
+        points_mm, frames.to_rotvec(cam_from_board), cam_from_board[:3, 3].copy(), matrix, np.array(camera.distortion)
+    )
+    return np.asarray(found, np.float64).reshape(-1, 2)
+
+
+class BoardRenderer:
+    """Renders the board as a scene's camera sees it."""
+
+    def __init__(self, scene: Scene, board: CharucoBoard) -> None:
+        wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
+        board_from_rectangle = np.diag([wide_mm / 2.0, -high_mm / 2.0, -1.0, 1.0])
+        board_from_rectangle[:2, 3] = np.array(board.size_mm) / 2.0
+        paper = {"type": "diffuse", "reflectance": bitmap(board_picture(board), wrap="clamp")}
+        rectangle = {"type": "rectangle", "to_world": mi.ScalarTransform4f(board_from_rectangle), "bsdf": paper}
+        self.board = mi.load_dict({"type": "scene", "board": rectangle})
+        self.level = scene.lights.front_level / PAPER
+        self.image_wh = scene.camera.image_wh
+        wrong = scene.disturbances
+        self.eye = mi.load_dict(
+            sensor.sensor_dict(
+                scene.camera,
+                distortion=lens_distortion(scene),
+                aperture_mm=wrong.aperture_mm,
+                focus_mm=working_distance_mm(scene) + wrong.focus_error_mm,
+            )
+        )
+
+    def light(self, cam_from_board: frames.Array) -> NDArray[np.float32]:
+        """Return a picture of linear light (H, W), 1 the camera's full scale, black beside the board.
+
+        Light from everywhere makes the matt paper shine by its reflectance alone, so that nothing is random and nothing shades it.
+        """
+        sensor.set_pose(self.eye, cam_from_board)
+        width, height = self.image_wh
+        rows = max(1, MAX_RAYS // (width * SIDE * SIDE))
+        image = np.empty((height, width), np.float32)
+        for first in range(0, height, rows):
+            count = min(rows, height - first)
+            index = dr.arange(mi.UInt32, count * width * SIDE * SIDE)
+            pixel, ray = index // (SIDE * SIDE), index % (SIDE * SIDE)
+            u = (mi.Float(pixel % width) + (mi.Float(ray % SIDE) + 0.5) / SIDE) / width
+            v = (mi.Float(pixel // width) + dr.opaque(mi.Float, first) + (mi.Float(ray // SIDE) + 0.5) / SIDE) / height
+            primary, _ = self.eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), _on_lens(ray))
+            hit = self.board.ray_intersect(primary)
+            seen = hit.bsdf(primary).eval_diffuse_reflectance(hit, hit.is_valid())
+            light = dr.select(hit.is_valid(), seen[0], 0.0)
+            image[first : first + count] = np.array(dr.block_sum(light, SIDE * SIDE)).reshape(count, width) / SIDE**2
+        return image * np.float32(self.level)
+
+
+def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
+    """Paint the board's reflectance with its white border, row 0 at the top, each texel the mean over its area."""
+    wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
+    scale = min(TEXELS_PER_MM, MOST_TEXELS / max(wide_mm, high_mm))
+    columns, rows = round(wide_mm * scale), round(high_mm * scale)
+    x_mm, y_mm = np.linspace(0.0, wide_mm, columns + 1) - BORDER_MM, np.linspace(0.0, high_mm, rows + 1) - BORDER_MM
+    black = np.zeros((rows, columns), np.float32)
+    for left, top, right, bottom in black_parts(board):
+        (i, across), (j, down) = _covered(x_mm, left, right), _covered(y_mm, top, bottom)
+        black[j, i] += np.outer(down, across).astype(np.float32)
+    return (PAPER + (INK - PAPER) * black).astype(np.float32)
+
+
+def _covered(edges: frames.Array, low: float, high: float) -> tuple[slice, frames.Array]:
+    """Return which texels between ``edges`` a stretch touches, and which fraction of each it covers."""
+    first, last = int(np.searchsorted(edges, low, "right")) - 1, int(np.searchsorted(edges, high, "left"))
+    low_edges, high_edges = edges[first:last], edges[first + 1 : last + 1]
+    return slice(first, last), (np.minimum(high_edges, high) - np.maximum(low_edges, low)) / (high_edges - low_edges)
+
+
+def _on_lens(ray: mi.UInt32) -> mi.Point2f:
+    """Give every lattice ray of a pixel its place on the lens.
+
+    The place's two coordinates and the ray's in the pixel make an orthogonal array (SIDE is a prime): no two of the four go together,
+    so that blur shifts nothing.
+    """
+    a, b = ray % SIDE, ray // SIDE
+    return mi.Point2f((mi.Float((a + b) % SIDE) + 0.5) / SIDE, (mi.Float((a + 2 * b) % SIDE) + 0.5) / SIDE)

@@ -1,0 +1,44 @@
+"""The truth of a set of pictures, for whoever renders them: `sim.simulate` and the rig's twin."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from scenes.atomic import write_bytes
+from scenes.files import scene_to_dict
+from scenes.rsml import write_rsml
+from scenes.truth import TrueView, Truth
+from sim.specimen import SpecimenSolid
+from sim.world import TrueCamera, World
+
+
+def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
+    """Write the solid and its centrelines into the ``truth`` folder of the dataset in ``folder``."""
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    write_bytes(folder / "truth" / "specimen.ply", bytes(mesh.export(file_type="ply")))
+    if solid.roots:
+        write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
+
+
+def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
+    """Return the truth of pictures, each given by its file in the dataset and the camera that really took it."""
+    low, high = solid.extents_min_mm, solid.extents_max_mm
+    return Truth(
+        volume_mm3=solid.volume_mm3,
+        extents_min_mm=(float(low[0]), float(low[1]), float(low[2])),
+        extents_max_mm=(float(high[0]), float(high[1]), float(high[2])),
+        n_water=world.n_water,
+        canister_from_strip=_rows(world.canister_from_strip),
+        views=tuple(
+            TrueView(file=file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg) for file, camera in taken
+        ),
+        traits=dict(solid.traits),
+        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"], "notes": list(solid.notes)},
+    )
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)

@@ -1,0 +1,382 @@
+"""picamera2 is stood in for by a module that behaves as the real one: frames in time, settings that come late, stale frames, metadata."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from rig.cameras import open_camera
+from rig.cameras import pi as pi_module
+from rig.cameras.bayer import grey_from_bayer
+from rig.cameras.pi import TRIES, PiCamera
+from rig.cameras.pi_frames import choose_mode, metadata_faults
+from rig.cameras.settings import CameraSettings
+from rig.clock import SystemClock
+from rig.errors import RigError
+from rig.rig_file import CameraPart
+
+FRAME_NS = 100_000_000
+BLACK, WHITE = 256, 4095
+"""Of the 12-bit sensor."""
+AUTOMATIC = {"ExposureTime": 20000, "AnalogueGain": 4.0, "ColourGains": (1.3, 1.6)}
+IMX477 = [
+    {"format": "SRGGB10_CSI2P", "unpacked": "SRGGB10", "bit_depth": 10, "size": (1332, 990)},
+    {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (2028, 1080)},
+    {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (2028, 1520)},
+    {"format": "SRGGB12_CSI2P", "unpacked": "SRGGB12", "bit_depth": 12, "size": (4056, 3040)},
+]
+SETTINGS = CameraSettings(image_wh=(32, 24), bits=12, exposure_s=0.01, gain=2.0, colour_gains=(2.0, 1.6))
+PART = CameraPart(exposure_s=0.01, gain=2.0, colour_gains=(2.0, 1.6))
+
+
+@dataclass
+class Sensor:
+    """What the fake cameras see and do; one for a test."""
+
+    stream_format: str = "SRGGB12"
+    """What the stream is after configuring."""
+    late: int = 0
+    """Frames after the start that still have the automatic's settings."""
+    metadata: dict[str, Any] = field(default_factory=dict)
+    """Overrides of every frame's metadata."""
+    silent: bool = False
+    cameras: int = 1
+    now_ns: int = 0
+    light: list[tuple[int, float]] = field(default_factory=lambda: [(0, 0.25)])
+    """(from when, fraction of full scale)"""
+    opened: list["FakePicamera2"] = field(default_factory=list)
+    requests: int = 0
+    released: int = 0
+
+    def set_light(self, level: float) -> None:
+        self.light.append((self.now_ns, level))
+
+    def light_at(self, time_ns: int) -> float:
+        return [level for since, level in self.light if since <= time_ns][-1]
+
+
+class FakeRequest:
+    def __init__(self, sensor: Sensor, config: Mapping[str, Any], start_ns: int, controls: Mapping[str, Any]) -> None:
+        self.sensor, self.config, self.start_ns, self.controls = sensor, config, start_ns, controls
+
+    def make_array(self, name: str) -> NDArray[np.uint8]:
+        assert name == "raw"
+        (width, height), name = self.config["size"], self.config["format"]
+        number = self.sensor.light_at(self.start_ns) * (WHITE - BLACK)
+        red, blue = SETTINGS.colour_gains
+        colours = {"R": number / red, "G": number, "B": number / blue}
+        bits = int(name[5:7]) if name[5:7].isdigit() else 16
+        raw = np.full((height, self.config["stride"] // 2), 0xFFFF, np.uint16)  # padding that must not be looked at
+        for i, colour in enumerate(name[1:5]):
+            raw[i // 2 :: 2, i % 2 : width : 2] = (BLACK + round(colours[colour])) << (bits - 12)
+        return raw.view(np.uint8)
+
+    def get_metadata(self) -> dict[str, Any]:
+        return {
+            "SensorTimestamp": self.start_ns + 1000 * self.controls["ExposureTime"],
+            "DigitalGain": 1.0051,
+            "SensorBlackLevels": (4096, 4096, 4096, 4096),
+            "ExposureTime": self.controls["ExposureTime"] - 6,  # whole rows
+            "AnalogueGain": self.controls["AnalogueGain"],
+            "ColourGains": self.controls["ColourGains"],
+            **self.sensor.metadata,
+        }
+
+    def release(self) -> None:
+        self.sensor.released += 1
+
+
+class FakePicamera2:
+    sensor: Sensor
+
+    def __init__(self, number: int) -> None:
+        if number >= self.sensor.cameras:
+            error = RuntimeError("Camera __init__ sequence did not complete.")
+            raise error from RuntimeError("Device or resource busy")
+        self.camera_properties = {"Model": "imx477"}
+        self.camera_controls = {"ExposureTime": (114, 674_191_602, None), "AnalogueGain": (1.0, 22.26, None)}
+        self.sensor_modes = [
+            {"format": "YUYV"},
+            {"unpacked": "SRGGB10", "bit_depth": 10, "size": (64, 48)},
+            {"unpacked": "SRGGB12", "bit_depth": 12, "size": (64, 48)},
+            {"unpacked": "SRGGB12", "bit_depth": 12, "size": (32, 24)},
+        ]
+        self.started_with: dict[str, Any] | None = None
+        self.cancelled = self.closed = False
+        self._config: dict[str, Any] = {}
+        self._first_frame = 0
+        self.sensor.opened.append(self)
+
+    def create_still_configuration(self, **config: Any) -> dict[str, Any]:
+        return config
+
+    def configure(self, config: dict[str, Any]) -> None:
+        width, _ = config["raw"]["size"]
+        self._config = config | {"raw": config["raw"] | {"format": self.sensor.stream_format, "stride": 2 * width + 32}}
+
+    def camera_configuration(self) -> dict[str, Any]:
+        return self._config
+
+    def start(self) -> None:
+        self.started_with = dict(self._config["controls"])
+        self._first_frame = self.sensor.now_ns // FRAME_NS
+
+    def capture_request(self, *, wait: float, flush: bool) -> FakeRequest:
+        """Return a frame that is there already, or, flushed, the first whose exposure begins from now on."""
+        assert self.started_with is not None
+        assert not self.closed
+        assert wait > 2 * self.started_with["ExposureTime"] / 1e6
+        if self.sensor.silent:
+            raise TimeoutError
+        self.sensor.requests += 1
+        index = -(-self.sensor.now_ns // FRAME_NS) if flush else max(self.sensor.now_ns // FRAME_NS - 1, self._first_frame)
+        self.sensor.now_ns = max(self.sensor.now_ns, (index + 1) * FRAME_NS)
+        late = index - self._first_frame < self.sensor.late
+        return FakeRequest(self.sensor, self._config["raw"], index * FRAME_NS, AUTOMATIC if late else self.started_with)
+
+    def cancel_all_and_flush(self) -> None:
+        self.cancelled = True
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def sensor(monkeypatch: pytest.MonkeyPatch) -> Sensor:
+    found = Sensor()
+    module = ModuleType("picamera2")
+    module.Picamera2 = type("Picamera2", (FakePicamera2,), {"sensor": found})  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "picamera2", module)
+    return found
+
+
+def opened(settings: CameraSettings = SETTINGS) -> PiCamera:
+    camera = PiCamera("0", settings)
+    camera.prepare()
+    return camera
+
+
+@pytest.mark.parametrize("stream_format", ["SRGGB12", "SBGGR12", "SGRBG12", "SGBRG12", "SRGGB16"])
+def test_grey_is_linear_and_left_aligned_in_every_format(sensor: Sensor, stream_format: str) -> None:
+    sensor.stream_format = stream_format
+    camera = opened()
+    for level in (0.1, 0.2, 0.4, 0.8):
+        sensor.set_light(level)
+        image = camera.capture().image
+        assert image.dtype == np.uint16
+        assert image.shape == (24, 32)
+        assert np.ptp(image) == 0
+        assert image[0, 0] % 16 == 0
+        assert image[0, 0] / 65520 == pytest.approx(level, abs=1.5 / 4095)
+
+
+def test_what_comes_back_is_what_the_frame_itself_says(sensor: Sensor) -> None:
+    sensor.metadata["AnalogueGain"] = 2.01
+    shot = opened().capture()
+    assert (shot.exposure_s, shot.gain) == (pytest.approx(0.009994), 2.01)
+
+
+def test_settings_are_given_before_the_start(sensor: Sensor) -> None:
+    opened()
+    assert sensor.opened[-1].started_with == {
+        "AeEnable": False,
+        "AwbEnable": False,
+        "ExposureTime": 10000,
+        "AnalogueGain": 2.0,
+        "ColourGains": (2.0, 1.6),
+        "FrameDurationLimits": (100, 1_000_000_000),
+    }
+
+
+def test_a_picture_is_exposed_after_the_call(sensor: Sensor) -> None:
+    camera = opened()
+    sensor.now_ns += FRAME_NS * 3 + FRAME_NS // 2  # frames pile up while the table turns
+    sensor.set_light(0.75)
+    assert camera.capture().image[0, 0] / 65520 == pytest.approx(0.75, abs=1e-3)
+
+
+def test_frames_with_old_settings_are_passed_over(sensor: Sensor) -> None:
+    sensor.late = TRIES - 1
+    opened()
+    assert sensor.requests == TRIES
+    assert sensor.released == sensor.requests
+
+
+def test_settings_that_never_hold_are_told_with_numbers(sensor: Sensor) -> None:
+    sensor.late = 10**6
+    with pytest.raises(RigError, match=r"ExposureTime is 19994 instead of 10000, AnalogueGain is 4 instead of 2, ColourGains red is 1.3"):
+        opened()
+    assert sensor.released == sensor.requests == TRIES
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("DigitalGain", 1.3, "DigitalGain is 1.3 instead of 1"),
+        ("ExposureTime", 10300, "ExposureTime is 10300 instead of 10000"),
+        ("AnalogueGain", 2.1, "AnalogueGain is 2.1 instead of 2"),
+        ("ColourGains", (2.0, 1.7), "ColourGains blue is 1.7 instead of 1.6"),
+        ("ColourGains", None, "ColourGains red is missing"),
+        ("SensorBlackLevels", None, "does not report its black level"),
+        ("SensorTimestamp", 5, "the same frame again"),
+    ],
+)
+def test_wrong_metadata_refuse_a_picture(sensor: Sensor, key: str, value: object, said: str) -> None:
+    camera = opened()
+    sensor.metadata[key] = value
+    if key == "SensorTimestamp":
+        sensor.metadata[key] = 1000 * 10000  # that of the first frame
+    with pytest.raises(RigError, match=said):
+        camera.capture()
+
+
+def test_short_exposures_may_miss_by_a_row() -> None:
+    said = {"AnalogueGain": 1.0, "ColourGains": (2.0, 2.0), "ExposureTime": 994, "DigitalGain": 1.0052}
+    assert metadata_faults(said, CameraSettings(exposure_s=0.001)) == []
+    assert metadata_faults(said | {"ExposureTime": 900}, CameraSettings(exposure_s=0.001)) == ["ExposureTime is 900 instead of 1000"]
+
+
+def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: Sensor) -> None:
+    camera = opened()
+    sensor.silent = True
+    with pytest.raises(RigError, match="camera 0: gives no frames any more"):
+        camera.capture()
+    assert sensor.opened[-1].cancelled
+    assert sensor.opened[-1].closed
+    with pytest.raises(RigError, match="not open"):
+        camera.capture()
+    sensor.silent = False
+    camera.prepare()
+    assert camera.capture().image.shape == (24, 32)
+
+
+def test_closing(sensor: Sensor) -> None:
+    camera = opened()
+    assert "imx477), 32x24 of 64x48 raw pixels of 12 bits, 10 ms, gain 2" in camera.describe()
+    camera.close()
+    camera.close()
+    assert sensor.opened[-1].closed
+    assert "not open" in camera.describe()
+
+
+def test_a_camera_that_cannot_be_had(sensor: Sensor) -> None:
+    sensor.cameras = 0
+    with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); look for it with rpicam-hello"):
+        opened()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (CameraSettings(image_wh=(32, 24), exposure_s=1e-5), "ExposureTime 10 us is beyond what the sensor can, 114 to 6.74192e"),
+        (CameraSettings(image_wh=(32, 24), gain=0.5), "AnalogueGain 0.5 is beyond what the sensor can, 1 to 22.26"),
+        (CameraSettings(image_wh=(30, 24)), "cannot make pictures of 30x24, but of 32x24, 16x12"),
+    ],
+)
+def test_what_the_sensor_cannot_is_refused_before_the_start(sensor: Sensor, settings: CameraSettings, said: str) -> None:
+    with pytest.raises(RigError, match=said):
+        opened(settings)
+    assert sensor.opened[-1].started_with is None
+    assert sensor.opened[-1].closed
+
+
+def test_compressed_raw_pixels_are_refused(sensor: Sensor) -> None:
+    sensor.stream_format = "RGGB_PISP_COMP1"
+    with pytest.raises(RigError, match="gives raw pixels as RGGB_PISP_COMP1 64x48, not SRGGB12 64x48"):
+        opened()
+
+
+@pytest.mark.parametrize(
+    ("image_wh", "size", "block"),
+    [((2028, 1520), (4056, 3040), 2), ((1014, 760), (4056, 3040), 4), ((1014, 540), (2028, 1080), 2), ((666, 495), (1332, 990), 2)],
+)
+def test_the_finest_mode_of_the_hq_camera_is_taken(image_wh: tuple[int, int], size: tuple[int, int], block: int) -> None:
+    mode = choose_mode(IMX477, image_wh, name="camera 0")
+    assert (mode.size, mode.block) == (size, block)
+
+
+def test_a_size_that_the_hq_camera_has_not() -> None:
+    with pytest.raises(RigError, match="cannot make pictures of 800x600, but of 2028x1520, 1014x760, 1014x540, 666x495 "):
+        choose_mode(IMX477, (800, 600), name="camera 0")
+    with pytest.raises(RigError, match="nothing: it has no Bayer colour sensor"):
+        choose_mode([{"unpacked": "R10", "bit_depth": 10, "size": (1456, 1088)}], (728, 544), name="camera 0")
+
+
+def test_without_picamera2(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    with pytest.raises(RigError, match="sudo apt install python3-picamera2"):
+        open_camera(PART, image_wh=(32, 24), bits=12, clock=SystemClock())
+
+
+def test_picamera2_for_another_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(name: str) -> ModuleType:
+        raise ValueError(f"{name}: numpy.dtype size changed")
+
+    monkeypatch.setattr(pi_module.importlib, "import_module", fail)
+    with pytest.raises(RigError, match="does not fit the numpy beside it"):
+        PiCamera("0", SETTINGS)
+
+
+@pytest.mark.parametrize("address", ["", "-1", "/dev/video0", "²"])
+def test_an_address_that_is_no_number(sensor: Sensor, address: str) -> None:
+    with pytest.raises(RigError, match="is no number of a camera"):
+        PiCamera(address, SETTINGS)
+    assert not sensor.opened
+
+
+def grey(raw: list[list[int]], **changes: Any) -> list[list[int]]:
+    options: dict[str, Any] = {
+        "order": "RGGB",
+        "black": (256.0, 256.0, 256.0, 256.0),
+        "white": 4095.0,
+        "colour_gains": (2.0, 4.0),
+        "block": 2,
+        "bits": 12,
+    } | changes
+    return [[int(v) for v in row] for row in grey_from_bayer(np.array(raw, np.uint16), **options)]
+
+
+def test_a_block_by_hand() -> None:
+    # (2 * 500 + 1000 + 1100 + 4 * 250) / 4 = 1025 of 3839 -> 1093.35 of 4095, four bits up
+    assert grey([[756, 1256], [1356, 506]]) == [[1093 << 4]]
+    assert grey([[756, 1256], [1356, 506]], bits=8) == [[68]]  # 1025 / 3839 * 255 = 68.08
+    assert grey([[756, 1256], [1356, 506]], bits=16) == [[17497]]  # * 65535 = 17497.3
+
+
+def test_each_colour_has_its_black_level() -> None:
+    # white 4096: gains 1; R 110-100, Gr 230-200, Gb 340-300, B 480-400, each of its own range
+    light = (10 / 3996 + 30 / 3896 + 40 / 3796 + 80 / 3696) / 4
+    options = {"black": (100.0, 200.0, 300.0, 400.0), "white": 4096.0, "colour_gains": (1.0, 1.0), "bits": 16}
+    assert grey([[110, 230], [340, 480]], **options) == [[round(light * 65535)]]
+    assert grey([[480, 340], [230, 110]], order="BGGR", **options) == [[round(light * 65535)]]
+
+
+def test_below_black_is_black_and_one_full_pixel_fills_its_block() -> None:
+    assert grey([[200, 250, 256, 4095], [256, 255, 256, 256]]) == [[0, 65520]]
+
+
+def test_blocks_of_four() -> None:
+    quad = [[256 + 500, 256 + 1000], [256 + 1000, 256 + 250]]
+    dark = [[256, 256], [256, 256]]
+    rows = [a + b for a, b in zip(quad, dark, strict=True)] + [a + b for a, b in zip(dark, dark, strict=True)]
+    assert grey(rows, block=4) == [[round(250 / 3839 * 4095) << 4]]
+
+
+@given(
+    order=st.sampled_from(["RGGB", "BGGR", "GRBG", "GBRG"]),
+    gains=st.tuples(st.floats(1.0, 4.0), st.floats(1.0, 4.0)),
+    light=st.floats(0.0, 0.9),
+    black=st.integers(0, 300),
+)
+def test_a_grey_surface_has_its_light_whatever_the_sensor(order: str, gains: tuple[float, float], light: float, black: int) -> None:
+    factors = {"R": gains[0], "G": 1.0, "B": gains[1]}
+    raw = [[round(black + light * (4095 - black) / factors[order[2 * i + j]]) for j in range(2)] for i in range(2)]
+    found = grey(raw, order=order, black=(float(black),) * 4, colour_gains=gains)[0][0]
+    assert found / 65520 == pytest.approx(light, abs=2.5 / 3795)
