@@ -24,6 +24,16 @@ DIAMETER_LIMITS_MM = (0.01, 50.0)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
+AFTER_STOP = {
+    "simulate": "the same command takes it up again",
+    "demo": "the same command takes it up again",
+    "plan": "the same command takes it up again",
+    "scan": "the pictures are kept; the same command with --resume takes the others",
+    "twin": "",
+    "rig": "",
+    "camera": "",
+}
+"""What Ctrl-C leaves of a command; of the others nothing."""
 ONE_STOP_S = 1.0
 """Ctrl-C pressed again within this time is the same press: it must not disturb the tidying up."""
 ASK_AGAIN_S = 0.05
@@ -97,8 +107,8 @@ def _fail(sentence: str, code: int) -> int:
 def _explain(error: BaseException, command: str) -> tuple[str, int]:
     """Return the sentence that explains an error in a command, and the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        kept = command in ("simulate", "demo", "plan")  # finished pictures
-        return f"stopped; {'the same command takes it up again' if kept else 'nothing was written; run it again'}", EXIT_STOPPED
+        after = AFTER_STOP.get(command, "nothing was written; run it again")
+        return f"stopped; {after}" if after else "stopped", EXIT_STOPPED
     if isinstance(error, UserError):
         return str(error), EXIT_MISTAKE
     if isinstance(error, MemoryError):
@@ -136,9 +146,10 @@ def build_parser() -> Parser:
     _add_export(commands)
     _add_plan(commands)
     _add_demo(commands)
-    from rhizotwin import print_cli  # it takes its helpers from here
+    from rhizotwin import print_cli, rig_cli  # they take their helpers from here
 
     print_cli.add(commands)
+    rig_cli.add(commands)
     return parser
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rhizotwin import print_commands
+from rhizotwin import print_commands, rig_commands
 from scenes import files
 from scenes.checks import check_scene
 from scenes.errors import UserError
@@ -32,6 +32,10 @@ def run(options: argparse.Namespace) -> None:
         "demo": demo,
         "markers": print_commands.markers,
         "calibrate": print_commands.calibrate,
+        "scan": rig_commands.scan,
+        "twin": rig_commands.twin,
+        "rig": rig_commands.rig,
+        "camera": rig_commands.camera,
     }
     handlers[options.command](options)
 

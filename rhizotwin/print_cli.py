@@ -64,8 +64,8 @@ def _add_board(steps: Commands) -> None:
         steps,
         "board",
         "write the calibration board for the printer, at true scale",
-        description="Write a ChArUco board as one PDF or SVG page at true scale, with a ruler to check the printer by, and beside it, under the\n"
-        "same name, a board file (.toml) that tells 'calibrate camera' what was printed.",
+        description="Write a ChArUco board as one PDF or SVG page at true scale, with a ruler to check the printer by, and beside it,\n"
+        "under the same name, a board file (.toml) that tells 'calibrate camera' what was printed.",
         epilog="examples:\n"
         "  rhizotwin calibrate board -o board.pdf\n"
         "  rhizotwin calibrate board -o board.svg --page a3 --squares 9x7 --square-mm 35",
@@ -143,7 +143,7 @@ def _add_page(parser: Parser) -> None:
         type=_printed_ruler,
         default=(100.0, 100.0),
         metavar="MM|MMxMM",
-        help="what 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8: everything is drawn larger by so much",
+        help="what 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8; put right in the drawing",
     )
 
 

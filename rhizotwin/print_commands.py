@@ -73,10 +73,9 @@ def camera(options: argparse.Namespace) -> None:
     for warning in made.warnings:
         print(f"warning: {warning}")
     lens, found = made.camera, made.fit
+    std_x, std_y = found.principal_std_px
     print(f"focal length {lens.focal_px[0]:.2f}, {lens.focal_px[1]:.2f} px (standard deviation {found.focal_std_px[0]:.2f} px)")
-    print(
-        f"principal point {lens.principal_px[0]:.2f}, {lens.principal_px[1]:.2f} px (standard deviations {found.principal_std_px[0]:.2f}, {found.principal_std_px[1]:.2f} px)"
-    )
+    print(f"principal point {lens.principal_px[0]:.2f}, {lens.principal_px[1]:.2f} px (standard deviations {std_x:.2f}, {std_y:.2f} px)")
     print(f"fitted: {model_text(found)}")
     print(f"residual {found.rms_px:.3f} px rms of {found.corners} corners in {len(found.views)} of {len(paths)} pictures")
     for name in names:

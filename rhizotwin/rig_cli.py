@@ -3,12 +3,13 @@
 import argparse
 from pathlib import Path
 
-from rhizotwin.cli import Commands, _add, _add_output, _seed, _whole
+from rhizotwin.cli import Commands, Parser, _add, _add_device, _add_output, _seed, _whole
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
 SPEED_LIMITS = (0.01, 1000.0)
 DEFAULT_CAMERA_PORT = 8471
 RIG_HELP = "rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program"
+SEED_HELP = "twin only: of every error that is drawn; default: %(default)s"
 PROFILE_HELP = "twin only: what it gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file; default: %(default)s"
 
 
@@ -25,9 +26,9 @@ def _add_scan(commands: Commands) -> None:
         commands,
         "scan",
         "take the pictures of a plan on a rig, or on its emulated twin",
-        description="Look at every device, bring the camera to the rings of the plan, turn the table and take the pictures. Stopped half-way\n"
-        "(Ctrl-C, a fault, a power cut), the same command with --resume takes what is missing. Whatever ends it, the lights go off\n"
-        "and the arm is parked and let go.",
+        description="Look at every device, bring the camera to the rings of the plan, turn the table and take the pictures. Stopped\n"
+        "half-way (Ctrl-C, a fault, a power cut), the same command with --resume takes what is missing. Whatever ends it, the\n"
+        "lights go off and the arm is parked and let go.",
         epilog="examples:\n"
         "  rhizotwin scan --rig twin -o my_scan --fidelity sketch\n"
         "  rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan\n"
@@ -55,15 +56,11 @@ def _add_scan(commands: Commands) -> None:
         metavar="DEG",
         help="the table's angle now, if the markers cannot be read at the start; 0: the strip's seam faces the camera",
     )
-    parser.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines); must not exist yet")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines); it grows")
     parser.add_argument("--profile", default="bench", metavar="clean|bench|harsh", help=PROFILE_HELP)
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="twin only: of every error that is drawn; default: %(default)s")
-    parser.add_argument(
-        "--fidelity",
-        choices=("render", "sketch"),
-        default="render",
-        help="twin only: render: pictures as 'simulate' makes them; sketch: markers and panel only, at once; default: %(default)s",
-    )
+    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help=SEED_HELP)
+    _add_fidelity(parser, "render")
+    _add_device(parser)
 
 
 def _add_twin(commands: Commands) -> None:
@@ -71,8 +68,8 @@ def _add_twin(commands: Commands) -> None:
         commands,
         "twin",
         "run the emulated rig alone, on ports that any serial program can open",
-        description="Start the emulated turntable, lights and arm on pseudo-terminals, and print the ports. They speak the bytes of the real\n"
-        "devices, in real time; a camera that renders what they do is served over HTTP. Ctrl-C ends it.",
+        description="Start the emulated turntable, lights and arm on pseudo-terminals, and print the ports. They speak the bytes of the\n"
+        "real devices, in real time; the camera is served over HTTP. Faults can be typed while it runs. Ctrl-C ends it.",
         epilog="examples:\n"
         "  rhizotwin twin\n"
         "  rhizotwin twin --scene sphere_20mm --profile bench --seed 3 -o my_twin_rig.toml\n"
@@ -92,6 +89,16 @@ def _add_twin(commands: Commands) -> None:
         "--protocol", choices=("lx", "lsc"), default="lx", help="what the arm speaks: servo bus or controller board; default: %(default)s"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="RIG", help="write a rig file (TOML) with these ports; must not exist yet")
+    _add_fidelity(parser, "sketch")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="something that goes wrong, such as 'reset', or 'reply_late table amount=3 at_s=20'; may be given several times",
+    )
+    parser.add_argument("--camera-port", type=_port, default=0, metavar="N", help="of the camera's HTTP server; default: a free one")
+    _add_device(parser)
 
 
 def _add_rig(commands: Commands) -> None:
@@ -121,9 +128,7 @@ def _add_rig(commands: Commands) -> None:
         "move every device by typed lines",
         description="Type help for the commands. The arm's ways are checked first, and unsafe ones refused. At the end the lights go off\n"
         "and the arm is parked and let go. Lines can come from a pipe as well; then the first mistake ends it.",
-        epilog="examples:\n"
-        "  rhizotwin rig jog my_rig.toml --scene my_scene.toml\n"
-        "  rhizotwin rig jog twin",
+        epilog="examples:\n  rhizotwin rig jog my_rig.toml --scene my_scene.toml\n  rhizotwin rig jog twin",
     )
     for step in (check, jog):
         step.add_argument("rig", metavar="RIG|twin", help=RIG_HELP)
@@ -132,9 +137,9 @@ def _add_rig(commands: Commands) -> None:
             metavar="SCENE",
             help="a scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis",
         )
-        step.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines)")
+        step.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines); it grows")
         step.add_argument("--profile", default="bench", metavar="clean|bench|harsh", help=PROFILE_HELP)
-        step.add_argument("--seed", type=_seed, default=0, metavar="S", help="twin only: of every error that is drawn; default: %(default)s")
+        step.add_argument("--seed", type=_seed, default=0, metavar="S", help=SEED_HELP)
     example = _add(
         steps,
         "example",
@@ -150,7 +155,7 @@ def _add_served_camera(commands: Commands) -> None:
         commands,
         "camera",
         "serve this computer's camera to another one",
-        description="Serve the camera of a rig file over HTTP, for a computer whose rig file has kind = \"http\" in its [camera] section.\n"
+        description='Serve the camera of a rig file over HTTP, for a computer whose rig file has kind = "http" in its [camera] section.\n'
         "Only this computer can connect unless --host says otherwise; there is no password. Ctrl-C ends it.",
         epilog="examples:\n  rhizotwin camera my_rig.toml\n  rhizotwin camera my_rig.toml --host 0.0.0.0 --port 8471",
     )
@@ -158,6 +163,15 @@ def _add_served_camera(commands: Commands) -> None:
     parser.add_argument("--scene", metavar="SCENE", help="whose camera says the size of the pictures until a scan asks; default: 800x600")
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen on; 0.0.0.0: all; default: %(default)s")
     parser.add_argument("--port", type=_port, default=DEFAULT_CAMERA_PORT, metavar="N", help="default: %(default)s")
+
+
+def _add_fidelity(parser: Parser, default: str) -> None:
+    parser.add_argument(
+        "--fidelity",
+        choices=("render", "sketch"),
+        default=default,
+        help="of the twin's pictures: render: as 'simulate' makes them; sketch: strip and panel only, at once; default: %(default)s",
+    )
 
 
 def _angle_deg(text: str) -> float:

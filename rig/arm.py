@@ -11,8 +11,9 @@ from rig.clock import Clock
 from rig.errors import LostError, RigError, UnsafeError
 from rig.lsc_board import LscBoard
 from rig.lx_bus import LxBus
+from rig.port import Wire
 from rig.rig_file import JOINTS, ArmPart, Joint
-from rig.servo_bus import MAX_COUNTS, MAX_MOVE_S, MIN_COUNTS, Line, ServoBus
+from rig.servo_bus import MAX_COUNTS, MAX_MOVE_S, MIN_COUNTS, ServoBus
 
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
@@ -29,7 +30,7 @@ _DEAD_COUNTS = 4
 Counts = dict[int, int]
 
 
-def open_arm(port: Line, part: ArmPart, clock: Clock) -> "ServoArm":
+def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
     """Return the arm on an open port, with the protocol that the rig file names; nothing is sent yet."""
     bus: ServoBus = LxBus(port, echo=part.echo) if part.protocol == "lx" else LscBoard(port)
     return ServoArm(bus, part, clock)
@@ -209,7 +210,6 @@ class ServoArm:
 
     def _stop_once(self) -> None:
         """Try to stop, on the way out of an error that matters more than whether this works."""
-        self._rests_at = None
         try:
             self._bus.stop(self._ids)
         except RigError:
@@ -272,7 +272,7 @@ class ServoArm:
             name = self._name(joint.servo)
             if not joint.min_deg <= angle_deg <= joint.max_deg:
                 raise UnsafeError(
-                    f"arm: the {name} cannot go to {angle_deg:.1f} deg, its limits are {joint.min_deg:g} to {joint.max_deg:g} deg;"
+                    f"arm: the {name} cannot go to {angle_deg:.2f} deg, its limits are {joint.min_deg:g} to {joint.max_deg:g} deg;"
                     " nothing was moved"
                 )
             place = joint.zero_counts + joint.sign * angle_deg * joint.counts_per_deg
@@ -292,4 +292,4 @@ class ServoArm:
 
 
 def _to_deg(joint: Joint, counts: int) -> float:
-    return joint.sign * (counts - joint.zero_counts) / joint.counts_per_deg
+    return joint.sign * (counts - joint.zero_counts) / joint.counts_per_deg + 0.0  # no -0.0

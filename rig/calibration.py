@@ -1,5 +1,6 @@
 """Calibrate a camera from pictures of the board: what can be used, the lens, what to be careful about, and the files."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -99,26 +100,42 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, progress: bool = Fa
         if (width, height) != image_wh:
             del seen[name]
             rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; a lens is calibrated at one size"
-    fit = fit_lens(seen, board, image_wh)
     bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
-    camera = Camera(image_wh=image_wh, focal_px=fit.focal_px, principal_px=fit.principal_px, distortion=fit.distortion, bits=bits)
+    return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
+
+
+def calibrate_views(
+    views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
+) -> Calibration:
+    """Calibrate a camera from the corners that its pictures show.
+
+    Parameters
+    ----------
+    views : the corners, by picture.
+    bits : depth of the camera's converter.
+    rejected : pictures that were left out before, with the reason.
+
+    Raises
+    ------
+    RigError
+        As `calibrate`.
+    """
+    fit = fit_lens(views, board, image_wh)
     made = Calibration(
-        camera=camera,
+        camera=Camera(image_wh=image_wh, focal_px=fit.focal_px, principal_px=fit.principal_px, distortion=fit.distortion, bits=bits),
         board=board,
         fit=fit,
-        rejected=dict(sorted((rejected | fit.rejected).items())),
+        rejected=dict(sorted(((rejected or {}) | fit.rejected).items())),
         warnings=(),
         coverage=float(np.mean(covered_cells(fit, image_wh))),
-        tilts_deg={
-            name: float(np.rad2deg(np.arccos(np.clip(abs(_normal(pose)[2]), 0.0, 1.0)))) for name, pose in fit.cam_from_board.items()
-        },
+        tilts_deg={name: _tilt_deg(pose) for name, pose in fit.cam_from_board.items()},
     )
     _refuse(made)
     return replace(made, warnings=tuple(_warnings(made)))
 
 
 def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
-    """Return how many corners lie in each cell of the field, (rows, columns), as 1.0 where there are any."""
+    """Return 1 for each cell of the field (rows, columns) with corners in it, 0 for the others."""
     columns, rows = CELLS_WH
     corners = np.concatenate([view.corners_px for view in fit.views.values()])
     counts, _, _ = np.histogram2d(
@@ -193,15 +210,22 @@ def _camera_text(made: Calibration) -> str:
 
 
 def _none_usable(rejected: dict[str, str], pictures: int) -> str:
-    reasons = Counter(rejected.values()).most_common(1)
-    return (
-        f"none of the {pictures} pictures can be used: {reasons[0][0]} ({reasons[0][1]} pictures)" if reasons else "there are no pictures"
-    )
+    if not rejected:
+        return "there are no pictures to calibrate with; give the folder of pictures of the board"
+    kinds = {name: re.sub("[0-9]+", "#", reason) for name, reason in rejected.items()}
+    kind, count = Counter(kinds.values()).most_common(1)[0]
+    name = next(name for name in rejected if kinds[name] == kind)
+    others = f" (the same with {count - 1} others)" if count > 1 else ""
+    return f"none of the {pictures} pictures can be used; {name}: {rejected[name]}{others}"
 
 
 def _lowest_bit(value: int) -> int:
     """Return how many of the lowest bits no picture uses (12 bits left-aligned in 16 leave 4), at most 8."""
     return min(8, (value & -value).bit_length() - 1) if value else 8
+
+
+def _tilt_deg(cam_from_board: Array) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(abs(_normal(cam_from_board)[2]), 0.0, 1.0))))
 
 
 def _normal(cam_from_board: Array) -> Array:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
 from rig.markers import Sighting
+from rig.turntable import LEAST_DEG, MOST_DEG
 from scenes import frames
 from scenes.frames import Array
 from scenes.model import Scene
@@ -69,7 +70,7 @@ def find_angle(
     ----------
     seen : what the strip says now; None when it cannot be read.
     references : earlier pictures by the camera where it stands now, or stood nearly; may be none.
-    near_deg : of all angles that differ by whole turns the one nearest to this is returned.
+    near_deg : of all angles that differ by whole turns the one nearest to this is returned, within what the turntable takes.
     given_deg : what the person said beforehand, for a strip that cannot be read.
     ask : None when nobody is there.
     why : why the strip cannot be read, for messages.
@@ -85,16 +86,22 @@ def find_angle(
             raise RigError(
                 f"turntable: was said to stand at {given_deg:g} deg, but the markers show {angle % 360.0:.1f} deg; leave --table-angle out"
             )
-        return Angle(table_deg=near_deg + wrapped(angle - near_deg), source=f"{seen.markers} markers")
+        return Angle(table_deg=turns_near(angle, near_deg), source=f"{seen.markers} markers")
     if given_deg is not None:
-        return Angle(table_deg=near_deg + wrapped(given_deg - near_deg), source="as given")
+        return Angle(table_deg=turns_near(given_deg, near_deg), source="as given")
     if ask is None:
         raise RigError(
             f"turntable: its angle is not known, and {why}; light and focus the strip, or run it on a terminal, "
             "or give --table-angle DEG (0: the strip's seam faces the camera)"
         )
     answer = _asked_deg(ask, why)
-    return Angle(table_deg=near_deg + wrapped(answer - near_deg), source="as the operator said")
+    return Angle(table_deg=turns_near(answer, near_deg), source="as the operator said")
+
+
+def turns_near(angle_deg: float, near_deg: float) -> float:
+    """Return, of all angles that differ by whole turns and that the turntable takes, the one nearest to another."""
+    turns = [angle_deg % 360.0 + 360.0 * k for k in range(-1, 3)]
+    return min((turn for turn in turns if LEAST_DEG <= turn <= MOST_DEG), key=lambda turn: abs(turn - near_deg))
 
 
 def wrapped(angle_deg: float) -> float:

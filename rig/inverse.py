@@ -1,8 +1,8 @@
 """Joint angles for a wanted place of the camera: in closed form (thesis section 3.3), and by Newton's method (appendix C.3).
 
-Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the vertical plane through the base's axis and the camera.
-The closed form keeps the centre exactly and takes the nearest orientation, telling what angle is left over; Newton's method takes the
-least squares of both, or, where the target may turn about an axis, meets it exactly: then there are six unknowns for six equations.
+Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and the camera. The
+closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left over. Newton's method takes the least
+squares of both or, where the target may turn about an axis, meets it exactly: then there are six unknowns for six equations.
 
 Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
 """
@@ -26,7 +26,7 @@ CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
 LONGEST_STEP_RAD = 1.0
 """No joint moves farther in one step: beyond, the Jacobian says nothing."""
 DAMPING = 0.1
-"""Of the normal equations, per squared size of the twist still to go; it fades as the target comes near, so that the last steps are Newton's."""
+"""Of the normal equations, per squared size of the twist still to go: it fades, so that the last steps are Newton's own."""
 UNIT_MM = 100.0
 """Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
 
@@ -151,7 +151,7 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the vertical plane that holds the camera; on the base's axis, of the one that holds its optical axis."""
+    """Return the direction (...,) of the plane through the base's axis and the camera; on that axis, of the one with the optical axis."""
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
     level = np.hypot(ahead[..., 0], ahead[..., 1])

@@ -18,7 +18,6 @@ from rig.placing import camera_wanted, joints_for
 from rig.safety import Say, make_safe, park
 from rig.session import encode_png
 from rig.stand import place_of
-from rig.turning import ANGLES_DEG
 from scenes.atomic import write_bytes
 from scenes.errors import UserError
 from scenes.model import Ring, Scene
@@ -49,9 +48,7 @@ class Jog:
             "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
-            "go": Word(
-                usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go
-            ),
+            "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
             "park": Word(usage="park", does="bring the arm to its place of rest", run=self._park),
             "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
             "pose": Word(usage="pose", does="say where table, joints and camera are", run=self._pose),
@@ -130,13 +127,9 @@ class Jog:
         (text,) = words
         self._board()
         table = self._devices.table
-        by = text[0] in "+-"
-        if not by and not table.knows_zero():
-            raise RigError("turntable: its angle is not known; type home first, or turn by an angle with a sign")
-        goal_deg = finite(text) + (table.position_deg() if by else 0.0)
-        low, high = ANGLES_DEG
-        if table.knows_zero() and not low <= goal_deg <= high:
-            raise RigError(f"turntable: {goal_deg:g} deg is outside {low:g} to {high:g} deg, which its counter is used for; add or take away 360")
+        if not table.knows_zero():
+            raise RigError("turntable: its angle is not known; type home, or home 0 when the strip's seam faces the camera")
+        goal_deg = finite(text) + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
     def _home(self, words: list[str]) -> None:
@@ -216,9 +209,8 @@ class Jog:
         if seen is None:
             raise RigError(f"markers: {why}")
         distance_mm, height_mm, tilt_deg = place_of(seen.cam_from_canister)
-        self._say(
-            f"{seen.markers} markers, {seen.reprojection_px:.2f} px off; the table shows {facing_angle(seen, self._scene) % 360.0:.2f} deg"
-        )
+        facing_deg = facing_angle(seen, self._scene) % 360.0
+        self._say(f"{seen.markers} markers, {seen.reprojection_px:.2f} px off; from the +x side the table stands at {facing_deg:.2f} deg")
         self._say(f"by the markers the camera is {distance_mm:.1f} mm from the axis at z = {height_mm:.1f} mm, {tilt_deg:.1f} deg down")
 
     def _picture(self, words: list[str]) -> None:

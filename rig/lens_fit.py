@@ -5,7 +5,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.board_corners import BoardView
 from rig.errors import RigError
@@ -20,6 +19,8 @@ MOST_RMS_PX: Final = 0.5
 FAR_SIGMAS: Final = 5.0
 """A corner farther than this many standard deviations (of all, robustly), and `FAR_PX`, is left out."""
 FAR_PX: Final = 0.25
+LEAST_LEFT: Final = 6
+"""A picture keeps at least as many corners."""
 TERMS: Final = ("k1", "k2", "p1", "p2", "k3")
 DROPPED: Final = {
     "k3": cv2.CALIB_FIX_K3,
@@ -114,8 +115,11 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
             f"its corners miss the lens of the others by {rms_px:.2f} px rms (usual here: {others:.2f} px); was the board bent or moving?"
         )
         views = {key: view for key, view in views.items() if key != name}
-    kept, dropped = _without_outliers(views, start)
-    full = _solve(kept, board, image_wh, flags=0, start=start)
+    full = _solve(views, board, image_wh, flags=0, start=start)
+    kept, dropped = views, 0
+    while (fewer := _without_worst(kept, full)) is not None:
+        kept, dropped = fewer, dropped + 1
+        full = _solve(kept, board, image_wh, flags=0, start=full)
     chosen, left_out = _fewest_terms(kept, board, image_wh, full)
     poses = [frames.from_rotvec(rvec.ravel(), tvec.ravel()) for rvec, tvec in zip(chosen.rvecs, chosen.tvecs, strict=True)]
     std = [float(value) for value in chosen.std]
@@ -195,17 +199,20 @@ def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, 
     return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
 
 
-def _without_outliers(views: dict[str, BoardView], found: _Solution) -> tuple[dict[str, BoardView], int]:
-    """Return the views without corners that lie far off, and how many those are."""
+def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, BoardView] | None:
+    """Return the views without the corner that lies farthest off; None when none lies far off, or its picture has few others.
+
+    One at a time: a wrong corner pulls the reprojections of its neighbours with it.
+    """
     lengths = [np.linalg.norm(r, axis=1) for r in found.residuals]
     sigma = float(np.median(np.concatenate(lengths))) / np.sqrt(2.0 * np.log(2.0))  # the median of a Rayleigh distribution
-    limit = max(FAR_PX, FAR_SIGMAS * sigma)
-    kept: dict[str, BoardView] = {}
-    for (name, view), far in zip(views.items(), lengths, strict=True):
-        good: NDArray[np.bool_] = far <= limit
-        enough = np.count_nonzero(good) >= 6
-        kept[name] = replace(view, ids=view.ids[good], corners_px=view.corners_px[good]) if enough else view
-    return kept, sum(len(view.ids) for view in views.values()) - sum(len(view.ids) for view in kept.values())
+    k = int(np.argmax([float(far.max()) for far in lengths]))
+    name, far = list(views)[k], lengths[k]
+    if far.max() <= max(FAR_PX, FAR_SIGMAS * sigma) or len(far) <= LEAST_LEFT:
+        return None
+    others = np.arange(len(far)) != int(np.argmax(far))
+    view = views[name]
+    return views | {name: replace(view, ids=view.ids[others], corners_px=view.corners_px[others])}
 
 
 def _fewest_terms(

@@ -16,7 +16,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from statistics import median
 
 from rig.errors import NoAnswerError
-from rig.servo_bus import HEADER, MAX_COUNTS, MIN_COUNTS, Found, Line, check_move, listen
+from rig.port import Wire
+from rig.servo_bus import HEADER, MAX_COUNTS, MIN_COUNTS, Found, check_move, listen
 
 BAUD = 9600
 SERVO_MOVE = 3
@@ -61,8 +62,8 @@ class LscBoard:
 
     least_move_s = 2.0
 
-    def __init__(self, line: Line) -> None:
-        self._line = line
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
         """Start all these servos together with one frame; return at once. It cannot be verified before its time is over.
@@ -76,7 +77,7 @@ class LscBoard:
         params = bytes((len(targets),)) + round(duration_s * 1000.0).to_bytes(2, "little")
         for servo, counts in targets.items():
             params += bytes((servo,)) + counts.to_bytes(2, "little")
-        self._line.write(frame(SERVO_MOVE, params))
+        self._wire.write(frame(SERVO_MOVE, params))
 
     def positions(self, ids: Collection[int]) -> dict[int, int]:
         """Read positions, signed, until two readings in a row agree.
@@ -92,7 +93,9 @@ class LscBoard:
             if all(abs(now[servo] - before[servo]) <= _AGREE_COUNTS for servo in ids):
                 return now
             before = now
-        raise NoAnswerError("arm: no two readings of the positions agree; the arm is being moved, or the line to its board is disturbed")
+        raise NoAnswerError(
+            "arm: no two readings of the positions agree; the arm is pushed, falls without torque, or the line to its board is disturbed"
+        )
 
     def voltage_v(self, ids: Collection[int]) -> float:  # noqa: ARG002
         """Read the board's supply, which all servos share, until two readings in a row agree."""
@@ -120,7 +123,7 @@ class LscBoard:
         unload = frame(MULT_SERVO_UNLOAD, bytes((len(ids), *ids)))
         # Nothing tells whether it arrived, and twice does no harm.
         for _ in range(2):
-            self._line.write(unload)
+            self._wire.write(unload)
 
     def stop(self, ids: Collection[int]) -> None:
         """Command the servos to where they have just been, for want of a stop command.
@@ -137,7 +140,7 @@ class LscBoard:
 
     def close(self) -> None:
         """Close the line."""
-        self._line.close()
+        self._wire.close()
 
     def _positions_once(self, ids: Collection[int]) -> dict[int, int]:
         request = frame(MULT_SERVO_POS_READ, bytes((len(ids), *ids)))
@@ -165,9 +168,9 @@ class LscBoard:
         """Ask until something is found; return it with all that was heard."""
         heard_all = b""
         for patience_s in _PATIENCE_S:
-            self._line.discard_input()
-            self._line.write(request)
-            found, heard = listen(self._line, patience_s, find)
+            self._wire.discard_input()
+            self._wire.write(request)
+            found, heard = listen(self._wire, patience_s, find)
             heard_all += heard
             if found is not None:
                 return found, heard_all

@@ -9,7 +9,8 @@ from collections.abc import Collection, Mapping
 from typing import Literal
 
 from rig.errors import NoAnswerError, RigError
-from rig.servo_bus import HEADER, Line, check_move, listen
+from rig.port import Wire
+from rig.servo_bus import HEADER, check_move, listen
 
 BROADCAST = 254
 MOVE_TIME_READ = 2
@@ -59,8 +60,8 @@ class LxBus:
 
     least_move_s = 0.2
 
-    def __init__(self, line: Line, *, echo: Literal["auto", "yes", "no"] = "auto") -> None:
-        self._line = line
+    def __init__(self, wire: Wire, *, echo: Literal["auto", "yes", "no"] = "auto") -> None:
+        self._wire = wire
         self._echo: bool | None = None if echo == "auto" else echo == "yes"
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
@@ -85,7 +86,7 @@ class LxBus:
         receivers, late = [BROADCAST], list(orders)
         for _ in range(_WRITE_TRIES):
             for receiver in receivers:
-                self._line.write(frame(receiver, MOVE_START))
+                self._wire.write(frame(receiver, MOVE_START))
             receivers = late = [servo for servo in late if self._ask(servo, MOVE_TIME_READ, 4) != orders[servo]]
             if not late:
                 return
@@ -123,7 +124,7 @@ class LxBus:
     def stop(self, ids: Collection[int]) -> None:
         """Stop where they are. Nothing can be read back here, so it is sent twice."""
         for servo in (*ids, *ids):
-            self._line.write(frame(servo, MOVE_STOP))
+            self._wire.write(frame(servo, MOVE_STOP))
 
     def describe(self) -> str:
         """Say that this is the servo bus, and whether it echoes."""
@@ -131,15 +132,15 @@ class LxBus:
 
     def close(self) -> None:
         """Close the line."""
-        self._line.close()
+        self._wire.close()
 
     def _ask(self, servo: int, command: int, size: int) -> bytes:
         request = frame(servo, command)
         heard_any = b""
         for patience_s in _PATIENCE_S:
-            self._line.discard_input()
-            self._line.write(request)
-            reply, heard = listen(self._line, patience_s, lambda heard: find_reply(heard, servo, command, size))
+            self._wire.discard_input()
+            self._wire.write(request)
+            reply, heard = listen(self._wire, patience_s, lambda heard: find_reply(heard, servo, command, size))
             heard_any += heard
             if self._echo is None and (reply is not None or request in heard):
                 self._echo = request in heard
@@ -150,7 +151,7 @@ class LxBus:
     def _write_verified(self, servo: int, command: int, params: bytes, read_command: int) -> None:
         """Write, read back, and write again until what is read is what was written."""
         for _ in range(_WRITE_TRIES):
-            self._line.write(frame(servo, command, params))
+            self._wire.write(frame(servo, command, params))
             if self._ask(servo, read_command, len(params)) == params:
                 return
         raise NoAnswerError(f"arm: servo {servo} answers but does not take commands; switch the servos' supply off and on, then try again")

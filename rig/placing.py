@@ -1,6 +1,7 @@
 """From a ring of the plan to joint angles, and from what the markers show to better ones. Degrees here, radians below."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import RigError, UnsafeError
 from rig.inverse import Branches, Found, inverse, newton
@@ -74,7 +75,9 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
     found = correct(part, np.deg2rad(joints_deg), cam_from_rig_measured, wanted)
     if not _met(found)[()]:
         left = np.linalg.norm(found.left_over[:3])
-        raise UnsafeError(f"arm: {_place(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base")
+        raise UnsafeError(
+            f"arm: {_place(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+        )
     excess, fitted = _fitted(part, found.joints_rad[None], near_deg=joints_deg)
     change = np.abs(fitted[0] - joints_deg)
     if change.max() > MOST_CORRECTION_DEG:
@@ -84,7 +87,9 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
             f"correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
         )
     if excess[0] > ROUNDING_DEG:
-        raise UnsafeError(f"arm: the camera's place cannot be corrected within the joints' limits: {_beyond(part, fitted[0])}; move the ring")
+        raise UnsafeError(
+            f"arm: the camera's place cannot be corrected within the joints' limits: {_beyond(part, fitted[0])}; move the ring"
+        )
     return _clipped(part, fitted[0])
 
 
@@ -114,7 +119,7 @@ def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: B
     return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
 
 
-def _met(found: Found) -> np.ndarray:
+def _met(found: Found) -> NDArray[np.bool_]:
     """Return whether the targets were really met, not only approached."""
     left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
     return found.converged & (left < 1.0)
@@ -130,7 +135,7 @@ def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None)
 
 
 def _clipped(part: ArmPart, joints_deg: Array) -> Joints:
-    return tuple(float(angle) for angle in np.clip(joints_deg, *_limits_deg(part)))
+    return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0: no -0.0
 
 
 def _limits_deg(part: ArmPart) -> tuple[Array, Array]:

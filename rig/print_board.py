@@ -10,6 +10,7 @@ from rig.print_page import (
     RULER_MM,
     SQUARE_MM,
     TEXT_MM,
+    TEXT_WIDE_MM,
     Fill,
     Page,
     Paper,
@@ -24,8 +25,6 @@ from scenes.errors import UserError
 
 GAP_MM: Final = 6.0
 """White round the pattern."""
-TEXT_WIDE_MM: Final = 120.0
-"""Room that the text needs."""
 
 
 def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
@@ -47,8 +46,9 @@ def board_page(board: CharucoBoard, *, paper: Paper) -> Page:
         for needed_mm, beside in ((below_mm, False), (beside_mm, True)):
             if needed_mm[0] <= room_mm[0] and needed_mm[1] <= room_mm[1]:
                 return Page(size_mm=size_mm, parts=tuple(_parts(board, paper, room_mm, notes, beside=beside)), stretch_xy=paper.stretch_xy)
+    page = f"{paper.size_mm[0]:g} x {paper.size_mm[1]:g}"
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm with margins and "
+        f"the board of {wide_mm:g} x {high_mm:g} mm does not fit on a page of {page} mm with its margins and "
         f"ruler ({below_mm[0]:.0f} x {below_mm[1]:.0f} mm are needed within the margins); use a larger --page, or smaller or fewer squares"
     )
 

@@ -17,6 +17,8 @@ LINE_MM: Final = 0.1
 TEXT_MM: Final = 2.2
 """Height of capitals in the text."""
 LEADING: Final = 1.75
+TEXT_WIDE_MM: Final = 118.0
+"""Room that the lines of text need; the ruler needs less."""
 RULER_HIGH_MM: Final = 11.0
 """What a ruler takes up with its figures."""
 

@@ -11,6 +11,7 @@ from rig.print_page import (
     RULER_HIGH_MM,
     SQUARE_MM,
     TEXT_MM,
+    TEXT_WIDE_MM,
     Fill,
     Line,
     Page,
@@ -33,6 +34,8 @@ ABOVE_MM: Final = 8.0
 """Above a piece: its name and cut marks."""
 BELOW_MM: Final = 5.0
 MARK_MM: Final = 3.0
+BESIDE_MM: Final = 8.0
+"""Between the square and the text."""
 LABEL_MM: Final = 1.3
 """Height of the ids on the strip."""
 EDGE_MM: Final = 0.4
@@ -104,13 +107,13 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
         wide_mm, high_mm = paper.room_mm(size_mm)
         columns = int((wide_mm - TAB_MM) // flat.pitch_mm)
         rows = int((high_mm - band_mm) // (flat.height_mm + ABOVE_MM + BELOW_MM))
-        if columns >= 1 and rows >= 1:
+        if columns >= 1 and rows >= 1 and wide_mm >= SQUARE_MM + BESIDE_MM + TEXT_WIDE_MM:
             pieces = _pieces(flat.strip.columns, columns)
             cost = (len(pieces), -(-len(pieces) // rows))
             if best is None or cost < best[0]:
                 best = cost, size_mm, pieces, rows
     if best is None:
-        wide_mm, high_mm = flat.pitch_mm + TAB_MM, flat.height_mm + ABOVE_MM + BELOW_MM + band_mm
+        wide_mm, high_mm = max(flat.pitch_mm + TAB_MM, SQUARE_MM + BESIDE_MM + TEXT_WIDE_MM), flat.height_mm + ABOVE_MM + BELOW_MM + band_mm
         raise UserError(
             f"a page of {paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm is too small for the strip: within its margins it needs "
             f"{wide_mm:.0f} x {high_mm:.0f} mm for one piece and the ruler; use a larger --page"
@@ -148,7 +151,7 @@ def _page(flat: FlatStrip, paper: Paper, size_mm: tuple[float, float], pieces: l
         parts += _piece(flat, piece, left_mm, top_mm + ABOVE_MM + row * (flat.height_mm + ABOVE_MM + BELOW_MM))
     bottom_mm = top_mm + paper.room_mm(size_mm)[1]
     parts += square(left_mm, bottom_mm - SQUARE_MM)
-    beside_mm = left_mm + SQUARE_MM + 8.0
+    beside_mm = left_mm + SQUARE_MM + BESIDE_MM
     text_top_mm = bottom_mm - LEADING * TEXT_MM * len(notes)
     parts += [Text(at_mm=(beside_mm, text_top_mm - RULER_HIGH_MM - 1.0), text=title)]
     parts += ruler(beside_mm, text_top_mm - RULER_HIGH_MM + 1.0)

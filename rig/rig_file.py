@@ -9,6 +9,7 @@ from scenes.limits import bounded
 from scenes.schema import Place, from_plain
 
 JOINTS = 5
+LSC_BAUD = 9600
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,5 +186,7 @@ def _check_arm(arm: ArmPart, place: Place) -> None:
             raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)
         if not joint.min_deg <= rest <= joint.max_deg:
             raise place.at("park_deg").error(f"element {i + 1} must be between its joint's {joint.min_deg:g} and {joint.max_deg:g}", rest)
+    if arm.protocol == "lsc" and arm.baud != LSC_BAUD:
+        raise place.at("baud").error(f"must be {LSC_BAUD}: the controller board (protocol lsc) speaks at no other rate", arm.baud)
     if arm.min_volt >= arm.max_volt:
         raise place.at("max_volt").error(f"must be above min_volt {arm.min_volt:g}", arm.max_volt)

@@ -23,7 +23,8 @@ from rig.open import Devices
 from rig.safety import Say, make_safe
 from rig.session import Session, file_of, take_up
 from rig.stand import Stand, Tripod
-from rig.turning import ANGLES_DEG, BoardFaultError, Turning
+from rig.turning import BoardFaultError, Turning
+from rig.turntable import LEAST_DEG, MOST_DEG
 from scenes import plan
 from scenes.dataset import Dataset, Frame
 from scenes.errors import UserError
@@ -201,7 +202,7 @@ class _Scan:
         fault: BoardFaultError | None = None
         while True:
             try:
-                if fault is not None and self._turning.recover(fault, near_deg=near_deg):
+                if fault is not None and self._turning.recover(fault, near_deg=near_deg, again=faults > 1):
                     self._placement += 1
                 return action()
             except BoardFaultError as another:
@@ -263,8 +264,8 @@ class _Scan:
         if slipped:
             self._session.drop([f"images/{path.name}" for path in slipped])
             raise RigError(
-                f"turntable: the markers of {slipped[0].name} to {slipped[-1].name} show other angles than commanded: the table slipped, or "
-                "the camera was pushed; these pictures are taken out: free the table, then finish the scan with --resume"
+                f"turntable: the markers of {slipped[0].name} to {slipped[-1].name} show other angles than commanded: the table slipped "
+                "or the camera was pushed; these pictures are taken out: free the table, then finish the scan with --resume"
             )
 
     def _stopped(self, error: BaseException) -> None:
@@ -293,10 +294,9 @@ def _refuse_plan(scene: Scene, planned: list[View]) -> None:
     for i, ring in enumerate(scene.plan.rings, start=1):
         if ring.jitter_mm or ring.jitter_deg:
             raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan: its camera stands still")
-    low, high = ANGLES_DEG
     for view in planned:
-        if not low <= view.table_deg <= high:
+        if not LEAST_DEG <= view.table_deg <= MOST_DEG:
             raise UserError(
                 f"plan.rings {view.ring + 1}: first_deg brings the table to {view.table_deg:g} deg, but a scan's angles lie between "
-                f"{low:g} and {high:g}: add or take away 360"
+                f"{LEAST_DEG:g} and {MOST_DEG:g}: add or take away 360"
             )

@@ -1,10 +1,10 @@
-"""What both servo protocols offer the arm, and what they share: the line they talk on, listening with patience, limits of a command."""
+"""What both servo protocols offer the arm, and what they share: limits of a command, and listening with patience."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol, TypeVar
 
-from rig.clock import Clock
 from rig.errors import UnsafeError
+from rig.port import Wire
 
 HEADER = b"\x55\x55"
 MIN_COUNTS = 0
@@ -15,26 +15,6 @@ _FLOOD_BYTES = 4096
 _LAST_ID = 253
 
 Found = TypeVar("Found")
-
-
-class Line(Protocol):
-    """A serial line, as `rig.port.Port` is one."""
-
-    @property
-    def clock(self) -> Clock:
-        """Whose time the time-outs are in."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return what is there as soon as something is there; nothing after the time-out."""
-
-    def discard_input(self) -> None:
-        """Drop what has come in."""
-
-    def close(self) -> None:
-        """Close it."""
 
 
 class ServoBus(Protocol):
@@ -91,16 +71,16 @@ def check_move(targets: Mapping[int, int], duration_s: float) -> None:
             )
 
 
-def listen(line: Line, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
+def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None]) -> tuple[Found | None, bytes]:
     """Collect bytes until ``find`` finds something in them or patience ends; return that and all that was heard.
 
     A line that babbles without end is left after a few thousand bytes, so that this returns whatever comes.
     """
-    clock = line.clock
+    clock = wire.clock
     deadline_s = clock.now_s() + patience_s
     heard = b""
     while (left_s := deadline_s - clock.now_s()) > 0.0 and len(heard) < _FLOOD_BYTES:
-        chunk = line.read(left_s)
+        chunk = wire.read(left_s)
         if not chunk:
             break
         heard += chunk

@@ -34,8 +34,8 @@ def turned_to(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
 def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_from_rig_wanted: Array) -> Found:
     """Find the joints that bring the camera from where it was measured to where it is wanted, at any azimuth.
 
-    The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration), whatever made the arm miss:
-    so that change is applied to where the arm believes its camera to be. What is left of it after one correction is second order in the error.
+    The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration), whatever made the arm
+    miss: that change is applied to where the arm believes its camera to be. What is left after one correction is second order in the error.
 
     Parameters
     ----------

@@ -12,8 +12,6 @@ from rig.open import Devices
 from scenes.model import Scene
 from scenes.pictures import Grey, decode_grey
 
-ANGLES_DEG = (-90.0, 720.0)
-"""What the table is ever commanded to: beyond, a board that was reset could not be told from one that was not."""
 WAIT_S = 20.0
 """How long a lost board is waited for: time to plug it in again."""
 PAUSE_S = 1.0
@@ -121,8 +119,14 @@ class Turning:
         with board_watched():
             self._devices.lights.set(panel=part.panel_level, front=part.front_level)
 
-    def recover(self, fault: BoardFaultError, *, near_deg: float) -> bool:
+    def recover(self, fault: BoardFaultError, *, near_deg: float, again: bool) -> bool:
         """Connect the board anew and make the angle known again; return whether it had to be found anew.
+
+        Parameters
+        ----------
+        near_deg : the angle that is wanted next.
+        again : whether this was tried before; a board that only failed to answer is not connected anew the first time, since many
+            boards start anew when they are, and forget the angle.
 
         Raises
         ------
@@ -130,8 +134,11 @@ class Turning:
             When the board does not come back, or the angle cannot be found.
         """
         self.lost = True
-        self._note("fault", f"{fault.cause}; connecting again")
-        self._reconnect(fault.cause)
+        if again or isinstance(fault.cause, LostError):
+            self._note("fault", f"{fault.cause}; connecting again")
+            self._reconnect(fault.cause)
+        else:
+            self._note("fault", f"{fault.cause}; asking again")
         shot, seen = self._eye.look()
         references = [*self._looks, *self._read(self._pictures)]
         kept_deg = self._kept_deg()

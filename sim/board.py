@@ -123,9 +123,9 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
                 )
             return cam_from_board
         best = max(best, share)
-    wide_mm, high_mm = board.size_mm
+    (wide_mm, high_mm), depth = board.size_mm, working_distance_mm(scene)
     raise UserError(
-        f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {working_distance_mm(scene):.0f} mm: at most {best:.0%} of its "
+        f"the board of {wide_mm:g} x {high_mm:g} mm is too large for the camera at {depth:.0f} mm: at most {best:.0%} of its "
         f"corners are in the picture, {LEAST_VISIBLE:.0%} are needed; give fewer or smaller squares"
     )
 

@@ -107,9 +107,7 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     traits: dict[str, Any] = {"volume_mm3": volume_mm3, "surface_mm2": surface_mm2}
     if roots:
         traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
-    return SpecimenSolid(
-        vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes)
-    )
+    return SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes))
 
 
 def check_in_water(vertices: Array, scene: Scene, *, what: str) -> None:

@@ -64,7 +64,8 @@ def grey_from_bayer(
     quads = block // 2
     if quads > 1:
         shape = (light.shape[0] // quads, quads, light.shape[1] // quads, quads)
-        light, full = light.reshape(shape).mean(axis=(1, 3)), full.reshape(shape).any(axis=(1, 3))
+        light = light.reshape(shape).mean(axis=(1, 3))
+        full = np.logical_or.reduce(full.reshape(shape), axis=(1, 3))
     light[full] = 1.0
     numbers = np.rint(np.clip(light, 0.0, 1.0) * (2**bits - 1))
     if bits <= 8:

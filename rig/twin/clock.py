@@ -1,6 +1,8 @@
 """Virtual time: it passes only when somebody waits, and whatever happens meanwhile happens at its own moment."""
 
 import math
+import threading
+import time
 from typing import Protocol
 
 
@@ -48,3 +50,20 @@ class VirtualClock:
         self._now_s = max(self._now_s, min(self.next_s(), limit_s))
         for source in self._sources:
             source.advance_to(self._now_s)
+
+
+class ScaledClock:
+    """A `rig.clock.Clock` that runs ``speed`` times as fast as the computer's."""
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = speed
+        self._start_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Return seconds since it was made, on its own scale."""
+        return (time.monotonic() - self._start_s) * self.speed
+
+    def sleep(self, seconds: float) -> None:
+        """Sleep for real, less long by the speed."""
+        if seconds > 0.0:
+            time.sleep(min(seconds / self.speed, threading.TIMEOUT_MAX))

@@ -1,5 +1,6 @@
 """The faults that a twin can have, as data: on the wire, in a device, in the camera."""
 
+import threading
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -92,11 +93,13 @@ MENU: tuple[FaultKind, ...] = (
         amounts=(0.0, 0.5, 3.0, 20.0),
     ),
     FaultKind(
-        name="stalled", what="a servo is blocked for AMOUNT seconds (0: for good)", devices=("arm",), where="device", amounts=(0.0, 0.5, 5.0)
+        name="stalled",
+        what="a servo is blocked for AMOUNT seconds (0: for good)",
+        devices=("arm",),
+        where="device",
+        amounts=(0.0, 0.5, 5.0),
     ),
-    FaultKind(
-        name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)
-    ),
+    FaultKind(name="overheated", what="a servo is AMOUNT degrees warm", devices=("arm",), where="device", amounts=(70.0, 86.0, 95.0)),
     FaultKind(
         name="brown_out",
         what="the arm's voltage breaks down for AMOUNT seconds; the servos lose their torque",
@@ -208,11 +211,12 @@ def parse_fault(text: str) -> Fault:
 
 
 class Pending:
-    """The faults that have not happened yet."""
+    """The faults that have not happened yet; several threads may ask."""
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
         for fault in faults:
             kind_of(fault.kind)
+        self._lock = threading.Lock()
         self._left = list(faults)
         self.happened: list[tuple[float, Fault]] = []
         """What happened, with its time."""
@@ -220,24 +224,26 @@ class Pending:
     def add(self, fault: Fault) -> None:
         """Let a fault happen from now on."""
         kind_of(fault.kind)
-        self._left.append(fault)
+        with self._lock:
+            self._left.append(fault)
 
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
         """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did."""
-        return [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where and _is_due(fault, number, now_s)]
+        with self._lock:
+            here = [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where]
+        return [fault for fault in here if _is_due(fault, number, now_s)]
 
     def use(self, fault: Fault, now_s: float) -> None:
         """Count one message that a fault has hit."""
-        self.happened.append((now_s, fault))
-        i = next(i for i, left in enumerate(self._left) if left is fault)
-        if fault.count > 1:
-            self._left[i] = replace(fault, count=fault.count - 1)
-        else:
-            del self._left[i]
+        with self._lock:
+            self.happened.append((now_s, fault))
+            i = next(i for i, left in enumerate(self._left) if left is fault)
+            self._left[i : i + 1] = [replace(fault, count=fault.count - 1)] if fault.count > 1 else []
 
     def next_s(self) -> float:
         """Return the time of the next fault that happens to a device by the clock."""
-        times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
+        with self._lock:
+            times = [fault.at_s for fault in self._left if fault.at_s is not None and kind_of(fault.kind).where == "device"]
         return min(times, default=float("inf"))
 
 

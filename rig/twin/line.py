@@ -35,7 +35,7 @@ class Line:
     """
 
     def __init__(self, device: Device, adapter: Adapter, *, baud: int, pending: Pending, break_device: Callable[[Fault], None]) -> None:
-        self._device = device
+        self.device: Device = device
         self.adapter = adapter
         self._byte_s = BITS_A_BYTE / baud
         self._pending = pending
@@ -55,7 +55,7 @@ class Line:
     def write(self, data: bytes, now_s: float) -> None:
         """Take bytes from the host."""
         self._sent_count += 1
-        for fault in self._pending.due(self._device, "request", self._sent_count, now_s):
+        for fault in self._pending.due(self.device, "request", self._sent_count, now_s):
             self._pending.use(fault, now_s)
             if fault.kind == "echo":
                 self._arrive(now_s + len(data) * self._byte_s, data)
@@ -130,14 +130,14 @@ class Line:
     def _send(self, reply: Reply, now_s: float) -> None:
         """Put a reply on the wire, with the faults that hit it."""
         self._reply_count += 1
-        for fault in self._pending.due(self._device, "device", self._reply_count, now_s):
+        for fault in self._pending.due(self.device, "device", self._reply_count, now_s):
             self._break_device(fault)
         pieces = [reply.data]
         delay_s = 0.0
         if self._mute_ok and reply.data.startswith(b"ok"):
             self._mute_ok = False
             pieces = []
-        for fault in self._pending.due(self._device, "reply", self._reply_count, now_s):
+        for fault in self._pending.due(self.device, "reply", self._reply_count, now_s):
             if fault.kind == "ok_missing" and not reply.data.startswith(b"ok"):
                 continue
             self._pending.use(fault, now_s)

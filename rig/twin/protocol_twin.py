@@ -1,7 +1,7 @@
 """pyserial's handler of ``twin://ID/table`` and ``twin://ID/arm``: ports of a twin within this process, in its virtual time.
 
-A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over. Nothing sleeps, nothing runs
-in parallel, so the same seed gives the same bytes.
+A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over. Nothing sleeps and nothing
+runs in parallel, so that the same seed gives the same bytes.
 """
 
 import errno
@@ -16,6 +16,8 @@ from serial import PortNotOpenError, SerialBase, SerialException
 from rig.twin.clock import VirtualClock
 from rig.twin.line import Line
 
+PACKAGE = "rig.twin"
+"""What pyserial is told to look for this module in."""
 CALL_S = 20e-6
 """What asking a port costs: a loop that only asks comes to its deadline, too."""
 GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
@@ -42,6 +44,11 @@ def register(url: str, socket: Socket) -> None:
 
 class Serial(SerialBase):
     """A port of a twin; behaves as a USB serial port on Linux does, its errors included."""
+
+    # set by SerialBase's properties
+    _port: str | None
+    _timeout: float | None
+    _exclusive: bool | None
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._socket: Socket | None = None

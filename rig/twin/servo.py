@@ -16,8 +16,9 @@ MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT
 """Counts/s: 60 degrees in 0.22 s."""
 STOPS = (-60.0, 1060.0)
 """Where the gears run against their ends, counts."""
-FRICTION = 0.3
-"""Torque, as a fraction of the stretched arm's at the shoulder, under which a servo without current does not turn."""
+FRICTION = 0.45
+"""Torque, as a fraction of the stretched arm's at the shoulder, under which a servo without current does not turn:
+its gears are hard to drive backwards."""
 FALL_SPEED = 400.0
 """Counts/s of an unloaded servo at torque 1 beyond friction."""
 SEEN_SAG = 0.5

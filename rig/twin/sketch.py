@@ -1,8 +1,10 @@
 """Pictures drawn in milliseconds, without Mitsuba: the marker strip exactly where the camera sees it, the panel, and a root-like thing.
 
-The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's cylinder. What hangs below it
-is drawn without the water's refraction and is no specimen: pictures for tests of the rig, not of a reconstruction.
+The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's cylinder. What hangs below
+it is drawn without the water's refraction and is no specimen: pictures for tests of the rig, not of a reconstruction.
 """
+
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +14,7 @@ from rig.twin.world import Sight
 from scenes import frames
 from scenes.markers import marker_cells
 from scenes.model import Scene
+from scenes.pictures import Grey
 
 INK = 0.05
 """Reflectance of the black cells; paper is 1."""
@@ -41,11 +44,18 @@ class Sketch:
         self._scene = scene
         self._canister_from_strip = canister_from_strip
         camera = scene.camera
-        self._matrix = np.array([[camera.focal_px[0], 0.0, camera.principal_px[0]], [0.0, camera.focal_px[1], camera.principal_px[1]], [0, 0, 1]])
+        (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
+        self._matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         self._distortion = np.array(distortion)
         self._rays = self._pixel_rays()
         self._paper = _strip_texture(scene)
         self._roots_mm = _root_lines(scene)
+
+    def picture(self, sight: Sight) -> Grey:
+        """Return what a camera without noise stores."""
+        bits = self._scene.camera.bits
+        numbers = np.rint(np.minimum(self.light(sight), np.float32(1.0)) * np.float32(2**bits - 1))
+        return numbers.astype(np.uint8) if bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - bits)
 
     def light(self, sight: Sight) -> Light:
         """Return the picture (H, W) in linear light, 1 being full scale."""
@@ -110,7 +120,8 @@ class Sketch:
         height, width = self._rays.shape[:2]
         angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
         radius = pot.outer_radius_mm / np.cos(np.pi / 32)
-        rings = [np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(32, z)], axis=1) for z in (pot.skirt_bottom_mm, pot.top_mm)]
+        circle = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        rings = [np.insert(circle, 2, z_mm, axis=1) for z_mm in (pot.skirt_bottom_mm, pot.top_mm)]
         pixels = self._project(cam_from_strip, np.concatenate(rings))
         if pixels is None:
             return slice(0, height), slice(0, width)
@@ -119,7 +130,7 @@ class Sketch:
 
 
 def _strip_texture(scene: Scene) -> Light:
-    """Paint the unrolled strip: row 0 at the net pot's top, a column more at either end than once round, so that the seam has neighbours."""
+    """Paint the unrolled strip: row 0 at the net pot's top; at either end one column is repeated, so that the seam has neighbours."""
     strip, pot = scene.strip, scene.net_pot
     around_mm = 2.0 * np.pi * pot.outer_radius_mm
     columns, rows = round(around_mm / MM_PER_TEXEL), round((pot.top_mm - pot.skirt_bottom_mm) / MM_PER_TEXEL)
@@ -137,7 +148,7 @@ def _strip_texture(scene: Scene) -> Light:
     return np.concatenate([picture[:, -1:], picture, picture[:, :1]], axis=1)
 
 
-def _share(texel_mm: frames.Array, start_mm: float, side_mm: float, cells: int) -> frames.Array:
+def _share(texel_mm: NDArray[Any], start_mm: float, side_mm: float, cells: int) -> frames.Array:
     """Return which fraction of each texel (by its centre) each cell of a marker covers."""
     half = (texel_mm[1] - texel_mm[0]) / 2.0
     edges = start_mm + side_mm / cells * np.arange(cells + 1)

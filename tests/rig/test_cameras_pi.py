@@ -37,7 +37,7 @@ PART = CameraPart(exposure_s=0.01, gain=2.0, colour_gains=(2.0, 1.6))
 
 
 @dataclass
-class Sensor:
+class _Sensor:
     """What the fake cameras see and do; one for a test."""
 
     stream_format: str = "SRGGB12"
@@ -51,7 +51,7 @@ class Sensor:
     now_ns: int = 0
     light: list[tuple[int, float]] = field(default_factory=lambda: [(0, 0.25)])
     """(from when, fraction of full scale)"""
-    opened: list["FakePicamera2"] = field(default_factory=list)
+    opened: list["_FakePicamera2"] = field(default_factory=list)
     requests: int = 0
     released: int = 0
 
@@ -62,19 +62,19 @@ class Sensor:
         return [level for since, level in self.light if since <= time_ns][-1]
 
 
-class FakeRequest:
-    def __init__(self, sensor: Sensor, config: Mapping[str, Any], start_ns: int, controls: Mapping[str, Any]) -> None:
+class _FakeRequest:
+    def __init__(self, sensor: _Sensor, config: Mapping[str, Any], start_ns: int, controls: Mapping[str, Any]) -> None:
         self.sensor, self.config, self.start_ns, self.controls = sensor, config, start_ns, controls
 
     def make_array(self, name: str) -> NDArray[np.uint8]:
         assert name == "raw"
-        (width, height), name = self.config["size"], self.config["format"]
+        (width, height), pixels = self.config["size"], self.config["format"]
         number = self.sensor.light_at(self.start_ns) * (WHITE - BLACK)
         red, blue = SETTINGS.colour_gains
         colours = {"R": number / red, "G": number, "B": number / blue}
-        bits = int(name[5:7]) if name[5:7].isdigit() else 16
+        bits = int(pixels[5:7]) if pixels[5:7].isdigit() else 16
         raw = np.full((height, self.config["stride"] // 2), 0xFFFF, np.uint16)  # padding that must not be looked at
-        for i, colour in enumerate(name[1:5]):
+        for i, colour in enumerate(pixels[1:5] if pixels.startswith("S") else pixels[:4]):
             raw[i // 2 :: 2, i % 2 : width : 2] = (BLACK + round(colours[colour])) << (bits - 12)
         return raw.view(np.uint8)
 
@@ -93,8 +93,8 @@ class FakeRequest:
         self.sensor.released += 1
 
 
-class FakePicamera2:
-    sensor: Sensor
+class _FakePicamera2:
+    sensor: _Sensor
 
     def __init__(self, number: int) -> None:
         if number >= self.sensor.cameras:
@@ -128,7 +128,7 @@ class FakePicamera2:
         self.started_with = dict(self._config["controls"])
         self._first_frame = self.sensor.now_ns // FRAME_NS
 
-    def capture_request(self, *, wait: float, flush: bool) -> FakeRequest:
+    def capture_request(self, *, wait: float, flush: bool) -> _FakeRequest:
         """Return a frame that is there already, or, flushed, the first whose exposure begins from now on."""
         assert self.started_with is not None
         assert not self.closed
@@ -139,7 +139,7 @@ class FakePicamera2:
         index = -(-self.sensor.now_ns // FRAME_NS) if flush else max(self.sensor.now_ns // FRAME_NS - 1, self._first_frame)
         self.sensor.now_ns = max(self.sensor.now_ns, (index + 1) * FRAME_NS)
         late = index - self._first_frame < self.sensor.late
-        return FakeRequest(self.sensor, self._config["raw"], index * FRAME_NS, AUTOMATIC if late else self.started_with)
+        return _FakeRequest(self.sensor, self._config["raw"], index * FRAME_NS, AUTOMATIC if late else self.started_with)
 
     def cancel_all_and_flush(self) -> None:
         self.cancelled = True
@@ -149,10 +149,10 @@ class FakePicamera2:
 
 
 @pytest.fixture
-def sensor(monkeypatch: pytest.MonkeyPatch) -> Sensor:
-    found = Sensor()
+def sensor(monkeypatch: pytest.MonkeyPatch) -> _Sensor:
+    found = _Sensor()
     module = ModuleType("picamera2")
-    module.Picamera2 = type("Picamera2", (FakePicamera2,), {"sensor": found})  # type: ignore[attr-defined]
+    module.Picamera2 = type("Picamera2", (_FakePicamera2,), {"sensor": found})  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "picamera2", module)
     return found
 
@@ -164,7 +164,7 @@ def opened(settings: CameraSettings = SETTINGS) -> PiCamera:
 
 
 @pytest.mark.parametrize("stream_format", ["SRGGB12", "SBGGR12", "SGRBG12", "SGBRG12", "SRGGB16"])
-def test_grey_is_linear_and_left_aligned_in_every_format(sensor: Sensor, stream_format: str) -> None:
+def test_grey_is_linear_and_left_aligned_in_every_format(sensor: _Sensor, stream_format: str) -> None:
     sensor.stream_format = stream_format
     camera = opened()
     for level in (0.1, 0.2, 0.4, 0.8):
@@ -177,13 +177,13 @@ def test_grey_is_linear_and_left_aligned_in_every_format(sensor: Sensor, stream_
         assert image[0, 0] / 65520 == pytest.approx(level, abs=1.5 / 4095)
 
 
-def test_what_comes_back_is_what_the_frame_itself_says(sensor: Sensor) -> None:
+def test_what_comes_back_is_what_the_frame_itself_says(sensor: _Sensor) -> None:
     sensor.metadata["AnalogueGain"] = 2.01
     shot = opened().capture()
     assert (shot.exposure_s, shot.gain) == (pytest.approx(0.009994), 2.01)
 
 
-def test_settings_are_given_before_the_start(sensor: Sensor) -> None:
+def test_settings_are_given_before_the_start(sensor: _Sensor) -> None:
     opened()
     assert sensor.opened[-1].started_with == {
         "AeEnable": False,
@@ -195,21 +195,21 @@ def test_settings_are_given_before_the_start(sensor: Sensor) -> None:
     }
 
 
-def test_a_picture_is_exposed_after_the_call(sensor: Sensor) -> None:
+def test_a_picture_is_exposed_after_the_call(sensor: _Sensor) -> None:
     camera = opened()
     sensor.now_ns += FRAME_NS * 3 + FRAME_NS // 2  # frames pile up while the table turns
     sensor.set_light(0.75)
     assert camera.capture().image[0, 0] / 65520 == pytest.approx(0.75, abs=1e-3)
 
 
-def test_frames_with_old_settings_are_passed_over(sensor: Sensor) -> None:
+def test_frames_with_old_settings_are_passed_over(sensor: _Sensor) -> None:
     sensor.late = TRIES - 1
     opened()
     assert sensor.requests == TRIES
     assert sensor.released == sensor.requests
 
 
-def test_settings_that_never_hold_are_told_with_numbers(sensor: Sensor) -> None:
+def test_settings_that_never_hold_are_told_with_numbers(sensor: _Sensor) -> None:
     sensor.late = 10**6
     with pytest.raises(RigError, match=r"ExposureTime is 19994 instead of 10000, AnalogueGain is 4 instead of 2, ColourGains red is 1.3"):
         opened()
@@ -228,7 +228,7 @@ def test_settings_that_never_hold_are_told_with_numbers(sensor: Sensor) -> None:
         ("SensorTimestamp", 5, "the same frame again"),
     ],
 )
-def test_wrong_metadata_refuse_a_picture(sensor: Sensor, key: str, value: object, said: str) -> None:
+def test_wrong_metadata_refuse_a_picture(sensor: _Sensor, key: str, value: object, said: str) -> None:
     camera = opened()
     sensor.metadata[key] = value
     if key == "SensorTimestamp":
@@ -243,7 +243,7 @@ def test_short_exposures_may_miss_by_a_row() -> None:
     assert metadata_faults(said | {"ExposureTime": 900}, CameraSettings(exposure_s=0.001)) == ["ExposureTime is 900 instead of 1000"]
 
 
-def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: Sensor) -> None:
+def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: _Sensor) -> None:
     camera = opened()
     sensor.silent = True
     with pytest.raises(RigError, match="camera 0: gives no frames any more"):
@@ -257,7 +257,7 @@ def test_a_camera_that_stops_is_closed_and_can_be_opened_again(sensor: Sensor) -
     assert camera.capture().image.shape == (24, 32)
 
 
-def test_closing(sensor: Sensor) -> None:
+def test_closing(sensor: _Sensor) -> None:
     camera = opened()
     assert "imx477), 32x24 of 64x48 raw pixels of 12 bits, 10 ms, gain 2" in camera.describe()
     camera.close()
@@ -266,7 +266,7 @@ def test_closing(sensor: Sensor) -> None:
     assert "not open" in camera.describe()
 
 
-def test_a_camera_that_cannot_be_had(sensor: Sensor) -> None:
+def test_a_camera_that_cannot_be_had(sensor: _Sensor) -> None:
     sensor.cameras = 0
     with pytest.raises(RigError, match=r"did not complete: Device or resource busy\); look for it with rpicam-hello"):
         opened()
@@ -280,14 +280,14 @@ def test_a_camera_that_cannot_be_had(sensor: Sensor) -> None:
         (CameraSettings(image_wh=(30, 24)), "cannot make pictures of 30x24, but of 32x24, 16x12"),
     ],
 )
-def test_what_the_sensor_cannot_is_refused_before_the_start(sensor: Sensor, settings: CameraSettings, said: str) -> None:
+def test_what_the_sensor_cannot_is_refused_before_the_start(sensor: _Sensor, settings: CameraSettings, said: str) -> None:
     with pytest.raises(RigError, match=said):
         opened(settings)
     assert sensor.opened[-1].started_with is None
     assert sensor.opened[-1].closed
 
 
-def test_compressed_raw_pixels_are_refused(sensor: Sensor) -> None:
+def test_compressed_raw_pixels_are_refused(sensor: _Sensor) -> None:
     sensor.stream_format = "RGGB_PISP_COMP1"
     with pytest.raises(RigError, match="gives raw pixels as RGGB_PISP_COMP1 64x48, not SRGGB12 64x48"):
         opened()
@@ -325,7 +325,7 @@ def test_picamera2_for_another_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("address", ["", "-1", "/dev/video0", "²"])
-def test_an_address_that_is_no_number(sensor: Sensor, address: str) -> None:
+def test_an_address_that_is_no_number(sensor: _Sensor, address: str) -> None:
     with pytest.raises(RigError, match="is no number of a camera"):
         PiCamera(address, SETTINGS)
     assert not sensor.opened
@@ -347,7 +347,7 @@ def test_a_block_by_hand() -> None:
     # (2 * 500 + 1000 + 1100 + 4 * 250) / 4 = 1025 of 3839 -> 1093.35 of 4095, four bits up
     assert grey([[756, 1256], [1356, 506]]) == [[1093 << 4]]
     assert grey([[756, 1256], [1356, 506]], bits=8) == [[68]]  # 1025 / 3839 * 255 = 68.08
-    assert grey([[756, 1256], [1356, 506]], bits=16) == [[17497]]  # * 65535 = 17497.3
+    assert grey([[756, 1256], [1356, 506]], bits=16) == [[17498]]  # * 65535 = 17497.6
 
 
 def test_each_colour_has_its_black_level() -> None:

@@ -134,6 +134,11 @@ def test_a_reading_counts_when_the_next_agrees(answers: list[str], expected: int
     assert not line.script
 
 
+def test_what_arrived_before_the_question_is_no_answer() -> None:
+    line = _ScriptedLine([(ASK_12, BOTH_500 + FAR_OFF), (ASK_12, BOTH_501)], piece=11)
+    assert LscBoard(line).positions([1, 2]) == {1: 501, 2: 501}
+
+
 def test_readings_that_never_agree_are_refused() -> None:
     line = _ScriptedLine([(ASK_12, BOTH_500), (ASK_12, FAR_OFF)] * 5)
     with pytest.raises(NoAnswerError, match="no two readings of the positions agree"):

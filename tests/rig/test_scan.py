@@ -6,18 +6,20 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from rig import session
+from rig import kinematics, session
 from rig.devices import Shot
 from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
 from rig.homing import facing_angle
 from rig.markers import read_strip
 from rig.open import Devices
-from rig.rig_file import RigFile
+from rig.rig_file import ArmPart, RigFile
 from rig.scan import scan
+from rig.tangency import azimuth_rad
+from rig.twin.sketch import Sketch
+from rig.twin.world import Sight
 from scenes import frames, plan
 from scenes.dataset import Dataset, load_dataset, read_image
 from scenes.errors import UserError
@@ -43,6 +45,9 @@ class World:
     front: float = 0.0
     now_s: float = 0.0
     motor: bool = False
+    joints_deg: tuple[float, ...] | None = None
+    """Where the arm really is; None: the camera stands on a tripod where the first ring wants it."""
+    torque: bool = False
     reset: bool = False
     """Whether the board was reset since it was connected, which the driver notices at the next call."""
     calls: list[str] = field(default_factory=list)
@@ -58,6 +63,13 @@ class World:
         """Reset the board so that only its counter tells."""
         self.reset_board()
         self.reset = False
+
+    @property
+    def cam_from_rig(self) -> np.ndarray:
+        if self.joints_deg is not None:
+            return kinematics.cam_from_rig(ArmPart(), self.joints_deg)
+        ring = self.scene.plan.rings[0]
+        return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
     def reset_board(self) -> None:
         """Let the board forget everything, the rotor jump and the lamps go out."""
@@ -146,50 +158,76 @@ class FakeCamera:
         self.world.call("camera.capture")
         self.world.now_s += 0.01
         world = self.world
-        return Shot(image=drawn(world.scene, round(world.table_true_deg % 360.0, 6), world.panel, world.front), exposure_s=0.01, gain=1.0)
+        return Shot(image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front), exposure_s=0.01, gain=1.0)
 
     def close(self) -> None:
         self.world.call("camera.close")
 
 
+@dataclass
+class FakeArm:
+    """Goes beside every place by the same error."""
+
+    world: World
+    error_deg: tuple[float, ...] = (0.0, 1.5, -2.0, 1.0, 1.5)
+    settled: bool = True
+
+    def describe(self) -> str:
+        return "a fake arm"
+
+    def prepare(self) -> None:
+        self.world.call("arm.prepare")
+        self.world.torque = True
+
+    def read_joints(self) -> tuple[float, ...]:
+        self.world.call("arm.read")
+        return tuple(a - b for a, b in zip(self.world.joints_deg, self.error_deg, strict=True))
+
+    def holds(self) -> bool:
+        self.world.call("arm.holds")
+        return self.world.torque
+
+    def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
+        self.world.call("arm.move")
+        assert self.world.torque
+        self.world.joints_deg = tuple(round(a / 0.24) * 0.24 + b for a, b in zip(joints_deg, self.error_deg, strict=True))
+        self.world.now_s += 2.0
+        return self.read_joints()
+
+    def health(self) -> None:
+        self.world.call("arm.health")
+
+    def relax(self) -> None:
+        self.world.call("arm.relax")
+        self.world.torque = False
+
+    def close(self) -> None:
+        self.world.call("arm.close")
+
+
 @cache
-def drawn(scene: Scene, table_deg: float, panel: float, front: float) -> np.ndarray:
-    """Draw the strip before the panel, as the camera of the plan's first ring sees it."""
-    ring = scene.plan.rings[0]
-    (width, height), fine = scene.camera.image_wh, 4
-    image = np.full((height * fine, width * fine), 190.0 * panel + 1.0, np.float32)
-    camera = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
-    cam_from_canister = camera @ plan.rig_from_table(scene, table_deg)
-    centre = frames.invert(cam_from_canister)[:3, 3]
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    focal, principal = np.array(scene.camera.focal_px), np.array(scene.camera.principal_px)
-    for marker_id, corners in plan.marker_corners(scene.strip, scene.net_pot).items():
-        middle = corners.mean(axis=0)
-        if np.dot(middle[:2], centre[:2] - middle[:2]) < 0.3 * np.linalg.norm(middle[:2]) * np.linalg.norm(centre[:2] - middle[:2]):
-            continue
-        side = dictionary.markerSize + 4  # a white rim about the black one
-        pattern = np.pad(cv2.aruco.generateImageMarker(dictionary, marker_id, dictionary.markerSize + 2), 1, constant_values=255)
-        grown = middle + (corners - middle) * side / (side - 2)
-        cam = frames.apply(cam_from_canister, grown)
-        px = ((cam[:, :2] / cam[:, 2:]) * focal + principal + 0.5) * fine - 0.5
-        corner_px = np.float32([[-0.5, -0.5], [side - 0.5, -0.5], [side - 0.5, side - 0.5], [-0.5, side - 0.5]])
-        homography = cv2.getPerspectiveTransform(corner_px, px.astype(np.float32))
-        size = (width * fine, height * fine)
-        patch = cv2.warpPerspective(pattern.astype(np.float32), homography, size, flags=cv2.INTER_NEAREST)
-        inside = cv2.warpPerspective(np.ones((side, side), np.float32), homography, size, flags=cv2.INTER_NEAREST)
-        image = np.where(inside > 0, patch / 255.0 * 120.0 * front + 2.0, image)
-    grey = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    return (np.clip(grey, 0, 255) * 257.0).astype(np.uint16)
+def sketch(scene: Scene) -> Sketch:
+    return Sketch(scene, distortion=scene.camera.distortion, canister_from_strip=np.eye(4))
+
+
+@cache
+def drawn(scene: Scene, camera: bytes, table_deg: float, panel: float, front: float) -> np.ndarray:
+    """Draw the strip before the panel."""
+    canister = plan.rig_from_table(scene, table_deg)
+    cam_from_rig = np.frombuffer(camera).reshape(4, 4)
+    sight = Sight(cam_from_rig=cam_from_rig, rig_from_canister=canister, table_deg=table_deg, panel=panel, front=front)
+    return sketch(scene).picture(sight)
 
 
 def devices(world: World) -> Devices:
+    with_arm = world.joints_deg is not None
     return Devices(
-        rig=RigFile(),
+        rig=RigFile(arm=ArmPart() if with_arm else None),
         clock=FakeClock(world),
         table=FakeTable(world),
         lights=FakeLights(world),
         camera=FakeCamera(world),
-        arm=None,
+        arm=FakeArm(world) if with_arm else None,
         open_board=lambda: (FakeTable(world), FakeLights(world)),
     )
 
@@ -537,3 +575,49 @@ def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Monke
     made = run(world, tmp_path / "d", resume=True)
     assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
     assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+
+
+RINGS = with_rings(Ring(views=3), Ring(views=2, height_mm=-10.0, tilt_deg=5.0))
+
+
+def armed() -> World:
+    """Return a world with the arm at its place of rest."""
+    return World(scene=RINGS, joints_deg=ArmPart().park_deg)
+
+
+def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -> None:
+    world, places = armed(), []
+    world.on_call = lambda name: places.append(world.cam_from_rig) if name == "table.move" else None
+    made = run(world, tmp_path / "d")
+    assert angles(made) == [view.table_deg for view in plan.views(RINGS)]
+    for place, view in zip(places, plan.views(RINGS), strict=True):
+        off_mm, off_deg = frames.pose_error(place @ frames.rotation_z(azimuth_rad(place)), view.cam_from_rig)
+        assert off_mm < 4.0
+        assert off_deg < 1.0
+    for frame in made.frames:
+        assert len(frame.joints_deg) == len(frame.joints_read_deg) == 5
+        assert frame.joints_deg == pytest.approx(frame.joints_read_deg, abs=0.13)
+    assert {frame.joints_deg for frame in made.frames if frame.ring == 0} == {made.frames[0].joints_deg}
+    assert np.subtract(world.joints_deg, FakeArm(world).error_deg) == pytest.approx(ArmPart().park_deg, abs=0.13)
+    assert not world.torque
+
+
+def test_ring_out_of_reach_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    world = armed()
+    world.scene = with_rings(Ring(views=2), Ring(views=2, height_mm=900.0))
+    with pytest.raises(UnsafeError, match="arm: .*reach"):
+        run(world, tmp_path / "d")
+    assert world.calls == []
+
+
+@pytest.mark.parametrize("number", [3, 7, 12, 17, 23, 29, 34, 41, 47, 52, 57, 59])
+def test_ctrl_c_with_an_arm(number: int, tmp_path: Path) -> None:
+    world = armed()
+    world.on_call = stop_at(number)
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    assert (world.panel, world.front, world.torque) == (0.0, 0.0, False)
+    world.on_call = lambda _: None
+    run(world, tmp_path / "d", resume=True)
+    assert angles(load_dataset(tmp_path / "d")) == [view.table_deg for view in plan.views(RINGS)]
+    assert (world.panel, world.front, world.torque, world.motor) == (0.0, 0.0, False, False)

@@ -1,0 +1,100 @@
+"""Convex shapes that the arm must not touch, and how far links are from them.
+
+A signed distance to something convex is a convex function, so the least one along a straight link is found by a golden-section search.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from scenes.frames import Array
+
+_SEARCH_STEPS = 45
+_GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+class Solid(Protocol):
+    """Something convex in the rig frame, with a name for messages."""
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+
+    def distance_mm(self, points_mm: Array) -> Array:
+        """Return the signed distance (...,) of points (..., 3) in the rig frame, negative inside."""
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Upright, about the table's axis."""
+
+    name: str
+    radius_mm: float
+    low_mm: float
+    high_mm: float
+
+    def distance_mm(self, points_mm: Array) -> Array:
+        """Return the signed distance of points."""
+        z = points_mm[..., 2]
+        beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
+        return _joined(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
+
+
+@dataclass(frozen=True)
+class Box:
+    """Along the rig's axes."""
+
+    name: str
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+
+    def distance_mm(self, points_mm: Array) -> Array:
+        """Return the signed distance of points."""
+        return _joined(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Everything below a plane."""
+
+    name: str
+    z_mm: float
+
+    def distance_mm(self, points_mm: Array) -> Array:
+        """Return the signed distance of points."""
+        return points_mm[..., 2] - self.z_mm
+
+
+def least_distance(solid: Solid, begin: Array, end: Array) -> Array:
+    """Return the least signed distance (N,) of the segments (N, 3) to a convex solid, by golden section."""
+    if begin is end:
+        return solid.distance_mm(begin)
+    low, high = np.zeros(len(begin)), np.ones(len(begin))
+
+    def at(t: Array) -> Array:
+        return solid.distance_mm(begin + t[:, None] * (end - begin))
+
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    of_left, of_right = at(left), at(right)
+    for _ in range(_SEARCH_STEPS):
+        keep_left = of_left < of_right
+        low, high = np.where(keep_left, low, left), np.where(keep_left, right, high)
+        probe = np.where(keep_left, high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
+        of_probe = at(probe)
+        left, right = np.where(keep_left, probe, right), np.where(keep_left, left, probe)
+        of_left, of_right = np.where(keep_left, of_probe, of_right), np.where(keep_left, of_left, of_probe)
+    return np.minimum(np.minimum(of_left, of_right), np.minimum(solid.distance_mm(begin), solid.distance_mm(end)))
+
+
+def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
+    """Return the distance (N,) of points (N, 3) from segments."""
+    along = end - begin
+    length2 = np.maximum(np.sum(along**2, axis=-1), 1e-12)
+    t = np.clip(np.sum((point - begin) * along, axis=-1) / length2, 0.0, 1.0)
+    return np.linalg.norm(point - begin - t[..., None] * along, axis=-1)
+
+
+def _joined(outside_mm: Array) -> Array:
+    """Return the signed distance to what slabs at right angles to each other have in common, from the distances (..., k) to each."""
+    return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

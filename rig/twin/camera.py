@@ -1,0 +1,121 @@
+"""The twin's camera: a sensor that may stop, give old pictures or expose wrongly, and the driver that notices, as a real one must."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rig.clock import Clock
+from rig.devices import Shot
+from rig.errors import NoAnswerError
+from rig.rig_file import CameraPart
+from rig.twin.faults import Pending
+from scenes.pictures import Grey
+
+READOUT_S = 0.03
+PATIENCE_S = 10.0
+"""How long the driver waits for a picture beyond its exposure."""
+TRIES = 3
+NEAR = 0.01
+"""Relative difference at which a reported exposure time or gain counts as another."""
+
+Look = Callable[[float], Grey]
+"""Takes exposure against the nominal one; returns what the camera would store now."""
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """What comes from the sensor."""
+
+    image: Grey
+    began_s: float
+    exposure_s: float
+    gain: float
+
+
+class TwinCamera:
+    """A `rig.devices.Camera` that looks at a twin.
+
+    Parameters
+    ----------
+    look
+        Takes the picture.
+    clock
+        In which exposures take their time.
+    part
+        The settings to use.
+    nominal
+        The settings at which the scene has its stated brightness.
+    pending
+        Faults to come.
+    """
+
+    def __init__(self, look: Look, clock: Clock, *, part: CameraPart, nominal: CameraPart, pending: Pending) -> None:
+        self._look = look
+        self._clock = clock
+        self._part = part
+        self._nominal = nominal
+        self._pending = pending
+        self._count = 0
+        self._back_s = 0.0  # when a sensor that stopped gives pictures again
+        self._last: _Raw | None = None
+
+    def describe(self) -> str:
+        """Say what it is."""
+        return f"the twin's camera, exposure {1000.0 * self._part.exposure_s:g} ms, gain {self._part.gain:g}"
+
+    def prepare(self) -> None:
+        """Prove by a picture that it works."""
+        self.capture()
+
+    def capture(self) -> Shot:
+        """Take a picture whose exposure begins after this call; old and wrongly exposed ones are dropped and taken again.
+
+        Raises
+        ------
+        NoAnswerError
+            When no picture comes, or none with the wanted exposure.
+        """
+        wrong = ""
+        for _ in range(TRIES):
+            asked_s = self._clock.now_s()
+            raw = self._frame()
+            if raw.began_s < asked_s:
+                wrong = "gives old pictures"
+            elif not (_near(raw.exposure_s, self._part.exposure_s) and _near(raw.gain, self._part.gain)):
+                wrong = f"exposes for {1000.0 * raw.exposure_s:g} ms instead of {1000.0 * self._part.exposure_s:g} ms"
+            else:
+                return Shot(image=raw.image, exposure_s=raw.exposure_s, gain=raw.gain)
+        raise NoAnswerError(f"camera: {wrong} ({TRIES} times in a row); open it again, and see that no other program uses it")
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to give back."""
+
+    def _frame(self) -> _Raw:
+        self._count += 1
+        exposure_s, stale = self._part.exposure_s, False
+        for fault in self._pending.due("camera", "shot", self._count, self._clock.now_s()):
+            self._pending.use(fault, self._clock.now_s())
+            if fault.kind == "camera_stopped":
+                self._back_s = self._clock.now_s() + (fault.amount or float("inf"))
+            elif fault.kind == "wrong_exposure":
+                exposure_s *= fault.amount
+            else:
+                stale = True
+        waited_s = self._back_s - self._clock.now_s()
+        self._clock.sleep(min(waited_s, PATIENCE_S))
+        if waited_s > PATIENCE_S:
+            raise NoAnswerError(f"camera: no picture came within {PATIENCE_S:g} s; check its cable and power, then go on with --resume")
+        if stale:
+            return self._last or self._expose(exposure_s, began_s=-1.0)
+        self._last = self._expose(exposure_s, began_s=self._clock.now_s())
+        return self._last
+
+    def _expose(self, exposure_s: float, *, began_s: float) -> _Raw:
+        """Look at the world in the middle of the exposure."""
+        self._clock.sleep(exposure_s / 2.0)
+        image = self._look(exposure_s * self._part.gain / (self._nominal.exposure_s * self._nominal.gain))
+        self._clock.sleep(exposure_s / 2.0 + READOUT_S)
+        return _Raw(image, began_s, exposure_s, self._part.gain)
+
+
+def _near(value: float, wanted: float) -> bool:
+    return abs(value - wanted) <= NEAR * abs(wanted)

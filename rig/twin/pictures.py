@@ -1,0 +1,177 @@
+"""Pictures of the twin rendered by `sim`, with the camera's noise, and their truth. The only module of the rig that knows `sim`.
+
+`sim` is imported when something is rendered or drawn, not before: `rig` runs without Mitsuba. Whoever wants rendered pictures has chosen
+Mitsuba's variant by then.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.twin.world import Sight
+from scenes import frames
+from scenes.atomic import write_image
+from scenes.errors import UserError
+from scenes.model import Scene
+from scenes.pictures import Grey
+from scenes.truth import save_truth
+
+if TYPE_CHECKING:
+    from sim.render import Renderer
+    from sim.specimen import SpecimenSolid
+    from sim.world import TrueCamera, World
+
+Light = NDArray[np.float32]
+_NOISE = 106  # second key of the noise's random stream; those of the devices are in `rig.twin.world`
+_KEPT = 8
+"""Pictures kept for states that are looked at again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """What a scene's disturbances have drawn for a seed, as far as the rig is concerned."""
+
+    table_from_canister: frames.Array
+    canister_from_strip: frames.Array
+    distortion: tuple[float, float, float, float, float]
+    ring_cameras: tuple[frames.Array, ...]
+    """``cam_from_rig`` of a camera put up by hand, for each ring of the plan."""
+
+
+def draw(scene: Scene, *, seed: int) -> Drawn:
+    """Draw as `sim.world.draw_world` does: the same scene and seed stand the same in simulated pictures and on the twin."""
+    from sim.world import draw_world
+
+    world = draw_world(scene, seed=seed)
+    firsts = np.cumsum([0, *(ring.views for ring in scene.plan.rings)])[:-1]
+    return Drawn(
+        table_from_canister=world.table_from_canister,
+        canister_from_strip=world.canister_from_strip,
+        distortion=world.distortion,
+        ring_cameras=tuple(world.cameras[first].cam_from_rig for first in firsts),
+    )
+
+
+def calibrated_scene(scene: Scene) -> Scene:
+    """Return what a lab knows of a scene: the nominal rig and the calibrated lens."""
+    from sim.world import as_given
+
+    return as_given(scene)
+
+
+class Rendered:
+    """Renders a scene as `sim.simulate` does, with the ``backlit`` fidelity, wherever camera and table are.
+
+    Parameters
+    ----------
+    scene
+        With its specimen (None: an empty canister) and disturbances; those of arm and table are the twin's own affair.
+    seed
+        Of the disturbances and the noise.
+    samples
+        Rays a pixel, a square number; None: the default.
+    """
+
+    def __init__(self, scene: Scene, *, seed: int, samples: int | None = None) -> None:
+        self._scene = scene
+        self._seed = seed
+        self._samples = samples
+        self._world: World | None = None
+        self._solid: SpecimenSolid | None = None
+        self._renderers: dict[tuple[bool, bool], Renderer] = {}
+        self._pictures: OrderedDict[bytes, Grey] = OrderedDict()
+        self._masks: dict[bytes, bytes] = {}  # compressed
+
+    def picture(self, sight: Sight) -> Grey:
+        """Return what the camera stores for a state of the world; it depends on that state, the scene and the seed only."""
+        from sim.exposure import expose
+
+        key = sight.key
+        if key not in self._pictures:
+            rng = np.random.default_rng([self._seed, _NOISE, int.from_bytes(key, "little")])
+            light = self.light(sight) * np.float32(sight.exposure)
+            self._pictures[key] = np.asarray(expose(light, self._scene.camera, self._scene.disturbances, rng=rng))
+            if len(self._pictures) > _KEPT:
+                self._pictures.popitem(last=False)
+        self._pictures.move_to_end(key)
+        return self._pictures[key].copy()
+
+    def light(self, sight: Sight) -> Light:
+        """Return linear light (H, W), 1 being full scale at nominal exposure: the lamps' shares add up."""
+        width, height = self._scene.camera.image_wh
+        both = min(sight.panel, sight.front)
+        light = np.zeros((height, width), np.float32)
+        for level, panel, front in ((both, True, True), (sight.panel - both, True, False), (sight.front - both, False, True)):
+            if level > 0.0:
+                light += np.float32(level) * self._look(sight, panel=panel, front=front)
+        return light
+
+    def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
+        """Write the ``truth`` of a dataset, given each picture's file name and what it shows.
+
+        Raises
+        ------
+        UserError
+            When the scene has no specimen.
+        """
+        from sim.truth import truth_of, write_specimen
+
+        world = self._drawn()
+        if self._solid is None:
+            raise UserError(f"scene {self._scene.name!r} has no specimen, so that its pictures have no truth")
+        write_specimen(folder, self._solid)
+        for file, sight in taken:
+            if sight.place_key not in self._masks:
+                self._look(sight, panel=True, front=True)
+            mask = np.frombuffer(zlib.decompress(self._masks[sight.place_key]), np.uint16)
+            write_image(folder / "truth" / "masks" / Path(file).name, mask.reshape(self._scene.camera.image_wh[::-1]))
+        save_truth(folder, truth_of(world, self._solid, [(file, _camera(sight)) for file, sight in taken]))
+
+    def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
+        """Render with one lamp or both at full; keep the mask."""
+        from sim.exposure import mask_picture
+
+        renderer = self._renderer(panel=panel, front=front)
+        image, coverage = renderer.look(_camera(sight), ring=self._nearest_ring(sight))
+        if sight.place_key not in self._masks:
+            self._masks[sight.place_key] = zlib.compress(mask_picture(coverage).tobytes(), 1)
+        return image
+
+    def _renderer(self, *, panel: bool, front: bool) -> Renderer:
+        from sim.render import Renderer
+
+        if (panel, front) not in self._renderers:
+            world = self._drawn()
+            lights = self._scene.lights
+            lit = replace(lights, backlight_level=lights.backlight_level * panel, front_level=lights.front_level * front)
+            scene = replace(self._scene, lights=lit)
+            self._renderers[panel, front] = Renderer(scene, replace(world, scene=scene), self._solid, samples=self._samples)
+        return self._renderers[panel, front]
+
+    def _drawn(self) -> World:
+        from sim.specimen import build_specimen
+        from sim.world import draw_world
+
+        if self._world is None:
+            self._world = draw_world(self._scene, seed=self._seed)
+            self._solid = build_specimen(self._scene) if self._scene.specimen is not None else None
+        return self._world
+
+    def _nearest_ring(self, sight: Sight) -> int:
+        """Return the ring whose camera is nearest: the lens is focused for it."""
+        x, y, z = frames.invert(sight.cam_from_rig)[:3, 3]
+        rings = self._scene.plan.rings
+        return min(range(len(rings)), key=lambda i: np.hypot(np.hypot(x, y) - rings[i].distance_mm, z - rings[i].height_mm))
+
+
+def _camera(sight: Sight) -> TrueCamera:
+    from sim.world import TrueCamera
+
+    return TrueCamera(cam_from_rig=sight.cam_from_rig, rig_from_canister=sight.rig_from_canister, table_deg=sight.table_deg)

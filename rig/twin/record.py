@@ -1,0 +1,88 @@
+"""What the twin's pictures really show, remembered by the pictures' content: a scan's files are told by it, after a restart, too."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.twin.world import Sight
+from scenes.errors import UserError
+from scenes.pictures import Grey
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakenShot:
+    """One picture that the twin's camera took."""
+
+    pixels: str
+    """SHA-256 of its pixels (`digest_of`)."""
+    time_s: float
+    """Virtual time of the exposure's middle."""
+    sight: Sight
+
+
+def digest_of(image: Grey) -> str:
+    """Return the SHA-256 of a picture's size, depth and pixels, in hexadecimal."""
+    head = f"{image.shape} {image.dtype}".encode()
+    return hashlib.sha256(head + np.ascontiguousarray(image).tobytes()).hexdigest()
+
+
+class Record:
+    """The pictures taken, in memory and, once `keep_in` was called, in a file of JSON lines."""
+
+    def __init__(self) -> None:
+        self.shots: list[TakenShot] = []
+        self._known: dict[str, TakenShot] = {}
+        self._path: Path | None = None
+
+    def keep_in(self, path: Path) -> None:
+        """Take up the shots of an earlier run from a file, and append to it from now on.
+
+        Raises
+        ------
+        UserError
+            When the file cannot be read or written.
+        """
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+            for line in lines:
+                shot = _parsed(line)
+                if shot is not None:
+                    self._known[shot.pixels] = shot
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a", encoding="utf-8") as file:
+                file.writelines(_line(shot) for shot in self.shots)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be used for the twin's record ({error.strerror})") from error
+        self._path = path
+
+    def add(self, image: Grey, sight: Sight, time_s: float) -> None:
+        """Remember a picture."""
+        shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)
+        self.shots.append(shot)
+        self._known[shot.pixels] = shot
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(_line(shot))
+
+    def shot_of(self, image: Grey) -> TakenShot | None:
+        """Return the shot that gave a picture; None when this twin did not take it."""
+        return self._known.get(digest_of(image))
+
+
+def _line(shot: TakenShot) -> str:
+    sight = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in asdict(shot.sight).items()}
+    return json.dumps({"pixels": shot.pixels, "time_s": shot.time_s, "sight": sight}) + "\n"
+
+
+def _parsed(line: str) -> TakenShot | None:
+    """Read a line back; None for one that a killed run left unfinished."""
+    try:
+        plain: dict[str, Any] = json.loads(line)
+        sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}
+        return TakenShot(pixels=plain["pixels"], time_s=plain["time_s"], sight=Sight(**sight))
+    except (ValueError, KeyError, TypeError):
+        return None

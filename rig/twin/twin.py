@@ -1,0 +1,239 @@
+"""A whole emulated rig within this process, in virtual time."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import serial
+
+from rig.clock import Clock
+from rig.rig_file import ArmPart, CameraPart, RigFile
+from rig.twin import pictures as rendering
+from rig.twin import protocol_twin
+from rig.twin.adapter import Adapter
+from rig.twin.camera import Look, TwinCamera
+from rig.twin.clock import VirtualClock
+from rig.twin.faults import Device, Fault, Pending
+from rig.twin.imperfections import imperfections_of
+from rig.twin.line import Line
+from rig.twin.lsc_adapter import LscAdapter
+from rig.twin.lx_adapter import LxAdapter
+from rig.twin.marlin_adapter import MarlinAdapter
+from rig.twin.record import Record
+from rig.twin.sketch import Sketch
+from rig.twin.world import Sight, TwinWorld
+from scenes.dataset import Frame
+from scenes.errors import UserError
+from scenes.model import Scene
+from scenes.pictures import Grey, decode_grey
+
+PictureKind = Literal["render", "sketch"]
+ArmProtocol = Literal["lx", "lsc"]
+LSC_BAUD = 9600
+_NUMBERS = itertools.count(1)
+
+
+class Painter(Protocol):
+    """What makes the twin's pictures."""
+
+    def picture(self, sight: Sight) -> Grey:
+        """Return what the camera stores for a state of the world."""
+
+
+class Twin:
+    """Devices, world, camera and ports of an emulated rig.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its specimen and disturbances; those of arm and table are left to the devices' own errors.
+    seed : int
+        Of every error and all noise; 0 is a seed.
+    profile_name : str
+        Which devices' errors: none for ``clean``.
+    faults : iterable of Fault
+        What goes wrong.
+    pictures : {"render", "sketch"}
+        Rendered by `sim` (Mitsuba's variant has been chosen), or drawn in milliseconds.
+    rig : RigFile or None
+        What the devices are; its ports are replaced by those of the twin. None: the default rig with an arm.
+    protocol : {"lx", "lsc"}
+        Of the arm, where ``rig`` is None.
+    resets_on_open : bool
+        Whether opening the table's port resets the board, as on boards with a USB serial chip.
+    samples : int or None
+        Rays a pixel of rendered pictures.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        profile_name: str = "bench",
+        faults: Iterable[Fault] = (),
+        pictures: PictureKind = "render",
+        rig: RigFile | None = None,
+        protocol: ArmProtocol = "lx",
+        resets_on_open: bool = False,
+        samples: int | None = None,
+    ) -> None:
+        if seed < 0:
+            raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
+        if protocol_twin.PACKAGE not in serial.protocol_handler_packages:
+            serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
+        self.scene = scene
+        self.seed = seed
+        self.rig = _with_ports(rig or default_rig(protocol), f"twin://{next(_NUMBERS)}")
+        self.clock = VirtualClock()
+        self.pending = Pending(tuple(faults))
+        self.record = Record()
+        drawn = rendering.draw(scene, seed=seed)
+        self._ring_cameras = drawn.ring_cameras
+        self.world = TwinWorld(
+            scene, self.rig, seed=seed, imperfections=imperfections_of(profile_name), table_from_canister=drawn.table_from_canister
+        )
+        self.put_camera(0)
+        self._rendered = rendering.Rendered(scene, seed=seed, samples=samples) if pictures == "render" else None
+        self._painter: Painter = self._rendered or Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
+        self.board = MarlinAdapter(self.world.table, (self.world.lamp(0), self.world.lamp(1)))
+        self._resets_on_open = resets_on_open
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._was_s = 0.0
+        self.clock.add(self)
+        self.lines = {"table": self._line("table", self.board, self.rig.turntable.baud)}
+        if self.rig.arm is not None:
+            adapter: Adapter = (LscAdapter if self.rig.arm.protocol == "lsc" else LxAdapter)(self.world.servos, self.world.supply)
+            self.lines["arm"] = self._line("arm", adapter, self.rig.arm.baud)
+        self._sockets = []
+        for (name, line), url in zip(self.lines.items(), self._urls(), strict=True):
+            self.clock.add(line)
+            socket = protocol_twin.Socket(line, self.clock, self.board_opened if name == "table" else _nothing)
+            protocol_twin.register(url, socket)
+            self._sockets.append(socket)
+
+    def open_camera(self, part: CameraPart | None = None, *, clock: Clock | None = None, look: Look | None = None) -> TwinCamera:
+        """Return the camera.
+
+        Parameters
+        ----------
+        part
+            Its settings; None: those of the rig file, which give the scene's brightness.
+        clock, look
+            For a twin in real time: whose time exposures take, and what takes the picture.
+        """
+        return TwinCamera(
+            look or self.look, clock or self.clock, part=part or self.rig.camera, nominal=self.rig.camera, pending=self.pending
+        )
+
+    def look(self, exposure: float = 1.0) -> Grey:
+        """Return what the camera stores of the world as it is, and remember what that is."""
+        return self.paint(self.world.sight(exposure=exposure))
+
+    def paint(self, sight: Sight) -> Grey:
+        """Return what the camera stores of a state of the world, and remember it."""
+        image = self._painter.picture(sight)
+        self.record.add(image, sight, self.clock.now_s())
+        return image
+
+    def calibrated_scene(self) -> Scene:
+        """Return what a lab knows: the nominal scene with the calibrated lens, without specimen and disturbances."""
+        return rendering.calibrated_scene(self.scene)
+
+    def put_camera(self, ring: int) -> None:
+        """Without an arm: put the tripod where a ring of the plan wants it, as well as a hand does."""
+        self.world.tripod_cam_from_rig = self._ring_cameras[ring]
+
+    def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> None:
+        """Write the ``truth`` of a dataset that was taken with this twin: solid, skeleton, true poses, masks.
+
+        Raises
+        ------
+        UserError
+            When a frame was not taken by this twin (or one whose record it keeps), the scene has no specimen, or pictures are sketches.
+        """
+        if self._rendered is None:
+            raise UserError("sketched pictures show no specimen, so that they have no truth; let the twin render them")
+        taken = []
+        for frame in frames:
+            path = Path(folder) / frame.file
+            shot = self.record.shot_of(decode_grey(path.read_bytes(), where=str(path)))
+            if shot is None:
+                raise UserError(f"{path}: was not taken by this twin, so that its true pose is not known")
+            taken.append((frame.file, shot.sight))
+        self._rendered.write_truth(Path(folder), taken)
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault happen."""
+        self.pending.add(fault)
+
+    def break_device(self, fault: Fault) -> None:
+        """Let a fault of kind "device" happen now."""
+        now_s = self.clock.now_s()
+        self.pending.use(fault, now_s)
+        until_s = now_s + fault.amount if fault.amount > 0.0 else math.inf
+        if fault.kind == "reset":
+            self._reset("Watchdog Reset")
+        elif fault.kind == "stopped":
+            self.board.commands.stopped = True
+        elif fault.kind == "unplugged":
+            self.lines[fault.device].unplug()
+            self._later.append((until_s, self.lines[fault.device].plug))
+        elif fault.kind == "brown_out":
+            self.world.brown_out(fault.amount)
+        elif self.rig.arm is not None:
+            servo = self.world.servos[self.rig.arm.joints[fault.joint % len(self.rig.arm.joints)].servo]
+            if fault.kind == "overheated":
+                servo.heat(fault.amount)
+            else:
+                servo.stalled = True
+                self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
+
+    def board_opened(self) -> None:
+        """Act as the board does when the host opens its port."""
+        if self._resets_on_open:
+            self._reset("External Reset")
+
+    def next_s(self) -> float:
+        """Return when a fault happens or ends by the clock."""
+        return min([self.pending.next_s(), *(at_s for at_s, _ in self._later)])
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the devices act up to now; then let happen what is due."""
+        self.world.advance(now_s - self._was_s)
+        self._was_s = now_s
+        for name in self.lines:
+            for fault in self.pending.due(self.lines[name].device, "device", -1, now_s):
+                self.break_device(fault)
+        due = [action for at_s, action in self._later if at_s <= now_s]
+        self._later = [later for later in self._later if later[0] > now_s]
+        for action in due:
+            action()
+
+    def _line(self, device: Device, adapter: Adapter, baud: int) -> Line:
+        return Line(device, adapter, baud=baud, pending=self.pending, break_device=self.break_device)
+
+    def _reset(self, reason: str) -> None:
+        self.board.reset(self.clock.now_s(), reason=reason)
+        self.lines["table"].silence()
+
+    def _urls(self) -> list[str]:
+        return [self.rig.turntable.port, *([self.rig.arm.port] if self.rig.arm is not None else [])]
+
+
+def default_rig(protocol: ArmProtocol = "lx") -> RigFile:
+    """Return the rig that a twin is when nothing else is said."""
+    arm = ArmPart(protocol="lsc", baud=LSC_BAUD) if protocol == "lsc" else ArmPart()
+    return RigFile(name="twin", description="an emulated rig", arm=arm)
+
+
+def _with_ports(rig: RigFile, base: str) -> RigFile:
+    table = replace(rig.turntable, port=f"{base}/table")
+    return replace(rig, turntable=table, arm=None if rig.arm is None else replace(rig.arm, port=f"{base}/arm"))
+
+
+def _nothing() -> None:
+    """Nothing happens."""

@@ -1,0 +1,148 @@
+"""The commands that print and calibrate: what they accept, how they fail in one sentence, and the way from twin pictures to a scene."""
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin import cli
+from scenes.atomic import write_image
+from scenes.board import CharucoBoard, load_board
+from scenes.files import load_scene
+
+
+def run(words: str) -> int:
+    """Run a command line; return its exit code."""
+    return cli.main(words.split())
+
+
+def run_and_fail(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Run a command line that must fail; return its exit code and the one sentence it leaves on stderr."""
+    code = run(words)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "look for the board" not in line and line.strip()]
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("rhizotwin: ")
+    return code, lines[0]
+
+
+@pytest.mark.parametrize("words", ["markers", "calibrate", "calibrate board", "calibrate camera", "calibrate simulate"])
+def test_help_teaches(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([*words.split(), "--help"])
+    said = capsys.readouterr().out
+    assert stopped.value.code == 0
+    assert f"rhizotwin {words} " in said
+    assert "None" not in said
+
+
+def parsed(words: str) -> argparse.Namespace:
+    """Return what a command line means."""
+    return cli.build_parser().parse_args(words.split())
+
+
+def test_defaults_and_forms_of_the_options() -> None:
+    options = parsed("markers printed_8ml -o strip.pdf")
+    assert (options.page, options.turn, options.printed_ruler_mm, options.paper_mm) == ("a4", None, (100.0, 100.0), 0.1)
+    options = parsed("markers s -o f.svg --page 520X210 --portrait --printed-ruler-mm 99.6")
+    assert (options.page, options.turn, options.printed_ruler_mm) == ((520.0, 210.0), "portrait", (99.6, 99.6))
+    assert parsed("calibrate board -o f.svg --printed-ruler-mm 99.6x100.2").printed_ruler_mm == (99.6, 100.2)
+    options = parsed("calibrate simulate s -o p --squares 9x6 --pictures 12")
+    assert (options.squares, options.pictures, options.seed, options.square_mm) == ((9, 6), 12, 0, None)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A command line that cannot be meant, and what the complaint must name."""
+
+    words: str
+    named: str
+
+
+MISTAKES = [
+    Mistake("markers", "SCENE"),
+    Mistake("markers printed_8ml", "-o"),
+    Mistake("markers no_such_scene -o strip.pdf", "no_such_scene"),
+    Mistake("markers printed_8ml -o strip.png", "strip.png"),
+    Mistake("markers printed_8ml -o strip.pdf --page a9", "'a9' is no page"),
+    Mistake("markers printed_8ml -o strip.pdf --page 297x", "'297x' is no page"),
+    Mistake("markers printed_8ml -o strip.pdf --page 20x20", "50 to 5000"),
+    Mistake("markers printed_8ml -o strip.pdf --page 160x80", "too small for the strip"),
+    Mistake("markers printed_8ml -o strip.pdf --printed-ruler-mm 60", "90 to 110"),
+    Mistake("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not what 100 mm became"),
+    Mistake("markers printed_8ml -o strip.pdf --paper-mm 9", "0 to 2"),
+    Mistake("markers printed_8ml -o strip.pdf --landscape --portrait", "--portrait"),
+    Mistake("calibrate", "STEP"),
+    Mistake("calibrate lens", "lens"),
+    Mistake("calibrate board -o board.pdf --squares 7", "write it as 7x5"),
+    Mistake("calibrate board -o board.pdf --squares 2x5", "3 to 60"),
+    Mistake("calibrate board -o board.pdf --square-mm 60", "does not fit"),
+    Mistake("calibrate board -o board.pdf --marker-mm 29", "marker_mm = 29.0: must be at most 27"),
+    Mistake("calibrate board -o board.pdf --dictionary 9X9", "9X9"),
+    Mistake("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "needs 200 markers"),
+    Mistake("calibrate camera no_such_folder -o lens", "no_such_folder"),
+    Mistake("calibrate camera pictures -o lens --board no_such.toml", "no_such.toml"),
+    Mistake("calibrate camera pictures -o lens --board b.toml --squares 9x6", "leave --squares out"),
+    Mistake("calibrate camera pictures -o lens --scene no_such_scene", "no_such_scene"),
+    Mistake("calibrate camera pictures -o lens", "none of the 3 pictures can be used"),
+    Mistake("calibrate simulate printed_8ml -o pictures", "not empty"),
+    Mistake("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
+    Mistake("calibrate simulate printed_8ml -o twin --profile foggy", "foggy"),
+    Mistake("calibrate simulate printed_8ml -o twin --square-mm 500", "too large for the camera"),
+]
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words)
+def test_a_mistake_is_one_sentence_and_writes_nothing(
+    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for k in range(3):
+        write_image(tmp_path / "pictures" / f"{k}.png", np.full((300, 400), 100, np.uint8))
+    code, said = run_and_fail(mistake.words, capsys)
+    assert code == 2
+    assert mistake.named in said
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+
+
+def test_the_strip_and_the_board_are_written_and_nothing_is_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("markers printed_8ml -o strip.pdf") == 0
+    assert "159.2 mm across" in capsys.readouterr().out
+    assert run("calibrate board -o board.svg --squares 6x5 --square-mm 25") == 0
+    assert load_board(tmp_path / "board.toml") == CharucoBoard(squares_xy=(6, 5), square_mm=25.0, marker_mm=18.333)
+    capsys.readouterr()
+    assert "strip.pdf exists already" in run_and_fail("markers printed_8ml -o strip.pdf", capsys)[1]
+    assert "board.toml exists already" in run_and_fail("calibrate board -o board.pdf", capsys)[1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["board.svg", "board.toml", "strip.pdf"]
+
+
+def test_from_twin_pictures_to_a_scene_with_their_lens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("scenes sphere_20mm -o mine.toml") == 0
+    assert run("calibrate simulate mine.toml -o twin --profile bench --pictures 10 --seed 1 --image-wh 400x300 --device cpu") == 0
+    pictures = {f"board_{k:03d}.png" for k in range(10)}
+    assert {path.name for path in (tmp_path / "twin").iterdir()} == {*pictures, "board.toml", "truth"}
+    (tmp_path / "twin" / "view.png").write_bytes(b"not a picture")
+    capsys.readouterr()
+    assert run("calibrate camera twin -o lens") == 0
+    said = capsys.readouterr().out
+    assert "left out view.png: " in said
+    assert "in 10 of 11 pictures" in said
+    assert sorted(path.name for path in (tmp_path / "lens").iterdir()) == ["calibration.json", "camera.toml", "report.html"]
+    true = json.loads((tmp_path / "twin" / "truth" / "camera.json").read_text(encoding="utf-8"))["camera"]
+    found = load_scene(tmp_path / "lens" / "camera.toml").camera
+    np.testing.assert_allclose(found.focal_px, true["focal_px"], rtol=1e-3)
+
+    assert "its camera takes pictures of 800x600 px" in run_and_fail("calibrate camera twin -o two --scene mine.toml", capsys)[1]
+    text = (tmp_path / "mine.toml").read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text.replace("image_wh = [800, 600]", "image_wh = [400, 300]"), encoding="utf-8")
+    assert run("calibrate camera twin -o two --scene mine.toml") == 0
+    assert load_scene(tmp_path / "two" / "scene.toml").camera == found
+    assert "lens: exists already" in run_and_fail("calibrate camera twin -o lens", capsys)[1].replace(str(tmp_path) + "/", "")

@@ -1,0 +1,260 @@
+"""cv2.VideoCapture is stood in for by a camera that buffers frames, ignores or reverts settings, and goes away."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.cameras import open_camera
+from rig.cameras.settings import CameraSettings
+from rig.cameras.v4l2 import V4l2Camera
+from rig.clock import SystemClock
+from rig.errors import RigError
+from rig.rig_file import CameraPart
+
+BUFFERS = 4
+SETTINGS = CameraSettings(image_wh=(32, 24), bits=8, exposure_s=0.0156, gain=16.0, white_balance_kelvin=4600)
+ALL = {
+    cv2.CAP_PROP_AUTO_EXPOSURE: 3.0,
+    cv2.CAP_PROP_EXPOSURE: 250.0,
+    cv2.CAP_PROP_GAIN: 64.0,
+    cv2.CAP_PROP_AUTO_WB: 1.0,
+    cv2.CAP_PROP_WB_TEMPERATURE: 3000.0,
+    cv2.CAP_PROP_AUTOFOCUS: 1.0,
+    cv2.CAP_PROP_GAMMA: 220.0,
+}
+
+
+@dataclass
+class _Device:
+    """What the fake camera is and does; one for a test."""
+
+    there: bool = True
+    controls: dict[int, float] = field(default_factory=lambda: dict(ALL))
+    stuck: set[int] = field(default_factory=set)
+    """Controls whose setting is said to have worked, and did not."""
+    reverts: dict[int, float] = field(default_factory=dict)
+    """What controls go back to with the first frames."""
+    sizes: tuple[tuple[int, int], ...] = ((32, 24), (16, 12))
+    colour: tuple[int, int, int] = (100, 100, 100)
+    frames_left: int = 10**6
+    opened_with: list[tuple[object, int]] = field(default_factory=list)
+    order: list[int] = field(default_factory=list)
+    released: int = 0
+
+
+class _FakeCapture:
+    device: _Device
+
+    def __init__(self, source: object, backend: int) -> None:
+        self.device.opened_with.append((source, backend))
+        self._size = [16, 12]
+        self._fourcc = cv2.VideoWriter.fourcc(*"MJPG")
+        self._waiting: deque[NDArray[np.uint8]] = deque()
+        self._exposing: NDArray[np.uint8] | None = None
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self.device.there
+
+    def set(self, prop: int, value: float) -> bool:
+        self.device.order.append(prop)
+        if prop == cv2.CAP_PROP_FOURCC:
+            self._fourcc = int(value)
+        elif prop == cv2.CAP_PROP_FRAME_WIDTH:
+            self._size[0] = int(value)
+        elif prop == cv2.CAP_PROP_FRAME_HEIGHT:
+            wanted = (self._size[0], int(value))
+            self._size = list(wanted if wanted in self.device.sizes else self.device.sizes[0])
+        elif prop not in self.device.controls:
+            return False
+        elif prop not in self.device.stuck:
+            self.device.controls[prop] = float(round(value))
+        return True
+
+    def get(self, prop: int) -> float:
+        return float(self._fourcc) if prop == cv2.CAP_PROP_FOURCC else self.device.controls.get(prop, -1.0)
+
+    def _scene(self) -> NDArray[np.uint8]:
+        return np.full((self._size[1], self._size[0], 3), self.device.colour, np.uint8)
+
+    def fill(self) -> None:
+        """Let time pass: every buffer is full, and one more frame is being exposed."""
+        self._waiting.extend(self._scene() for _ in range(BUFFERS - len(self._waiting)))
+        self._exposing = self._scene()
+
+    def grab(self) -> bool:
+        self.device.controls |= self.device.reverts
+        if self.device.frames_left <= 0:
+            return False
+        self.device.frames_left -= 1
+        if self._waiting:
+            self._grabbed = self._waiting.popleft()
+        else:
+            self._grabbed, self._exposing = self._scene() if self._exposing is None else self._exposing, None
+        return True
+
+    def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
+        return (True, self._grabbed) if self.grab() else (False, None)
+
+    def release(self) -> None:
+        self.device.released += 1
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> _Device:
+    found = _Device()
+    monkeypatch.setattr(cv2, "VideoCapture", type("VideoCapture", (_FakeCapture,), {"device": found}))
+    return found
+
+
+def opened(address: str = "0", settings: CameraSettings = SETTINGS) -> V4l2Camera:
+    camera = V4l2Camera(address, settings)
+    camera.prepare()
+    return camera
+
+
+def test_everything_automatic_is_off(device: _Device) -> None:
+    shot = opened().capture()
+    assert device.controls == {
+        cv2.CAP_PROP_AUTO_EXPOSURE: 1.0,
+        cv2.CAP_PROP_EXPOSURE: 156.0,  # of 100 us
+        cv2.CAP_PROP_GAIN: 16.0,
+        cv2.CAP_PROP_AUTO_WB: 0.0,
+        cv2.CAP_PROP_WB_TEMPERATURE: 4600.0,
+        cv2.CAP_PROP_AUTOFOCUS: 0.0,
+        cv2.CAP_PROP_GAMMA: 100.0,
+    }
+    assert (shot.exposure_s, shot.gain) == (pytest.approx(0.0156), 16.0)
+    assert shot.image.dtype == np.uint8
+    assert shot.image.shape == (24, 32)
+
+
+def test_controls_come_after_what_restarts_the_stream(device: _Device) -> None:
+    opened()
+    first_control = min(device.order.index(prop) for prop in ALL)
+    assert device.order.index(cv2.CAP_PROP_FRAME_HEIGHT) < first_control
+    assert device.order.index(cv2.CAP_PROP_BUFFERSIZE) < first_control
+    assert device.order.index(cv2.CAP_PROP_AUTO_EXPOSURE) < device.order.index(cv2.CAP_PROP_EXPOSURE)
+    assert device.order.index(cv2.CAP_PROP_AUTO_WB) < device.order.index(cv2.CAP_PROP_WB_TEMPERATURE)
+
+
+def test_a_picture_is_exposed_after_the_call(device: _Device) -> None:
+    camera = opened()
+    camera._capture.fill()
+    device.colour = (200, 200, 200)
+    assert camera.capture().image.min() == 200
+
+
+def test_grey_is_luminance(device: _Device) -> None:
+    device.colour = (10, 100, 200)  # blue, green, red
+    assert opened().capture().image[0, 0] == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+
+
+@pytest.mark.parametrize("address", ["2", "/dev/video7"])
+def test_address(device: _Device, address: str) -> None:
+    camera = opened(address)
+    assert device.opened_with == [(2 if address == "2" else address, cv2.CAP_V4L2)]
+    name = "/dev/video2" if address == "2" else address
+    assert camera.describe() == f"USB camera {name}, 32x24, 8 bits, YUYV, 15.6 ms"
+
+
+@pytest.mark.parametrize("address", ["", "usb", "http://pi:8471", "³"])
+def test_no_address(address: str) -> None:
+    with pytest.raises(RigError, match="neither a number nor a device file"):
+        V4l2Camera(address, SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("prop", "said"),
+    [
+        (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure is 3 instead of 1"),
+        (cv2.CAP_PROP_EXPOSURE, r"exposure \(in 0.1 ms\) is 250 instead of 156"),
+        (cv2.CAP_PROP_GAIN, "gain is 64 instead of 16"),
+        (cv2.CAP_PROP_AUTO_WB, "automatic white balance is 1 instead of 0"),
+        (cv2.CAP_PROP_WB_TEMPERATURE, "white balance is 3000 instead of 4600"),
+        (cv2.CAP_PROP_AUTOFOCUS, "autofocus is 1 instead of 0"),
+    ],
+)
+def test_what_a_driver_says_is_not_believed(device: _Device, prop: int, said: str) -> None:
+    device.stuck = {prop}
+    with pytest.raises(RigError, match=f"camera /dev/video0: its settings do not hold: {said}; v4l2-ctl"):
+        opened()
+    assert device.released == 1
+
+
+def test_settings_that_go_back_once_frames_come(device: _Device) -> None:
+    device.reverts = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}
+    with pytest.raises(RigError, match="automatic exposure is 3 instead of 1"):
+        opened()
+
+
+def test_settings_that_go_back_later(device: _Device) -> None:
+    camera = opened()
+    camera.capture()
+    device.reverts = {cv2.CAP_PROP_EXPOSURE: 80.0}
+    with pytest.raises(RigError, match="is 80 instead of 156"):
+        camera.capture()
+
+
+def test_a_camera_without_colours_gain_and_focus(device: _Device) -> None:
+    device.controls = {prop: ALL[prop] for prop in (cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE)}
+    camera = opened()
+    assert camera.capture().gain is None
+    assert "its gamma cannot be set to 1, so that pictures may not be linear in light" in camera.describe()
+
+
+def test_a_camera_that_exposes_as_it_likes(device: _Device) -> None:
+    device.controls = {}
+    with pytest.raises(RigError, match=r"automatic exposure is missing instead of 1, exposure .* is missing instead of 156"):
+        opened()
+
+
+def test_too_short_an_exposure(device: _Device) -> None:
+    device.stuck = {cv2.CAP_PROP_EXPOSURE}
+    device.controls[cv2.CAP_PROP_EXPOSURE] = 1.0
+    with pytest.raises(RigError, match=r"is 1 instead of 0\.1"):
+        opened(settings=CameraSettings(image_wh=(32, 24), bits=8, exposure_s=1e-5, gain=16.0))
+
+
+def test_no_camera(device: _Device) -> None:
+    device.there = False
+    with pytest.raises(RigError, match="camera /dev/video0: cannot be opened; look for it with ls /dev/video"):
+        opened()
+    assert device.released == 1
+
+
+def test_another_size(device: _Device) -> None:
+    device.sizes = ((16, 12),)
+    with pytest.raises(RigError, match="gives pictures of 16x12 pixels, not 32x24; set image_wh"):
+        opened()
+    assert device.released == 1
+
+
+def test_a_camera_that_is_pulled_out(device: _Device) -> None:
+    camera = opened()
+    for left in (0, 5):
+        device.frames_left = left
+        with pytest.raises(RigError, match="gives no pictures any more; check its cable"):
+            camera.capture()
+
+
+def test_more_than_8_bits(device: _Device) -> None:
+    camera = open_camera(CameraPart(kind="v4l2"), image_wh=(32, 24), bits=12, clock=SystemClock())
+    with pytest.raises(RigError, match="give 8 bits, not 12; set bits = 8 of the scene's camera"):
+        camera.prepare()
+    assert not device.opened_with
+
+
+def test_opened_anew_and_closed(device: _Device) -> None:
+    camera = opened()
+    camera.prepare()
+    assert device.released == 1
+    camera.close()
+    camera.close()
+    assert device.released == 2
+    assert camera.describe() == "USB camera /dev/video0, not open"
+    with pytest.raises(RigError, match="not open; prepare it first"):
+        camera.capture()

@@ -1,0 +1,321 @@
+"""Servo, stepper, lamp and clock of the twin: physics in virtual time."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.twin.clock import VirtualClock
+from rig.twin.imperfections import BENCH, CLEAN, Imperfections, imperfections_of
+from rig.twin.lamps import Lamp
+from rig.twin.servo import DEG_PER_COUNT, Servo, Supply
+from rig.twin.stepper import MICROSTEPS, Stepper
+
+
+def servo(wrong: Imperfections = CLEAN, *, start: float = 500.0, key: tuple[int, ...] = (0, 1)) -> Servo:
+    return Servo(start_counts=start, imperfections=wrong, key=key)
+
+
+def arrived(unit: Servo, counts: int, duration_ms: int = 1000) -> Servo:
+    unit.move(counts, duration_ms)
+    unit.advance(10.0)
+    return unit
+
+
+def test_a_servo_moves_at_uniform_speed_within_its_time() -> None:
+    unit = servo()
+    unit.move(600, 2000)
+    seen = []
+    for _ in range(5):
+        seen.append(unit.true_counts)
+        unit.advance(0.5)
+    assert seen == pytest.approx([500.0, 525.0, 550.0, 575.0, 600.0])
+    assert not unit.moving
+
+
+def test_a_time_too_short_is_stretched_to_what_the_servo_can_do() -> None:
+    unit = servo()
+    unit.move(1000, 0)
+    unit.advance(0.22)
+    assert unit.true_counts == pytest.approx(750.0)  # 60 degrees are 250 counts
+    unit.advance(0.22)
+    assert unit.true_counts == pytest.approx(1000.0)
+
+
+def test_steps_of_time_do_not_matter() -> None:
+    fine, coarse = servo(BENCH), servo(BENCH)
+    fine.move(700, 1000)
+    coarse.move(700, 1000)
+    for _ in range(100):
+        fine.advance(0.007)
+    coarse.advance(0.7)
+    assert fine.true_counts == pytest.approx(coarse.true_counts, abs=1e-9)
+
+
+def test_a_servo_reads_whole_counts_even_when_clean() -> None:
+    unit = servo()
+    unit.move(501, 1000)
+    unit.advance(0.3)
+    assert unit.counts == 500
+    assert unit.true_counts == pytest.approx(500.3)
+    assert pytest.approx(0.24) == DEG_PER_COUNT
+
+
+def test_play_has_the_sign_of_the_approach() -> None:
+    wrong = Imperfections(servo_backlash_deg=(0.8, 0.8))
+    from_below = arrived(servo(wrong, start=400.0), 500)
+    from_above = arrived(servo(wrong, start=600.0), 500)
+    assert from_below.counts == from_above.counts == 500
+    assert (from_above.true_counts - from_below.true_counts) * DEG_PER_COUNT == pytest.approx(0.8)
+
+
+def test_an_error_belongs_to_the_move_not_to_the_place() -> None:
+    wrong = Imperfections(servo_repeat_deg=0.3)
+    unit = servo(wrong)
+    first = arrived(unit, 600).true_counts
+    arrived(unit, 500)
+    again = arrived(unit, 600).true_counts
+    assert first != again
+    other = servo(wrong)
+    assert arrived(other, 600).true_counts == first
+    spread = [(arrived(unit, 500 + 100 * (k % 2)).true_counts - 500.0 - 100.0 * (k % 2)) * DEG_PER_COUNT for k in range(400)]
+    assert np.std(spread) == pytest.approx(0.3, rel=0.15)
+
+
+def test_zero_and_scale_errors_stay_within_their_bounds() -> None:
+    zeros, scales = [], []
+    for seed in range(200):
+        unit = servo(Imperfections(servo_zero_deg=2.0, servo_scale=0.01), key=(seed, 5))
+        zeros.append((unit.true_counts - 500.0) * DEG_PER_COUNT)
+        scales.append((arrived(unit, 1000).true_counts - 500.0 - zeros[-1] / DEG_PER_COUNT) / 500.0 - 1.0)
+    assert max(map(abs, zeros)) <= 2.0
+    assert np.std(zeros) == pytest.approx(2.0 / math.sqrt(3.0), rel=0.2)
+    assert 0.008 < max(map(abs, scales)) <= 0.01 + 1e-12
+
+
+def test_sag_is_linear_in_the_torque_and_half_seen() -> None:
+    unit = servo(Imperfections(servo_sag_deg=(1.2, 1.2)))
+    unit.load(True)
+    sags, seen = [], []
+    for torque in (0.0, 0.5, 1.0, -1.0):
+        unit.torque = torque
+        sags.append((unit.true_counts - 500.0) * DEG_PER_COUNT)
+        seen.append(unit.counts - 500)
+    assert sags == pytest.approx([0.0, 0.6, 1.2, -1.2])
+    assert seen == [0, 1, 2, -2]
+
+
+def test_a_command_within_the_dead_band_moves_nothing() -> None:
+    unit = servo(Imperfections(servo_dead_band_counts=2))
+    unit.move(502, 100)
+    unit.advance(1.0)
+    assert unit.counts == 500
+    assert unit.command == (502, 100)
+    assert arrived(unit, 503).counts in (502, 503, 504)
+
+
+def test_without_torque_gravity_wins_over_friction() -> None:
+    light, heavy = servo(), servo()
+    light.torque, heavy.torque = 0.2, 1.0
+    for unit in (light, heavy):
+        unit.advance(0.5)
+    assert light.counts == 500
+    assert heavy.counts > 550
+    heavy.load(True)
+    held = heavy.counts
+    heavy.advance(5.0)
+    assert heavy.counts == held
+
+
+def test_torque_switched_on_again_goes_to_the_last_command() -> None:
+    unit = arrived(servo(), 600)
+    unit.load(False)
+    unit.torque = 1.0
+    unit.advance(0.2)
+    assert unit.counts > 620
+    unit.torque = 0.0
+    unit.load(True)
+    unit.advance(2.0)
+    assert unit.counts == 600
+
+
+def test_an_overheated_servo_lets_go_until_it_is_cool() -> None:
+    unit = arrived(servo(), 520)
+    unit.heat(90.0)
+    assert unit.celsius == 90
+    assert unit.torque_on
+    assert not unit.holds
+    unit.advance(20.0)
+    assert not unit.holds
+    unit.advance(300.0)
+    assert unit.holds
+
+
+def test_a_stalled_servo_gets_hot_and_stays() -> None:
+    unit = servo()
+    unit.stalled = True
+    unit.move(900, 1000)
+    unit.advance(30.0)
+    assert unit.counts == 500
+    assert unit.celsius > 32
+    for _ in range(60):
+        unit.advance(10.0)
+    assert not unit.holds
+
+
+def test_the_supply_drops_and_comes_back() -> None:
+    supply = Supply(key=(0,))
+    assert supply.millivolt == pytest.approx(7580, abs=50)
+    supply.brown_out(1.0)
+    assert not supply.up
+    assert supply.millivolt == 4200
+    supply.advance(1.0)
+    assert supply.up
+
+
+def stepper(wrong: Imperfections = CLEAN, *, key: tuple[int, ...] = (0, 2)) -> Stepper:
+    return Stepper(full_step_deg=1.8, imperfections=wrong, key=key)
+
+
+def turned(table: Stepper, goal_deg: float) -> float:
+    table.queue(goal_deg, 30.0)
+    table.advance(table.remaining_s() + 1e-9)
+    assert not table.moving
+    return table.true_deg
+
+
+def test_a_table_takes_the_time_of_a_trapezoid() -> None:
+    table = stepper()
+    table.queue(90.0, 30.0)
+    assert table.remaining_s() == pytest.approx(90.0 / 30.0 + 30.0 / 360.0, rel=1e-3)
+    table.advance(1.0)
+    before = table.true_deg
+    table.advance(0.5)
+    assert table.true_deg - before == pytest.approx(15.0)
+    table.advance(5.0)
+    assert table.true_deg == pytest.approx(90.0)
+    assert table.steps == 1600
+
+
+def test_a_table_stands_on_whole_microsteps() -> None:
+    angle = turned(stepper(), 9.02)
+    assert angle == pytest.approx(round(9.02 * MICROSTEPS / 1.8) * 1.8 / MICROSTEPS)
+    assert angle != pytest.approx(9.02, abs=1e-3)
+
+
+def test_the_error_within_steps_depends_on_the_position_only() -> None:
+    table = stepper(Imperfections(table_microstep_deg=0.075))
+    table.energise()
+    errors = [turned(table, k * 0.45) - k * 0.45 for k in range(33)]
+    assert 0.03 < max(errors) - min(errors) <= 0.15 + 1e-9
+    back = turned(table, 4.5) - 4.5
+    assert back == pytest.approx(errors[10], abs=1e-12)
+    assert errors[0] == pytest.approx(errors[16], abs=1e-12)  # 4 full steps are one electrical turn
+    assert errors[3] == pytest.approx(errors[19], abs=1e-12)
+
+
+def test_the_rotor_jumps_when_first_energised_only() -> None:
+    jumps = []
+    for seed in range(50):
+        table = stepper(Imperfections(table_jump_steps=2.0), key=(seed, 3))
+        before = table.true_deg
+        table.energise()
+        jumps.append(table.true_deg - before)
+        table.release()
+        table.energise()
+        assert table.true_deg - before == pytest.approx(jumps[-1])
+    assert 2.0 < max(map(abs, jumps)) <= 3.6
+
+
+def test_a_released_rotor_falls_back_to_a_full_step() -> None:
+    table = stepper()
+    turned(table, 5.0)
+    table.release()
+    assert table.true_deg == pytest.approx(5.4)
+    table.energise()
+    assert table.true_deg == pytest.approx(5.0, abs=0.03)
+
+
+def test_play_is_taken_up_by_arriving_from_one_side() -> None:
+    table = stepper(Imperfections(table_play_deg=0.2))
+    up = turned(table, 36.0)
+    turned(table, 50.4)
+    down = turned(table, 36.0)
+    assert down - up == pytest.approx(0.2)
+    turned(table, 32.4)
+    assert turned(table, 36.0) == pytest.approx(up)
+
+
+def test_power_up_forgets_the_count_but_not_the_place() -> None:
+    table = stepper(Imperfections(table_microstep_deg=0.075, table_play_deg=0.1))
+    stood = turned(table, 77.4)
+    table.power_up()
+    assert table.steps == 0
+    assert not table.energised
+    assert table.true_deg == pytest.approx(stood)
+
+
+@given(st.lists(st.floats(-400.0, 400.0), min_size=1, max_size=6), st.floats(1.0, 90.0))
+def test_queued_moves_end_where_the_last_one_says(goals: list[float], speed: float) -> None:
+    table = stepper()
+    for goal in goals:
+        table.queue(goal, speed)
+    whole_s = table.remaining_s()
+    table.advance(whole_s / 3.0)
+    assert table.remaining_s() == pytest.approx(whole_s * 2.0 / 3.0, abs=1e-9)
+    table.advance(whole_s)
+    assert not table.moving
+    assert table.steps == round(goals[-1] * table.steps_per_deg)
+
+
+def test_a_lamp_follows_with_a_ramp() -> None:
+    lamp = Lamp(full_rgb=(255, 255, 255), imperfections=Imperfections(lamp_ramp_s=0.2), key=(0,))
+    lamp.show((255, 255, 255))
+    lamp.advance(0.1)
+    assert lamp.level == pytest.approx(0.5)
+    lamp.advance(1.0)
+    assert lamp.level == pytest.approx(1.0)
+    lamp.dim(51)
+    lamp.advance(1.0)
+    assert lamp.level == pytest.approx(0.2)
+
+
+def test_one_led_is_a_thirtieth_of_a_lamp() -> None:
+    lamp = Lamp(full_rgb=(255, 255, 255), imperfections=CLEAN, key=(0,))
+    lamp.show((255, 0, 255), led=3)
+    assert lamp.level == pytest.approx(2.0 / 3.0 / 30.0)
+
+
+def test_only_clean_is_perfect() -> None:
+    assert imperfections_of("clean") == CLEAN == Imperfections()
+    assert imperfections_of("bench") == imperfections_of("harsh") == BENCH
+
+
+class _Beats:
+    """A source with something to do every second."""
+
+    def __init__(self) -> None:
+        self.at: list[float] = []
+
+    def next_s(self) -> float:
+        return float(len(self.at) + 1)
+
+    def advance_to(self, now_s: float) -> None:
+        if now_s >= self.next_s():
+            self.at.append(now_s)
+
+
+def test_virtual_time_stops_at_every_event_and_never_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.sleep", lambda _s: pytest.fail("slept"))
+    clock, beats = VirtualClock(), _Beats()
+    clock.add(beats)
+    clock.sleep(3.5)
+    assert beats.at == [1.0, 2.0, 3.0]
+    assert clock.now_s() == 3.5
+    clock.sleep(-1.0)
+    clock.advance_to(1.0)
+    assert clock.now_s() == 3.5
+    clock.step(100.0)
+    assert clock.now_s() == 4.0
