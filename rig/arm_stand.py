@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.clearance import check_path, plan_path
-from rig.devices import Arm
+from rig.devices import Arm, Shot
 from rig.errors import LostError, RigError, UnsafeError
 from rig.eye import Eye
-from rig.markers import Sighting
+from rig.markers import Sighting, visible_markers
 from rig.open import Devices
 from rig.placing import camera_wanted, corrected_joints, joints_for
 from rig.rig_file import ArmPart
@@ -19,11 +19,18 @@ from scenes import frames
 from scenes.frames import Array
 from scenes.model import Ring, Scene
 
-NEAR_MM, NEAR_DEG = 3.0, 1.0
+NEAR_MM, NEAR_DEG = 3.0, 0.6
 """Placed well enough: servos do not repeat better at the arm's reach, and the pictures tell the rest."""
 FAR_MM, FAR_DEG = 80.0, 20.0
 """An arm that is off by more than this is described wrongly in the rig file, so that its paths were checked against something else."""
-CORRECTIONS = 3
+FAIR_MM, FAIR_DEG = 8.0, 2.0
+"""Placed well enough after `CORRECTIONS`: an arm with play comes no nearer by trying on."""
+CORRECTIONS, MOST_CORRECTIONS = 4, 8
+WRIST = 3
+"""Index of the joint that tilts the camera; less of it looks higher."""
+SEARCH_DEG = (-5.0, 5.0, -10.0, 10.0)
+"""How the camera is tilted where the strip should be in the picture and is not; up first, since it is at the top of most pictures."""
+LEAST_EXPECTED = 4
 DRIFT_DEG = 1.5
 """A joint that changes by more than this while the camera should stand still was pushed, or gave way."""
 HEALTH_EVERY_S = 20.0
@@ -73,6 +80,22 @@ class ArmStand:
             start = self._arm.read_joints()
         self._move(plan_path(self._rig, self._scene, start, goal))
 
+    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
+        """Take a picture; where the strip should be in it and is not, tilt the camera up and down until it is."""
+        shot, seen = self._eye.look()
+        expected = visible_markers(self._scene, camera_wanted(ring))
+        if seen is not None or self._placed is None or not self._part.correct or expected < LEAST_EXPECTED:
+            return shot, seen
+        placed = self._placed
+        for tilt_deg in SEARCH_DEG:
+            goal = (*placed.joints_deg[:WRIST], placed.joints_deg[WRIST] + tilt_deg, *placed.joints_deg[WRIST + 1 :])
+            if self._moved_checked(goal):
+                shot, seen = self._eye.look()
+                if seen is not None:
+                    return shot, seen
+        self._moved_checked(placed.joints_deg)
+        return self._eye.look()
+
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Correct the placing by what the strip shows.
 
@@ -102,13 +125,15 @@ class ArmStand:
                     f"arm: the markers see the camera {off_mm:.0f} mm and {off_deg:.0f} deg from where the joints should hold it; "
                     "check zero_counts, sign, links_mm and position_mm in the rig file"
                 )
-            enough = not self._part.correct or (off_mm <= NEAR_MM and off_deg <= NEAR_DEG)
-            if enough or done == CORRECTIONS or not self._improve(measured, wanted):
+            near = off_mm <= NEAR_MM and off_deg <= NEAR_DEG
+            fair = off_mm <= FAIR_MM and off_deg <= FAIR_DEG
+            enough = not self._part.correct or near or done == MOST_CORRECTIONS or (fair and done >= CORRECTIONS)
+            if enough or not self._improve(measured, wanted):
                 plural = "" if done == 1 else "s"
                 self._note("placed", f"arm: camera {off_mm:.1f} mm and {off_deg:.2f} deg off its place after {done} correction{plural}")
                 return seen
             done += 1
-            _, seen = self._eye.look()
+            _, seen = self.search(ring)
         self._note("placed", "arm: camera placed by the joints alone: the strip cannot be read from there")
         return None
 
@@ -148,12 +173,22 @@ class ArmStand:
             return False
         try:
             goal = corrected_joints(self._rig, self._placed.joints_deg, measured, wanted)
-            check_path(self._rig, self._scene, [self._placed.joints_read_deg, goal])
         except UnsafeError as error:
             self._note("placed", f"{error}; the camera stays where it is")
             return False
         count_deg = min(1.0 / joint.counts_per_deg for joint in self._part.joints)
         if np.abs(np.subtract(goal, self._placed.joints_deg)).max() < 0.5 * count_deg:  # the servos would not stir
+            return False
+        return self._moved_checked(goal)
+
+    def _moved_checked(self, goal: Joints) -> bool:
+        """Move straight to a place nearby; return False, the arm where it was, when the way there is not clear."""
+        try:
+            here = self._placed.joints_read_deg if self._placed is not None else self._arm.read_joints()
+            within_limits(self._part, goal)
+            check_path(self._rig, self._scene, [here, goal])
+        except UnsafeError as error:
+            self._note("placed", f"{error}; the camera stays where it is")
             return False
         self._move([goal])
         return True
@@ -172,3 +207,10 @@ class ArmStand:
         except RigError:
             self.failed = True
             raise
+
+
+def within_limits(part: ArmPart, joints_deg: Joints) -> None:
+    """Refuse joint angles beyond the limits."""
+    for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
+        if not joint.min_deg <= angle <= joint.max_deg:
+            raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")

@@ -65,32 +65,30 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     """
     part, clearance = arm_of(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
-    foot, shoulder, elbow, wrist, camera = np.moveaxis(at, -2, 0)
     _, upper, fore, hand = part.links_mm
     width, ball = clearance.arm_radius_mm, clearance.camera_radius_mm
-    pieces = [
-        ("base", foot, shoulder, width, [0.0] * 5),
-        ("upper arm", shoulder, elbow, width, [upper, upper, 0.0, 0.0, 0.0]),
-        ("forearm", elbow, wrist, width, [upper + fore, upper + fore, fore, 0.0, 0.0]),
-        ("last link", wrist, camera, width, [upper + fore + hand, upper + fore + hand, fore + hand, hand, 0.0]),
-        ("camera", camera, camera, ball, [upper + fore + hand, upper + fore + hand, fore + hand, hand, 0.0]),
-    ]
+    swing = (upper + fore + hand, upper + fore + hand, fore + hand, hand, 0.0)
+    pieces = (
+        ("base", width, (0.0,) * 5),
+        ("upper arm", width, (upper, upper, 0.0, 0.0, 0.0)),
+        ("forearm", width, (upper + fore, upper + fore, fore, 0.0, 0.0)),
+        ("last link", width, swing),
+        ("camera", ball, swing),
+    )
     names, distances, margins, travels, floor = [], [], [], [], []
-    for piece, begin, end, radius, travel in pieces:
-        for solid in solids(rig, scene):
+    for solid in solids(rig, scene):
+        axis_mm = least_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
+        for k, (piece, radius, travel) in enumerate(pieces):
             if piece == "base" and not isinstance(solid, Cylinder):
                 continue
             names.append((piece, f"the {solid.name}"))
-            distances.append(least_distance(solid, begin, end) - radius)
+            distances.append(axis_mm[:, k] - radius)
             margins.append(clearance.margin_mm)
             travels.append(travel)
             floor.append(isinstance(solid, Floor))
-    for other, begin, end, travel in (
-        ("base", foot, shoulder, [0.0, upper + fore + hand, fore + hand, hand, 0.0]),
-        ("upper arm", shoulder, elbow, [0.0, 0.0, fore + hand, hand, 0.0]),
-    ):
-        names.append(("camera", f"the arm's own {other}"))
-        distances.append(point_to_segment(camera, begin, end) - ball - width)
+    for k, own, travel in ((0, "base", (0.0, *swing[1:])), (1, "upper arm", (0.0, 0.0, *swing[2:]))):
+        names.append(("camera", f"the arm's own {own}"))
+        distances.append(point_to_segment(at[:, 4], at[:, k], at[:, k + 1]) - ball - width)
         margins.append(0.0)
         travels.append(travel)
         floor.append(False)

@@ -19,7 +19,7 @@ ANSWER_S = 10.0
 BUSY_S = 3.0
 """The same once the board has said that it is busy; it says so every `BUSY_EVERY_S`."""
 BUSY_EVERY_S = 2
-AGAIN_S = 5.0
+AGAIN_S = 3.0
 """Silence after a line that was sent again because of silence."""
 TRAILING_S = 0.5
 """How long a line that should come at once is waited for: the ``ok`` behind ``Resend``, which some versions leave out."""
@@ -28,9 +28,9 @@ LONGEST_S = 60.0
 BOOT_S = 3.0
 """Boards that start anew when their port is opened greet within this time; others say nothing."""
 MOST_REFUSALS = 10
-MOST_SILENCES = 3
+MOST_SILENCES = 5
 MOST_HINTS = 2
-MOST_COPIES = 4
+MOST_COPIES = 6
 MOST_LINES = 2000
 MOST_BYTES = 65536
 STARTS = 3

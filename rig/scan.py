@@ -184,7 +184,7 @@ class _Scan:
 
     def _look_about(self, index: int, near_deg: float) -> None:
         """Judge the picture, make the table's angle known, and correct the camera's place."""
-        shot, seen = self._eye.look()
+        shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turning.answers()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         if not self._homed:

@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from rig.devices import Shot
 from rig.errors import RigError
 from rig.eye import Eye
 from rig.homing import Ask
@@ -27,6 +28,9 @@ class Stand(Protocol):
 
     def place(self, ring: Ring) -> None:
         """Bring the camera to where a ring wants it."""
+
+    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:
+        """Take a picture and read the strip in it, looking about for it if need be."""
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Correct the place by what the strip shows; return what it shows at the end."""
@@ -61,6 +65,10 @@ class Tripod:
             self.refuse([ring])
             return
         self._ask(f"Move the camera: {described(ring)}. Press Enter when it stands: ")
+
+    def search(self, ring: Ring) -> tuple[Shot, Sighting | None]:  # noqa: ARG002
+        """Take a picture and read the strip in it."""
+        return self._eye.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
         """Say where the camera stands, and ask for another try when that is far from the plan."""

@@ -13,6 +13,8 @@ from rig.twin.servo import Servo, Supply
 THINKING_S = 0.0015
 """From the end of a question to its answer."""
 BROADCAST = 254
+ID_READ = 14
+"""The only question to all that is answered."""
 MAX_LENGTH = 10
 """Longer frames do not exist: a length above is noise."""
 
@@ -35,7 +37,7 @@ class LxAdapter:
         replies: list[Reply] = []
         while (frame := self._frame()) is not None:
             answers = [answer for servo in self._meant(frame[2]) if (answer := self._answer(servo, frame[4], frame[5:-1])) is not None]
-            if answers:
+            if answers and (frame[2] != BROADCAST or frame[4] == ID_READ):
                 replies.append(Reply(now_s + THINKING_S, _collided(answers)))
         return replies
 
@@ -141,7 +143,7 @@ _ANGLE_LIMITS = _u16(0, 1000)
 _READS: dict[int, Callable[[int, Servo, Supply], bytes]] = {
     2: lambda _n, servo, _s: _u16(*servo.command),
     8: lambda _n, servo, _s: _u16(*(servo.waiting or servo.command)),
-    14: lambda number, _servo, _s: bytes([number]),
+    ID_READ: lambda number, _servo, _s: bytes([number]),
     25: lambda _n, servo, _s: bytes([servo.temperature_limit]),
     26: lambda _n, servo, _s: bytes([servo.celsius]),
     27: lambda _n, _servo, supply: _u16(supply.millivolt),

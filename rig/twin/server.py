@@ -166,7 +166,7 @@ def run_twin(
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
             say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")
-            for word in _lines(sys.stdin.fileno() if commands is None else commands):
+            for word in _lines(_typed_at() if commands is None else commands):
                 if word == "quit":
                     break
                 say(_answer(server, word))
@@ -174,10 +174,20 @@ def run_twin(
             server.stop()
 
 
-def _lines(descriptor: int) -> Iterator[str]:
+def _typed_at() -> int | None:
+    """Return stdin's descriptor; None when there is none, or it belongs to a program in the foreground while this one is not."""
+    try:
+        descriptor = sys.stdin.fileno()
+        behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()
+    except (AttributeError, OSError, ValueError):
+        return None
+    return None if behind else descriptor
+
+
+def _lines(descriptor: int | None) -> Iterator[str]:
     """Give each line that is typed; when there are no more, wait for Ctrl-C."""
     buffer = b""
-    while data := os.read(descriptor, 4096):
+    while data := b"" if descriptor is None else os.read(descriptor, 4096):
         *lines, buffer = (buffer + data).split(b"\n")
         yield from (word for line in lines if (word := line.decode(errors="replace").strip()))
     while True:

@@ -137,6 +137,7 @@ class Stepper:
         self._steps = float(round(self._steps))
         self._moves.clear()
         self._into_s = 0.0
+        self._turn_output()
 
     def power_up(self) -> None:
         """Start anew: count 0, coils off, wherever the table stands."""

@@ -79,7 +79,7 @@ def test_distance_of_a_link_is_the_least_of_its_points(begin: Array, end: Array,
     along = begin + np.linspace(0.0, 1.0, 2001)[:, None] * (end - begin)
     sampled = SOLIDS[k].distance_mm(along).min()
     found = float(least_distance(SOLIDS[k], begin[None], end[None])[0])
-    assert found <= sampled + 1e-6
+    assert found <= sampled + 1e-4
     assert found >= sampled - np.linalg.norm(end - begin) / 4000.0 - 1e-6
 
 
@@ -161,13 +161,13 @@ CRASHES = (
         name="past the canister",
         rig=near(),
         path=((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
-        match=r"would touch the canister 50 % along the way",
+        match=r"the camera would touch the net pot 50 % along the way",
     ),
     Crash(
         name="second leg",
         rig=near(),
         path=((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
-        match=r"would touch the canister 75 % along the way",
+        match=r"the camera would touch the net pot 75 % along the way",
     ),
     Crash(
         name="over the pot",
@@ -181,9 +181,14 @@ CRASHES = (
         name="bar",
         rig=replace(RIG, clearance=Clearance(bars=(Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0)),))),
         path=((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)),
-        match=r"of bar 1|touch the bar 1|the bar 1",
+        match=r"the bar 1",
     ),
-    Crash(name="its own upper arm", rig=RIG, path=((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), match=r"the camera would touch the arm's own upper arm"),
+    Crash(
+        name="its own upper arm",
+        rig=RIG,
+        path=((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)),
+        match=r"the camera would touch the arm's own upper arm",
+    ),
 )
 
 
@@ -195,15 +200,14 @@ def test_crash_is_refused_with_what_where_and_how_near(crash: Crash) -> None:
 
 def test_margin_is_kept_and_told() -> None:
     rig = near(380.0, margin_mm=0.0)
-    pose = (0.0, 90.0, 0.0, 0.0, 0.0)  # 293 mm before the shoulder at x = 380: 87 mm from the axis
-    stopped = (0.0, 40.0, 60.0, 0.0, 0.0)
-    spare = pairs(rig, SCENE, np.array([stopped])).distance_mm.min()
-    assert 0.0 < spare < 30.0
-    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, [(0.0,) * 5, stopped])
-    with pytest.raises(UnsafeError, match=rf"within {spare:.1f} mm of .* \({spare + 0.6:.0f} mm must be kept\)"):
-        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, [(0.0,) * 5, stopped])
-    with pytest.raises(UnsafeError, match="touch the canister"):
-        check_path(rig, SCENE, [(0.0,) * 5, pose])
+    upright, reaching = (0.0,) * 5, (0.0, 30.0, 60.0, 0.0, 0.0)  # comes nearer all the way
+    spare = pairs(rig, SCENE, np.array([reaching])).distance_mm.min()
+    assert 5.0 < spare < 40.0
+    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, [upright, reaching])
+    with pytest.raises(
+        UnsafeError, match=rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm must be kept\) at the end of the way"
+    ):
+        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, [upright, reaching])
 
 
 def test_thin_bar_between_samples_is_not_missed() -> None:
@@ -220,14 +224,14 @@ def test_thin_bar_between_samples_is_not_missed() -> None:
 
 
 def test_verdicts_agree_with_dense_samples() -> None:
-    """Of 150 random ways on a crowded rig, clear ones are clear at 400 samples, and refused ones come too near at one of them (or nearly)."""
+    """Of 60 random ways on a crowded rig, clear ones are clear at 200 samples, refused ones too near at one of them."""
     rig = near(bars=(Bar(low_mm=(200.0, 80.0, 20.0), high_mm=(420.0, 110.0, 60.0)),))
     low, high = (np.array([getattr(joint, name) for joint in ARM.joints]) for name in ("min_deg", "max_deg"))
     rng = np.random.default_rng(0)
     verdicts = []
-    for _ in range(150):
+    for _ in range(60):
         begin, end = rng.uniform(low, high, (2, 5))
-        samples = pairs(rig, SCENE, begin + np.linspace(0.0, 1.0, 401)[:, None] * (end - begin))
+        samples = pairs(rig, SCENE, begin + np.linspace(0.0, 1.0, 201)[:, None] * (end - begin))
         spare = float((samples.distance_mm - samples.margin_mm).min())
         if (samples.distance_mm[0] < samples.margin_mm).any():  # how it may leave is another test
             continue
@@ -238,7 +242,7 @@ def test_verdicts_agree_with_dense_samples() -> None:
         except UnsafeError:
             assert spare < 2.0
             verdicts.append(False)
-    assert 20 < sum(verdicts) < len(verdicts) - 20
+    assert 10 < sum(verdicts) < len(verdicts) - 10
 
 
 @given(

@@ -1,4 +1,4 @@
-"""Inverse kinematics on 10,000 random targets, at the borders of reach, and beside what five joints can do; slips of sections 3.3, C.1, C.3."""
+"""Inverse kinematics: 10,000 random targets, the borders of reach, what five joints cannot do; slips of sections 3.3, C.1 and C.3."""
 
 from dataclasses import dataclass
 

@@ -44,7 +44,9 @@ def test_chain_is_product_of_its_joints(q: Array) -> None:
     mount = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     chain = turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2] @ turn(1, q[3]) @ up[3] @ turn(2, q[4]) @ mount
     np.testing.assert_allclose(forward(PART.links_mm, q), chain, atol=1e-10)
-    np.testing.assert_allclose(places(PART.links_mm, q)[3], (turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2])[:3, 3], atol=1e-10)
+    np.testing.assert_allclose(
+        places(PART.links_mm, q)[3], (turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2])[:3, 3], atol=1e-10
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

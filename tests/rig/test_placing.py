@@ -1,4 +1,4 @@
-"""Joint angles for the plan's rings: what the default arm reaches, what is refused and with which numbers, and the correction by markers."""
+"""Joint angles for the plan's rings: what the default arm reaches, what is refused with which numbers, the correction by markers."""
 
 from dataclasses import dataclass, replace
 
@@ -93,7 +93,9 @@ REFUSED = (
         ring=Ring(distance_mm=530.0),
         match=r"would have to be 25 mm from the shoulder, the links reach 100 to 200 mm",
     ),
-    Refused(name="elbow", rig=RIG, ring=Ring(distance_mm=450.0), match=r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"),
+    Refused(
+        name="elbow", rig=RIG, ring=Ring(distance_mm=450.0), match=r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"
+    ),
     Refused(
         name="far aside",
         rig=with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),

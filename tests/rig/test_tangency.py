@@ -26,7 +26,7 @@ cameras = st.tuples(
 
 
 def printed_desired(camera: Array, corner: float = 1.0) -> Array:
-    """Return g_d, the camera in the canister's frame, by the product printed in C.2; ``corner`` is the last element of its second factor."""
+    """Return g_d, the camera in the canister's frame, by the product printed in C.2 (``corner``: last element of its second factor)."""
     x, y, z = frames.invert(camera)[:3, 3]
     theta, r = np.arctan2(y, x), np.hypot(x, y)
     shift = np.array([[1.0, 0, 0, r], [0, 1, 0, 0], [0, 0, 1, z], [0, 0, 0, corner]])
@@ -35,7 +35,7 @@ def printed_desired(camera: Array, corner: float = 1.0) -> Array:
 
 
 def seen_off_mm(measured: Array) -> float:
-    """Return by how much the camera misses the ring, at whatever azimuth: its shift, and that of the picture at the axis by its rotation."""
+    """Return by how much the camera misses the ring, at whatever azimuth: its shift, and the picture's at the axis by its rotation."""
     off_mm, off_deg = frames.pose_error(measured, turned_to(RING, measured))
     return off_mm + 400.0 * np.deg2rad(off_deg)
 

@@ -39,7 +39,7 @@ class Board:
 
 
 def _lines(replies: list) -> list[str]:  # type: ignore[type-arg]
-    return b"".join(reply.data for reply in replies).decode().splitlines()
+    return b"".join(reply.data for reply in replies).decode("latin-1").splitlines()
 
 
 def test_the_wire_examples_are_accepted() -> None:

@@ -1,0 +1,193 @@
+"""The fault menu: each does what it says, at the message or moment it says."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from rig.twin.adapter import Reply
+from rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, kind_of, parse_fault
+from rig.twin.line import COMPLETED, Line, corrupted
+from scenes.errors import UserError
+
+BAUD = 10_000  # a byte takes a millisecond
+
+
+class Parrot:
+    """Answers every request with what was heard, and an ok."""
+
+    def __init__(self) -> None:
+        self.heard: list[bytes] = []
+
+    def receive(self, data: bytes, now_s: float) -> list[Reply]:
+        self.heard.append(data)
+        return [Reply(now_s, data), Reply(now_s, b"ok\n")]
+
+    def next_s(self) -> float:
+        return float("inf")
+
+    def poll(self, _now_s: float) -> list[Reply]:
+        return []
+
+
+class Talk:
+    """A line to a parrot, and the host at its other end."""
+
+    def __init__(self, *faults: Fault) -> None:
+        self.parrot = Parrot()
+        self.pending = Pending(faults)
+        self.broken: list[str] = []
+        self.line = Line("table", self.parrot, baud=BAUD, pending=self.pending, break_device=self._broken)
+        self.now_s = 0.0
+
+    def _broken(self, fault: Fault) -> None:
+        self.broken.append(fault.kind)
+        self.pending.use(fault, self.now_s)
+
+    def ask(self, data: bytes, *, wait_s: float = 1.0) -> bytes:
+        self.line.write(data, self.now_s)
+        return self.listen(wait_s)
+
+    def listen(self, wait_s: float) -> bytes:
+        until_s = self.now_s + wait_s
+        while self.now_s < until_s:
+            self.now_s = min(self.line.next_s(), until_s)
+            self.line.advance_to(self.now_s)
+        return self.line.take()
+
+
+def table(kind: str, **changes: object) -> Fault:
+    return replace(Fault(kind=kind, device="table"), **changes)  # type: ignore[arg-type]
+
+
+def test_bytes_take_their_time_both_ways() -> None:
+    talk = Talk()
+    talk.line.write(b"123456789\n", 0.0)
+    assert talk.listen(0.0099) == b""
+    assert talk.parrot.heard == []
+    assert talk.listen(0.0002) == b""
+    assert talk.parrot.heard == [b"123456789\n"]
+    assert talk.listen(0.0098) == b""
+    assert talk.listen(0.0102) == b"123456789\nok\n"
+
+
+@dataclass(frozen=True)
+class Case:
+    fault: Fault
+    first: bytes
+    second: bytes = b"B\nok\n"
+
+
+CASES = [
+    Case(table("reply_dropped"), b"ok\n"),
+    Case(table("reply_dropped", count=2), b""),
+    Case(table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
+    Case(table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
+    Case(table("reply_doubled"), b"A\nA\nok\n"),
+    Case(table("reply_truncated", at_message=2, amount=0.4), b"A\no"),
+    Case(table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n"),
+    Case(table("request_dropped"), b""),
+    Case(table("ok_missing"), b"A\n"),
+    Case(table("ok_missing", count=2), b"A\n", b"B\n"),
+    Case(table("reply_corrupted", amount=0.0), b"@\nok\n"),
+    Case(table("request_corrupted", amount=0.0), b"@\nok\n"),
+    Case(table("ok_missing_after_resend", amount=0.0), b"@\n"),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.fault.kind} x{case.fault.count} {case.fault.at_message} {case.fault.at_s}")
+def test_what_goes_wrong_on_the_wire(case: Case) -> None:
+    talk = Talk(case.fault)
+    assert talk.ask(b"A\n") == case.first
+    assert talk.ask(b"B\n") == case.second
+    assert talk.ask(b"C\n") == b"C\nok\n"
+
+
+def test_a_late_reply_comes_late() -> None:
+    talk = Talk(table("reply_late", amount=3.0))
+    assert talk.ask(b"A\n", wait_s=2.9) == b""
+    assert talk.listen(0.2) == b"A\nok\n"
+
+
+def test_busy_lines_come_before_the_reply() -> None:
+    talk = Talk(table("busy", amount=5.0))
+    assert talk.ask(b"A\n", wait_s=4.5) == b"echo:busy: processing\n" * 2
+    assert talk.listen(4.0) == b"echo:busy: processing\nA\nok\n"
+
+
+def test_an_echo_comes_before_the_answer() -> None:
+    talk = Talk(Fault(kind="echo", device="arm", count=2))
+    talk.line.device = "arm"
+    assert [talk.ask(b"A\n") for _ in range(3)] == [b"A\nA\nok\n", b"A\nA\nok\n", b"A\nok\n"]
+
+
+def test_an_unasked_frame_comes_before_the_answer() -> None:
+    talk = Talk(Fault(kind="unasked", device="arm"))
+    talk.line.device = "arm"
+    assert talk.ask(b"A\n") == COMPLETED + b"A\nok\n"
+    assert bytes.fromhex("55 55 05 08 01 01 00") == COMPLETED
+
+
+def test_a_device_breaks_at_its_message() -> None:
+    talk = Talk(table("reset", at_message=3))
+    talk.ask(b"A\n")
+    assert talk.broken == []
+    talk.ask(b"B\n")
+    assert talk.broken == ["reset"]
+
+
+def test_unplugged_nothing_passes() -> None:
+    talk = Talk()
+    talk.line.write(b"A\n", 0.0)
+    talk.line.unplug()
+    assert talk.listen(1.0) == b""
+    talk.line.plug()
+    assert talk.ask(b"B\n") == b"B\nok\n"
+    assert talk.line.plugs == 1
+
+
+@pytest.mark.parametrize("amount", [0.0, 0.31, 0.5, 0.99, 1.0])
+def test_one_bit_is_turned(amount: float) -> None:
+    data = bytes(range(1, 12))
+    changed = corrupted(data, amount)
+    assert sum((a ^ b).bit_count() for a, b in zip(data, changed, strict=True)) == 1
+    assert corrupted(b"", amount) == b""
+
+
+def test_every_kind_is_drawn_within_its_menu() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        faults = draw_faults(rng, KIND_NAMES, messages=50, duration_s=60.0)
+        assert [fault.kind for fault in faults] == list(KIND_NAMES)
+        for fault, kind in zip(faults, MENU, strict=True):
+            assert fault.device in kind.devices
+            assert fault.amount in kind.amounts
+            assert fault.count in kind.counts
+            assert (fault.at_message is None) != (fault.at_s is None)
+            assert fault.at_message is None or 1 <= fault.at_message <= 50
+            assert fault.at_s is None or 0.0 <= fault.at_s <= 60.0
+
+
+def test_the_same_generator_draws_the_same_faults() -> None:
+    assert draw_faults(np.random.default_rng(5), ("reset", "garbage")) == draw_faults(np.random.default_rng(5), ("reset", "garbage"))
+
+
+def test_faults_are_read_from_words() -> None:
+    assert parse_fault("reset") == Fault(kind="reset", device="table", amount=0.1)
+    assert parse_fault("reply_late arm amount=3 at_s=20 count=2") == Fault(kind="reply_late", device="arm", at_s=20.0, amount=3.0, count=2)
+    assert parse_fault("stalled joint=2 at_message=7 amount=0").joint == 2
+    assert parse_fault(f"reply_dropped count={FOR_GOOD}").count == FOR_GOOD
+
+
+@pytest.mark.parametrize(("text", "named"), [("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')])
+def test_words_that_are_no_fault_are_refused(text: str, named: str) -> None:
+    with pytest.raises(UserError, match=named):
+        parse_fault(text)
+
+
+def test_kinds_are_told_apart() -> None:
+    assert len(set(KIND_NAMES)) == len(MENU)
+    with pytest.raises(UserError, match="there is no fault"):
+        kind_of("fire")
+    with pytest.raises(UserError, match="there is no fault"):
+        Pending((table("fire"),))

@@ -1,0 +1,301 @@
+"""The twin's pictures: the strip where the projection says, rendered as `sim` renders, only as the world is; and their truth."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.errors import NoAnswerError
+from rig.rig_file import CameraPart
+from rig.twin.camera import TwinCamera
+from rig.twin.faults import FOR_GOOD, Fault, Pending
+from rig.twin.pictures import Rendered, calibrated_scene, draw
+from rig.twin.record import Record, digest_of
+from rig.twin.sketch import Sketch
+from rig.twin.twin import Twin
+from rig.twin.world import Sight
+from scenes import frames, plan
+from scenes.atomic import write_image
+from scenes.dataset import Frame
+from scenes.errors import UserError
+from scenes.model import CapturePlan, Disturbances, Ring, Scene
+from scenes.specimens import SphereSpecimen
+from scenes.truth import load_truth
+from sim.render import Renderer
+from sim.specimen import build_specimen
+from sim.world import draw_world
+
+WRONG = Disturbances(
+    distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0),
+    canister_offset_mm=1.0,
+    canister_tilt_deg=0.5,
+    strip_offset_mm=0.2,
+    strip_tilt_deg=0.1,
+    arm_deg=0.3,
+    arm_mm=1.5,
+    table_deg=0.05,
+    backlight_unevenness=0.3,
+)
+RINGS = (Ring(views=3, first_deg=17.0), Ring(views=2, height_mm=30.0, tilt_deg=12.0, distance_mm=380.0))
+
+
+def scene_of(image_wh: tuple[int, int], wrong: Disturbances = WRONG) -> Scene:
+    scene = Scene(name="tiny", specimen=SphereSpecimen(diameter_mm=30.0), disturbances=wrong, plan=CapturePlan(rings=RINGS))
+    return replace(scene, camera=scene.camera.resized(image_wh))
+
+
+def sight_of(scene: Scene, k: int, *, seed: int = 0) -> Sight:
+    """Return what the camera of view k of the simulator sees."""
+    camera = draw_world(scene, seed=seed).cameras[k]
+    return Sight(
+        cam_from_rig=camera.cam_from_rig, rig_from_canister=camera.rig_from_canister, table_deg=camera.table_deg, panel=1.0, front=1.0
+    )
+
+
+def test_the_strip_is_drawn_where_it_is_projected() -> None:
+    scene = scene_of((800, 600))
+    drawn = draw(scene, seed=0)
+    sketch = Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
+    for k in (0, 1, 4):
+        sight = sight_of(scene, k)
+        picture = sketch.picture(sight)
+        assert picture.dtype == np.uint16
+        assert picture.shape == (600, 800)
+        assert not (picture & 15).any()
+        found = _corners((picture >> 8).astype(np.uint8), scene)
+        cam_from_strip = sight.cam_from_rig @ sight.rig_from_canister @ drawn.canister_from_strip
+        facing = {number for number, corners in plan.marker_corners(scene.strip, scene.net_pot).items() if _faces(cam_from_strip, corners)}
+        assert len(facing & set(found)) >= 0.9 * len(facing) >= 8
+        off_px = np.concatenate(
+            [
+                found[number] - _project(scene, cam_from_strip, corners)
+                for number, corners in plan.marker_corners(scene.strip, scene.net_pot).items()
+                if number in facing & set(found)
+            ]
+        )
+        assert np.abs(off_px).max() < 0.5
+        assert np.abs(off_px.mean(axis=0)).max() < 0.1
+
+
+def _corners(image: NDArray[np.uint8], scene: Scene) -> dict[int, NDArray[np.float64]]:
+    """Detect markers in a picture enlarged four times; pixel centres at integers."""
+    large = cv2.resize(image, None, fx=4.0, fy=4.0, interpolation=cv2.INTER_CUBIC)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{scene.strip.dictionary}"))
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(large)
+    return {int(n): (c.reshape(4, 2).astype(float) + 0.5) / 4.0 - 0.5 for n, c in zip(np.ravel(ids), corners, strict=True)}
+
+
+def _project(scene: Scene, cam_from_strip: frames.Array, points: frames.Array) -> NDArray[np.float64]:
+    (fx, fy), (cx, cy) = scene.camera.focal_px, scene.camera.principal_px
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    pixels, _ = cv2.projectPoints(frames.apply(cam_from_strip, points), np.zeros(3), np.zeros(3), matrix, np.array(WRONG.distortion))
+    return np.asarray(pixels).reshape(-1, 2)
+
+
+def _faces(cam_from_strip: frames.Array, corners: frames.Array) -> bool:
+    """Whether a marker is seen within 50 degrees of its normal, and inside the picture."""
+    outward = corners.mean(axis=0) * [1.0, 1.0, 0.0]
+    to_camera = frames.invert(cam_from_strip)[:3, 3] - corners.mean(axis=0)
+    cosine = outward @ to_camera / np.linalg.norm(outward) / np.linalg.norm(to_camera)
+    pixels = frames.apply(cam_from_strip, corners)
+    v = 299.5 + 1300.0 * pixels[:, 1] / pixels[:, 2]
+    return bool(cosine > np.cos(np.deg2rad(50.0)) and v.min() > 8.0)
+
+
+def test_a_sketch_is_as_bright_as_its_lamps() -> None:
+    scene = scene_of((200, 150))
+    drawn = draw(scene, seed=0)
+    sketch = Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
+    full = sight_of(scene, 0)
+    both = sketch.light(full)
+    panel, front = sketch.light(replace(full, front=0.0)), sketch.light(replace(full, panel=0.0))
+    np.testing.assert_allclose(panel + front, both, atol=1e-6)
+    assert both.max() == pytest.approx(scene.lights.backlight_level)
+    assert front.max() == pytest.approx(scene.lights.front_level, rel=0.05)
+    np.testing.assert_allclose(sketch.light(replace(full, panel=0.5, front=0.5, exposure=0.5)), both / 4.0, atol=1e-6)
+    assert sketch.picture(replace(full, panel=0.0, front=0.0)).max() == 0
+
+
+def test_a_rendered_picture_is_that_of_sim() -> None:
+    scene = scene_of((200, 150))
+    world, solid = draw_world(scene, seed=2), build_specimen(scene)
+    own = Renderer(scene, world, solid, samples=4)
+    rendered = Rendered(scene, seed=2, samples=4)
+    for k in (1, 4):
+        image, _ = own.view(k)
+        np.testing.assert_array_equal(rendered.light(sight_of(scene, k, seed=2)), image)
+    assert image.max() > 0.4
+
+
+def test_lamps_add_up_and_noise_belongs_to_the_state() -> None:
+    scene = scene_of((64, 48), replace(WRONG, full_well_e=8000.0, read_noise_e=3.0))
+    rendered = Rendered(scene, seed=0, samples=4)
+    full = sight_of(scene, 0)
+    both = rendered.light(full)
+    panel = rendered.light(replace(full, front=0.0))
+    half = rendered.light(replace(full, panel=0.5, front=0.5))
+    mixed = rendered.light(replace(full, front=0.5))
+    np.testing.assert_allclose(half, both / 2.0, atol=1e-6)
+    np.testing.assert_allclose(mixed, (both + panel) / 2.0, atol=1e-6)
+    assert rendered.light(replace(full, panel=0.0, front=0.0)).max() == 0.0
+    one, other = rendered.picture(full), rendered.picture(replace(full, table_deg=full.table_deg, front=0.999999))
+    np.testing.assert_array_equal(one, Rendered(scene, seed=0, samples=4).picture(full))
+    assert (one != other).mean() > 0.2
+    brighter = rendered.picture(replace(full, exposure=1.2))
+    assert brighter.mean() == pytest.approx(1.2 * one.mean(), rel=0.01)
+
+
+def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
+    scene = scene_of((64, 48))
+    twin = Twin(scene, seed=3, profile_name="bench", samples=4)
+    twin.record.keep_in(tmp_path / "record.jsonl")
+    for lamp in (twin.world.panel, twin.world.front):
+        lamp.show((255, 255, 255))
+    camera, made = twin.open_camera(), []
+    for k in range(3):
+        twin.world.table.queue(60.0 * k, 30.0)
+        twin.clock.sleep(20.0)
+        write_image(tmp_path / "images" / f"view_{k:03d}.png", camera.capture().image)
+        made.append((Frame(file=f"images/view_{k:03d}.png", sha256=""), twin.world.table_deg, twin.world.cam_from_rig))
+    twin.write_truth(tmp_path, [frame for frame, _, _ in made])
+    truth = load_truth(tmp_path)
+    assert truth.volume_mm3 == pytest.approx(np.pi / 6.0 * 30.0**3, rel=1e-3)
+    world = draw_world(scene, seed=3)
+    np.testing.assert_allclose(truth.canister_from_strip, world.canister_from_strip)
+    for view, (frame, table_deg, cam_from_rig) in zip(truth.views, made, strict=True):
+        assert view.file == frame.file
+        assert view.table_deg == table_deg
+        wanted = cam_from_rig @ plan.rig_from_table(scene, table_deg) @ world.table_from_canister
+        np.testing.assert_allclose(view.cam_from_canister, wanted, atol=1e-9)
+    _, coverage = Renderer(scene, world, build_specimen(scene), samples=4).look(_camera(twin, 2), ring=0)
+    mask = cv2.imread(str(tmp_path / "truth" / "masks" / "view_002.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(mask, np.rint(coverage * 65535.0))
+    assert (tmp_path / "truth" / "specimen.ply").is_file()
+
+    later = Twin(scene, seed=3, profile_name="bench", samples=4)
+    with pytest.raises(UserError, match="not taken by this twin"):
+        later.write_truth(tmp_path, [made[0][0]])
+    with (tmp_path / "record.jsonl").open("a") as file:
+        file.write('{"pixels": "cut o')
+    later.record.keep_in(tmp_path / "record.jsonl")
+    later.write_truth(tmp_path, [made[1][0]])
+    assert load_truth(tmp_path).views == truth.views[1:2]
+
+
+def _camera(twin: Twin, k: int) -> object:
+    from sim.world import TrueCamera
+
+    sight = twin.record.shots[k].sight
+    return TrueCamera(cam_from_rig=sight.cam_from_rig, rig_from_canister=sight.rig_from_canister, table_deg=sight.table_deg)
+
+
+def test_sketches_have_no_truth(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="sketched"):
+        Twin(scene_of((64, 48)), pictures="sketch").write_truth(tmp_path, [])
+
+
+def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be() -> None:
+    twin = Twin(scene_of((200, 150)), seed=1, profile_name="bench", pictures="sketch")
+    twin.world.front.show((255, 255, 255))
+    twin.world.table.queue(90.0, 10.0)
+    twin.clock.sleep(3.0)
+    first = twin.look()
+    twin.clock.sleep(1.0)
+    assert (twin.look() != first).any()
+    assert twin.record.shots[1].sight.table_deg - twin.record.shots[0].sight.table_deg == pytest.approx(10.0, abs=0.3)
+    assert twin.record.shot_of(first) == twin.record.shots[0]
+    assert twin.record.shot_of(first + np.uint16(16)) is None
+
+
+def test_the_twin_stands_as_the_simulator_draws_it() -> None:
+    scene = scene_of((64, 48))
+    twin = Twin(scene, seed=5, profile_name="bench", pictures="sketch")
+    np.testing.assert_array_equal(twin.world.table_from_canister, draw_world(scene, seed=5).table_from_canister)
+    known = twin.calibrated_scene()
+    assert known == calibrated_scene(scene)
+    assert known.specimen is None
+    assert known.disturbances == Disturbances()
+    assert known.camera.distortion == WRONG.distortion
+
+
+def test_a_twin_without_an_arm_has_its_camera_on_a_tripod() -> None:
+    scene = scene_of((64, 48))
+    rig = replace(Twin(scene, pictures="sketch").rig, arm=None)
+    twin = Twin(scene, seed=5, pictures="sketch", rig=rig)
+    assert set(twin.lines) == {"table"}
+    world = draw_world(scene, seed=5)
+    np.testing.assert_array_equal(twin.world.cam_from_rig, world.cameras[0].cam_from_rig)
+    twin.put_camera(1)
+    np.testing.assert_array_equal(twin.world.cam_from_rig, world.cameras[3].cam_from_rig)
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def now_s(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += max(seconds, 0.0)
+
+
+def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCamera, _Clock, list[float]]:
+    clock, exposures = _Clock(), []  # type: ignore[var-annotated]
+
+    def look(exposure: float) -> NDArray[np.uint16]:
+        exposures.append(exposure)
+        return np.full((2, 2), round(1000 * clock.now), np.uint16)
+
+    nominal = CameraPart(exposure_s=0.02)
+    return TwinCamera(look, clock, part=part or nominal, nominal=nominal, pending=Pending(faults)), clock, exposures
+
+
+def test_a_picture_is_exposed_after_it_was_asked_for() -> None:
+    camera, clock, exposures = camera_with(part=CameraPart(exposure_s=0.04, gain=2.0))
+    clock.now = 5.0
+    shot = camera.capture()
+    assert (shot.exposure_s, shot.gain) == (0.04, 2.0)
+    assert shot.image[0, 0] == 5020
+    assert exposures == [4.0]
+    assert clock.now >= 5.04
+
+
+def test_old_and_wrongly_exposed_pictures_are_taken_again() -> None:
+    for kind in ("stale_frame", "wrong_exposure"):
+        camera, _, exposures = camera_with(Fault(kind=kind, device="camera", at_message=2, amount=2.0, count=2))
+        first = camera.capture()
+        second = camera.capture()
+        assert second.image[0, 0] > first.image[0, 0]
+        assert second.exposure_s == 0.02
+        assert exposures[-1] == 1.0
+        never, _, _ = camera_with(Fault(kind=kind, device="camera", amount=2.0, count=FOR_GOOD))
+        with pytest.raises(NoAnswerError, match="3 times in a row"):
+            never.capture()
+
+
+def test_a_camera_that_stops_is_waited_for_and_named() -> None:
+    camera, clock, _ = camera_with(Fault(kind="camera_stopped", device="camera", amount=4.0))
+    camera.capture()
+    assert 4.0 < clock.now < 5.0
+    camera, clock, _ = camera_with(Fault(kind="camera_stopped", device="camera", amount=0.0))
+    for _ in range(2):
+        with pytest.raises(NoAnswerError, match="no picture came within 10 s"):
+            camera.capture()
+    assert clock.now == pytest.approx(20.0)
+
+
+def test_pictures_are_told_apart_by_their_content() -> None:
+    record, image = Record(), np.arange(6, dtype=np.uint16).reshape(2, 3)
+    sight = Sight(cam_from_rig=np.eye(4), rig_from_canister=np.eye(4), table_deg=1.0, panel=1.0, front=0.0)
+    record.add(image, sight, 2.0)
+    assert record.shot_of(image) is record.shots[0]
+    assert digest_of(image) != digest_of(image.T)
+    assert digest_of(image) != digest_of(image.astype(np.uint8))
+    assert sight.place_key == replace(sight, panel=0.5).place_key
+    assert sight.key != replace(sight, panel=0.5).key

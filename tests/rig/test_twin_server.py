@@ -1,0 +1,88 @@
+"""The twin alone: ports and camera for other programs, a rig file that leads there, a console for faults."""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from rig.cameras import open_camera
+from rig.clock import SystemClock
+from rig.rig_file import load_rig
+from rig.twin.server import TwinServer, rig_text, run_twin
+from rig.twin.twin import Twin
+from scenes.files import load_scene
+from scenes.model import Disturbances, Scene
+
+if sys.platform == "win32":
+    pytest.skip("needs pseudo-terminals", allow_module_level=True)
+
+SCENE = Scene(disturbances=Disturbances(distortion=(-0.05, 0.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[TwinServer]:
+    served = TwinServer(Twin(SCENE, seed=1, pictures="sketch", resets_on_open=True), tmp_path, speed=100.0)
+    served.start()
+    yield served
+    served.stop()
+
+
+def test_another_program_finds_table_and_camera(server: TwinServer) -> None:
+    rig = server.rig
+    with serial.serial_for_url(rig.turntable.port, baudrate=rig.turntable.baud, timeout=5.0) as port:
+        assert port.read_until(b"Loaded\n").startswith(b"start\n External Reset\n")
+        port.write(b"M150 S0 R U B\nM400\n")
+        assert port.read_until(b"ok\nok\n")
+    camera = open_camera(rig.camera, image_wh=SCENE.camera.image_wh, bits=SCENE.camera.bits, clock=SystemClock())
+    camera.prepare()
+    shot = camera.capture()
+    camera.close()
+    assert shot.image.shape == (600, 800)
+    assert shot.image.max() / 65535.0 == pytest.approx(0.75, abs=0.02)
+    assert shot.exposure_s == rig.camera.exposure_s
+    assert "panel 1.0" in server.where()
+
+
+def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.write(write, b"where\nrest\nreset\nfau")
+    os.write(write, b"lts\nquit\n")
+    said: list[str] = []
+    run_twin(
+        SCENE,
+        seed=0,
+        profile_name="bench",
+        pictures="sketch",
+        protocol="lsc",
+        speed=10.0,
+        write_rig=tmp_path / "rig.toml",
+        say=said.append,
+        faults=["reply_late arm amount=2"],
+        commands=read,
+    )
+    os.close(read)
+    os.close(write)
+    text = "\n".join(said)
+    rig = load_rig(tmp_path / "rig.toml")
+    assert rig.arm is not None
+    assert (rig.arm.protocol, rig.arm.baud) == ("lsc", 9600)
+    assert rig.turntable.port in text
+    assert rig.camera.kind == "http"
+    assert rig.camera.address in text
+    assert "truly: table" in text
+    assert 'there is no fault "rest" (did you mean "reset"?)' in text
+    assert "reset on the table" in text
+    assert "brown_out (arm)" in text
+    assert load_scene(tmp_path / "rig_scene.toml").camera.distortion == SCENE.disturbances.distortion
+    assert not Path(rig.turntable.port).exists()
+
+
+def test_a_rig_without_an_arm_is_written_too(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    rig = replace(Twin(SCENE, pictures="sketch").rig, arm=None)
+    (tmp_path / "rig.toml").write_text(rig_text(rig))
+    assert load_rig(tmp_path / "rig.toml") == rig
