@@ -227,6 +227,11 @@ class Pending:
         with self._lock:
             self._left.append(fault)
 
+    def clear(self) -> None:
+        """Let no further fault happen."""
+        with self._lock:
+            self._left.clear()
+
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
         """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did."""
         with self._lock:

@@ -178,6 +178,10 @@ class Servo:
         self._celsius = celsius
         self._guard()
 
+    def cool_down(self) -> None:
+        """Take the temperature of a servo at rest, unless it is cooler."""
+        self.heat(min(self._celsius, AMBIENT_CELSIUS + self._warmth))
+
     def advance(self, dt_s: float) -> None:
         """Let time pass."""
         moving = self.moving

@@ -192,6 +192,21 @@ class Twin:
                 servo.stalled = True
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
+    def repair(self) -> None:
+        """Do what a person does before a stopped scan is taken up: no fault is left, and a board that refuses to move is reset."""
+        self.pending.clear()
+        for line in self.lines.values():
+            line.plug()
+        for _, action in self._later:
+            action()
+        self._later.clear()
+        for servo in self.world.servos.values():
+            servo.stalled = False
+            servo.cool_down()
+        self.world.supply.brown_out(0.0)
+        if self.board.halted or self.board.commands.stopped:
+            self._reset("External Reset")
+
     def board_opened(self) -> None:
         """Act as the board does when the host opens its port."""
         if self._resets_on_open:

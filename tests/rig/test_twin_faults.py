@@ -13,7 +13,7 @@ from scenes.errors import UserError
 BAUD = 10_000  # a byte takes a millisecond
 
 
-class Parrot:
+class _Parrot:
     """Answers every request with what was heard, and an ok."""
 
     def __init__(self) -> None:
@@ -30,11 +30,11 @@ class Parrot:
         return []
 
 
-class Talk:
+class _Talk:
     """A line to a parrot, and the host at its other end."""
 
     def __init__(self, *faults: Fault) -> None:
-        self.parrot = Parrot()
+        self.parrot = _Parrot()
         self.pending = Pending(faults)
         self.broken: list[str] = []
         self.line = Line("table", self.parrot, baud=BAUD, pending=self.pending, break_device=self._broken)
@@ -61,7 +61,7 @@ def table(kind: str, **changes: object) -> Fault:
 
 
 def test_bytes_take_their_time_both_ways() -> None:
-    talk = Talk()
+    talk = _Talk()
     talk.line.write(b"123456789\n", 0.0)
     assert talk.listen(0.0099) == b""
     assert talk.parrot.heard == []
@@ -72,64 +72,64 @@ def test_bytes_take_their_time_both_ways() -> None:
 
 
 @dataclass(frozen=True)
-class Case:
+class _Case:
     fault: Fault
     first: bytes
     second: bytes = b"B\nok\n"
 
 
 CASES = [
-    Case(table("reply_dropped"), b"ok\n"),
-    Case(table("reply_dropped", count=2), b""),
-    Case(table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
-    Case(table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
-    Case(table("reply_doubled"), b"A\nA\nok\n"),
-    Case(table("reply_truncated", at_message=2, amount=0.4), b"A\no"),
-    Case(table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n"),
-    Case(table("request_dropped"), b""),
-    Case(table("ok_missing"), b"A\n"),
-    Case(table("ok_missing", count=2), b"A\n", b"B\n"),
-    Case(table("reply_corrupted", amount=0.0), b"@\nok\n"),
-    Case(table("request_corrupted", amount=0.0), b"@\nok\n"),
-    Case(table("ok_missing_after_resend", amount=0.0), b"@\n"),
+    _Case(table("reply_dropped"), b"ok\n"),
+    _Case(table("reply_dropped", count=2), b""),
+    _Case(table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
+    _Case(table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
+    _Case(table("reply_doubled"), b"A\nA\nok\n"),
+    _Case(table("reply_truncated", at_message=2, amount=0.4), b"A\no"),
+    _Case(table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n"),
+    _Case(table("request_dropped"), b""),
+    _Case(table("ok_missing"), b"A\n"),
+    _Case(table("ok_missing", count=2), b"A\n", b"B\n"),
+    _Case(table("reply_corrupted", amount=0.0), b"@\nok\n"),
+    _Case(table("request_corrupted", amount=0.0), b"@\nok\n"),
+    _Case(table("ok_missing_after_resend", amount=0.0), b"@\n"),
 ]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.fault.kind} x{case.fault.count} {case.fault.at_message} {case.fault.at_s}")
-def test_what_goes_wrong_on_the_wire(case: Case) -> None:
-    talk = Talk(case.fault)
+def test_what_goes_wrong_on_the_wire(case: _Case) -> None:
+    talk = _Talk(case.fault)
     assert talk.ask(b"A\n") == case.first
     assert talk.ask(b"B\n") == case.second
     assert talk.ask(b"C\n") == b"C\nok\n"
 
 
 def test_a_late_reply_comes_late() -> None:
-    talk = Talk(table("reply_late", amount=3.0))
+    talk = _Talk(table("reply_late", amount=3.0))
     assert talk.ask(b"A\n", wait_s=2.9) == b""
     assert talk.listen(0.2) == b"A\nok\n"
 
 
 def test_busy_lines_come_before_the_reply() -> None:
-    talk = Talk(table("busy", amount=5.0))
+    talk = _Talk(table("busy", amount=5.0))
     assert talk.ask(b"A\n", wait_s=4.5) == b"echo:busy: processing\n" * 2
     assert talk.listen(4.0) == b"echo:busy: processing\nA\nok\n"
 
 
 def test_an_echo_comes_before_the_answer() -> None:
-    talk = Talk(Fault(kind="echo", device="arm", count=2))
+    talk = _Talk(Fault(kind="echo", device="arm", count=2))
     talk.line.device = "arm"
     assert [talk.ask(b"A\n") for _ in range(3)] == [b"A\nA\nok\n", b"A\nA\nok\n", b"A\nok\n"]
 
 
 def test_an_unasked_frame_comes_before_the_answer() -> None:
-    talk = Talk(Fault(kind="unasked", device="arm"))
+    talk = _Talk(Fault(kind="unasked", device="arm"))
     talk.line.device = "arm"
     assert talk.ask(b"A\n") == COMPLETED + b"A\nok\n"
     assert bytes.fromhex("55 55 05 08 01 01 00") == COMPLETED
 
 
 def test_a_device_breaks_at_its_message() -> None:
-    talk = Talk(table("reset", at_message=3))
+    talk = _Talk(table("reset", at_message=3))
     talk.ask(b"A\n")
     assert talk.broken == []
     talk.ask(b"B\n")
@@ -137,7 +137,7 @@ def test_a_device_breaks_at_its_message() -> None:
 
 
 def test_unplugged_nothing_passes() -> None:
-    talk = Talk()
+    talk = _Talk()
     talk.line.write(b"A\n", 0.0)
     talk.line.unplug()
     assert talk.listen(1.0) == b""

@@ -12,7 +12,7 @@ from rig.twin.marlin_adapter import MarlinAdapter
 from rig.twin.stepper import Stepper
 
 
-class Board:
+class _Board:
     """A board fed by hand, in its own time."""
 
     def __init__(self, *, ok_after_resend: bool = True) -> None:
@@ -43,7 +43,7 @@ def _lines(replies: list) -> list[str]:  # type: ignore[type-arg]
 
 
 def test_the_wire_examples_are_accepted() -> None:
-    board = Board()
+    board = _Board()
     for line in ("N0 M110 N0*125", "N1 M115*39", "N2 G91*19", "N3 G1 X3.6 F1800*23"):
         assert board.send(line)[-1] == "ok", line
     assert board.send("N4 M400*35") == []
@@ -56,14 +56,14 @@ def test_the_wire_examples_are_accepted() -> None:
 
 
 def test_the_firmware_tells_what_it_is() -> None:
-    lines = Board().send("M115")
+    lines = _Board().send("M115")
     assert lines[0].startswith("FIRMWARE_NAME:Marlin 2.1")
     assert "Cap:EMERGENCY_PARSER:1" in lines
     assert lines[-1] == "ok"
 
 
 def test_a_byte_at_a_time_is_the_same() -> None:
-    board = Board()
+    board = _Board()
     said = [line for byte in b"N0 M110 N0*125\nN1 M115*39\n" for line in board.send(bytes([byte]))]
     assert said[0] == "ok"
     assert said[-1] == "ok"
@@ -71,35 +71,35 @@ def test_a_byte_at_a_time_is_the_same() -> None:
 
 
 @dataclass(frozen=True)
-class Bad:
+class _Bad:
     name: str
     line: str
     error: str
 
 
 BAD = [
-    Bad("wrong number", "N3 M114*36", "Error:Line Number is not Last Line Number+1, Last Line: 0"),
-    Bad("wrong checksum", "N1 M115*40", "Error:checksum mismatch, Last Line: 0"),
-    Bad("no checksum", "N1 M115", "Error:No Checksum with line number, Last Line: 0"),
+    _Bad("wrong number", "N3 M114*36", "Error:Line Number is not Last Line Number+1, Last Line: 0"),
+    _Bad("wrong checksum", "N1 M115*40", "Error:checksum mismatch, Last Line: 0"),
+    _Bad("no checksum", "N1 M115", "Error:No Checksum with line number, Last Line: 0"),
 ]
 
 
 @pytest.mark.parametrize("case", BAD, ids=lambda case: case.name)
-def test_a_bad_line_is_asked_for_again(case: Bad) -> None:
-    board = Board()
+def test_a_bad_line_is_asked_for_again(case: _Bad) -> None:
+    board = _Board()
     assert board.send(case.line) == [case.error, "Resend: 1", "ok"]
-    assert Board(ok_after_resend=False).send(case.line) == [case.error, "Resend: 1"]
+    assert _Board(ok_after_resend=False).send(case.line) == [case.error, "Resend: 1"]
     assert board.send("N1 M115*39")[-1] == "ok"
 
 
 def test_a_line_sent_twice_is_refused_the_second_time() -> None:
-    board = Board()
+    board = _Board()
     assert board.send("N1 M115*39")[-1] == "ok"
     assert board.send("N1 M115*39") == ["Error:Line Number is not Last Line Number+1, Last Line: 1", "Resend: 2", "ok"]
 
 
 def test_the_last_number_in_an_m110_wins() -> None:
-    board = Board()
+    board = _Board()
     line = "N7 M110 N41"
     assert board.send(f"{line}*{_xor(line)}") == ["ok"]
     line = "N42 M114"
@@ -110,7 +110,7 @@ def test_the_last_number_in_an_m110_wins() -> None:
 
 
 def test_comments_and_empty_lines_have_no_ok() -> None:
-    board = Board()
+    board = _Board()
     assert board.send("") == []
     assert board.send("   ; only a comment") == []
     assert board.send("M17 ; energise") == ["ok"]
@@ -118,15 +118,15 @@ def test_comments_and_empty_lines_have_no_ok() -> None:
 
 
 def test_lines_without_a_number_are_not_checked() -> None:
-    assert Board().send("M114*7")[-1] == "ok"
+    assert _Board().send("M114*7")[-1] == "ok"
 
 
 def test_unknown_commands_are_echoed_and_accepted() -> None:
-    assert Board().send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
+    assert _Board().send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
 
 
 def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
-    board = Board()
+    board = _Board()
     assert board.send("G1 X90 F1200") == ["ok"]
     assert board.send("M114") == ["X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0", "ok"]
     assert board.send("M400") == []
@@ -137,7 +137,7 @@ def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
 
 
 def test_the_busy_interval_can_be_set() -> None:
-    board = Board()
+    board = _Board()
     assert board.send("M113") == ["echo:M113 S2", "ok"]
     board.send("M113 S1")
     board.send("G1 X90 F1200")
@@ -146,14 +146,14 @@ def test_the_busy_interval_can_be_set() -> None:
 
 
 def test_a_full_queue_holds_the_ok_back() -> None:
-    board = Board()
+    board = _Board()
     answers = [board.send(f"G1 X{(k % 2) * 10} F600") for k in range(1, 20)]
     assert answers[:16] == [["ok"]] * 16
     assert answers[-1] == []
 
 
 def test_positions_absolute_relative_and_declared() -> None:
-    board = Board()
+    board = _Board()
     for line in ("G92 X370", "G90", "G1 X380 F1800", "G91", "G1 X-5"):
         assert board.send(line) == ["ok"]
     board.wait(3.0)
@@ -174,13 +174,13 @@ def test_positions_absolute_relative_and_declared() -> None:
     ],
 )
 def test_m150_lights(line: str, levels: tuple[float, float]) -> None:
-    board = Board()
+    board = _Board()
     assert board.send(line) == ["ok"]
     assert [lamp.level for lamp in board.lamps] == pytest.approx(levels)
 
 
 def test_m150_forgets_colours_but_keeps_the_brightness() -> None:
-    board = Board()
+    board = _Board()
     board.send("M150 S0 R255 P102")
     board.send("M150 S0 U255")
     assert board.lamps[0].level == pytest.approx(0.4 / 3.0)
@@ -189,7 +189,7 @@ def test_m150_forgets_colours_but_keeps_the_brightness() -> None:
 
 
 def test_an_idle_motor_is_released_unless_it_was_forbidden() -> None:
-    board = Board()
+    board = _Board()
     board.send("M17")
     board.wait(119.0)
     assert board.table.energised
@@ -204,7 +204,7 @@ def test_an_idle_motor_is_released_unless_it_was_forbidden() -> None:
 
 
 def test_m410_stops_at_once_even_behind_m400() -> None:
-    board = Board()
+    board = _Board()
     board.send("G1 X90 F600")
     board.send("M400")
     board.wait(1.5)
@@ -215,7 +215,7 @@ def test_m410_stops_at_once_even_behind_m400() -> None:
 
 
 def test_m112_kills_until_a_reset() -> None:
-    board = Board()
+    board = _Board()
     board.send("M17")
     assert board.send("N1 M112*32") == ["echo:M112 Shutdown", "Error:Printer halted. kill() called!"]
     assert not board.table.energised
@@ -227,7 +227,7 @@ def test_m112_kills_until_a_reset() -> None:
 
 
 def test_a_stopped_firmware_refuses_moves_until_m999() -> None:
-    board = Board()
+    board = _Board()
     board.adapter.commands.stopped = True
     assert board.send("G1 X10")[0].startswith("Printer stopped due to errors. Fix the error and use M999 to restart.")
     assert not board.table.moving
@@ -237,7 +237,7 @@ def test_a_stopped_firmware_refuses_moves_until_m999() -> None:
 
 
 def test_a_reset_forgets_everything_and_greets() -> None:
-    board = Board()
+    board = _Board()
     board.send("N1 M115*39")
     board.send("G92 X370")
     board.send("M150 R U B")
@@ -253,7 +253,7 @@ def test_a_reset_forgets_everything_and_greets() -> None:
 
 
 def test_a_resend_drops_what_waits_behind_it() -> None:
-    board = Board()
+    board = _Board()
     board.send("G1 X90 F600")
     board.send("M400")
     board.send("N5 M114*1")
@@ -268,7 +268,7 @@ def test_a_resend_drops_what_waits_behind_it() -> None:
 
 @given(st.binary(max_size=300))
 def test_noise_does_no_harm(noise: bytes) -> None:
-    board = Board()
+    board = _Board()
     board.send(noise)
     board.adapter.reset(board.now_s)
     assert board.wait(1.0)[0] == "start"

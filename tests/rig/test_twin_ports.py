@@ -81,7 +81,7 @@ def test_a_read_without_time_out_waits_for_what_comes_and_not_for_ever() -> None
     port = serial.serial_for_url(rig.rig.turntable.port, timeout=None)
     port.write(b"G4 S5\n")
     assert port.read(5) == b"echo:"
-    port.read(17 * 2 + 17 + 3 - 5 + 5)
+    assert port.read(42) == b"busy: processing\necho:busy: processing\nok\n"
     with pytest.raises(serial.SerialException, match="for ever"):
         port.read(1000)
     port.close()
@@ -209,6 +209,25 @@ def test_device_faults_reach_their_device() -> None:
     assert not any(unit.holds for unit in world.servos.values())
     rig.clock.sleep(2.0)
     assert world.supply.up
+
+
+def test_a_repaired_twin_has_no_fault_left() -> None:
+    rig = twin(
+        Fault(kind="unplugged", device="table", at_s=1.0, amount=0.0),
+        Fault(kind="stalled", device="arm", at_s=1.0, amount=0.0),
+        Fault(kind="overheated", device="arm", at_s=1.0, amount=95.0),
+        Fault(kind="stopped", device="table", at_s=1.0),
+        Fault(kind="reset", device="table", at_s=9.0),
+    )
+    rig.clock.sleep(2.0)
+    rig.repair()
+    port = opened(rig.rig.turntable.port)
+    rig.clock.sleep(8.0)
+    assert b"External Reset" in port.read(500)
+    assert asked(port, b"M17") == b"ok\n"
+    assert not any(unit.stalled or unit.hot or unit.celsius > 50 for unit in rig.world.servos.values())
+    assert "reset" not in [fault.kind for _, fault in rig.pending.happened]
+    port.close()
 
 
 @pytest.fixture

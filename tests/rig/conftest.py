@@ -1,0 +1,232 @@
+"""A Marlin board of a few lines for the tests of its drivers, with faults on the wire; written from the protocol, not from the drivers."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import reduce
+
+import pytest
+
+Piece = tuple[float, bytes]
+"""Delay in seconds, and bytes."""
+Fault = Callable[[bytes], list[Piece]]
+SPEED_DEG_PER_S = 30.0
+
+
+class Time:
+    """Time that passes only when somebody waits."""
+
+    def __init__(self) -> None:
+        self.at_s = 0.0
+
+    def now_s(self) -> float:
+        return self.at_s
+
+    def sleep(self, seconds: float) -> None:
+        self.at_s += max(seconds, 0.0)
+
+
+def line(number: int, text: str) -> bytes:
+    """Return a numbered line as a host must send it."""
+    body = f"N{number} {text}".encode()
+    return body + f"*{reduce(lambda total, byte: total ^ byte, body)}\n".encode()
+
+
+@dataclass
+class Board:
+    """A board behind a port: the methods of `rig.port.Port`, answers after Marlin 2.1."""
+
+    greets: bool = False
+    unknown: tuple[str, ...] = ()
+    """Commands that this firmware does not have."""
+    position_format: str = "X:{x:.2f} Y:0.00 Z:0.00 E:0.00 Count X:{count} Y:0 Z:0"
+    ok_after_resend: bool = True
+    advanced_ok: bool = False
+    keeps_alive: bool = True
+    reply_faults: dict[int, Fault] = field(default_factory=dict)
+    """By the number of the line that the board prints, from 0."""
+    request_faults: dict[int, Fault] = field(default_factory=dict)
+    resets: dict[int, str] = field(default_factory=dict)
+    """At which request (from 0) the board starts anew first, and what it prints then."""
+    x_deg: float = 0.0
+    clock: Time = field(default_factory=Time)
+    url: str = "fake"
+    device: str = "turntable"
+
+    def __post_init__(self) -> None:
+        self.last = 0
+        self.done_s = 0.0  # of all moves
+        self.free_s = 0.0  # of the command that blocks
+        self.moves: list[float] = []
+        self.energised = False
+        self.strips: dict[int, dict[str, int]] = {0: {}, 1: {}}
+        self.done: list[str] = []
+        """Commands that were carried out."""
+        self.sent: list[bytes] = []
+        self.waiting: list[Piece] = []
+        self.partial = b""
+        self.printed = 0
+        self.closed = 0
+        self.unplugged = False
+        self.stopped = False
+        if self.greets:
+            self.put("start\nPowerUp\nMarlin 2.1.2.5\necho: Last Updated: 2024-12-02\n", 1.0)
+
+    def write(self, data: bytes) -> None:
+        if self.unplugged:
+            raise OSError(5, "Input/output error")
+        number = len(self.sent)
+        self.sent.append(data)
+        if number in self.resets:
+            self.reset(self.resets[number])
+        for _, piece in self.request_faults.get(number, lambda data: [(0.0, data)])(data):
+            *whole, self.partial = (self.partial + piece).split(b"\n")
+            for text in whole:
+                self.take(text.decode("latin-1").strip())
+
+    def read(self, timeout_s: float) -> bytes:
+        if self.unplugged:
+            raise OSError(5, "Input/output error")
+        self.waiting.sort(key=lambda piece: piece[0])
+        until_s = self.clock.at_s + timeout_s
+        if not self.waiting or self.waiting[0][0] > until_s:
+            self.clock.at_s = until_s
+            return b""
+        due_s, data = self.waiting.pop(0)
+        self.clock.at_s = max(self.clock.at_s, due_s)
+        return data
+
+    def discard_input(self) -> None:
+        while self.read(0.0):
+            pass
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def reset(self, banner: str) -> None:
+        self.last, self.x_deg, self.energised, self.partial = 0, 0.0, False, b""
+        self.done_s = self.free_s = self.clock.at_s
+        self.strips = {0: {}, 1: {}}
+        self.waiting.clear()
+        self.put(banner, 0.3)
+
+    def put(self, text: str, delay_s: float = 0.001) -> None:
+        for text_line in text.splitlines(keepends=True):
+            fault = self.reply_faults.get(self.printed, lambda data: [(0.0, data)])
+            self.printed += 1
+            for later_s, data in fault(text_line.encode("latin-1")):
+                if data:
+                    self.waiting.append((max(self.clock.at_s, self.free_s) + delay_s + later_s, data))
+
+    def take(self, text: str) -> None:
+        if not text:
+            return
+        number: int | None = None
+        if text.startswith("N"):
+            body, star, checksum = text.partition("*")
+            number = int(found[0]) if (found := re.match(r"\d+", text[1:])) else -1
+            if " M110" not in text and number != self.last + 1:
+                return self.refuse("Line Number is not Last Line Number+1")
+            if not star:
+                return self.refuse("No Checksum with line number")
+            if str(reduce(lambda total, byte: total ^ byte, body.encode("latin-1"))) != checksum:
+                return self.refuse("checksum mismatch")
+            self.last = number
+            text = body.partition(" ")[2]
+        ok = f"ok N{number} P15 B3\n" if self.advanced_ok and number is not None else "ok\n"
+        self.carry_out(text, ok)
+        return None
+
+    def refuse(self, why: str) -> None:
+        self.put(f"Error:{why}, Last Line: {self.last}\nResend: {self.last + 1}\n" + "ok\n" * self.ok_after_resend)
+
+    def carry_out(self, text: str, ok: str) -> None:
+        name, *words = text.split()
+        values = {word[0]: float(word[1:]) for word in words}
+        now_s = max(self.clock.at_s, self.free_s)
+        if name in self.unknown or name not in ("G1 G90 G92 M17 M18 M110 M113 M114 M115 M150 M154 M155 M211 M400 M410".split()):
+            self.put(f'echo:Unknown command: "{text}"\n{ok}')
+            return
+        self.done.append(text)
+        if name == "G1" and self.stopped:
+            self.put("Printer stopped due to errors. Fix the error and use M999 to restart.\n")
+        elif name == "G1" and "X" in values:
+            self.done_s = max(self.done_s, now_s) + abs(values["X"] - self.x_deg) / SPEED_DEG_PER_S
+            self.x_deg = values["X"]
+            self.moves.append(self.x_deg)
+        elif name == "M400":
+            busy_s = now_s + 2.0
+            while busy_s < self.done_s and self.keeps_alive:
+                self.waiting.append((busy_s, b"echo:busy: processing\n"))
+                busy_s += 2.0
+            self.free_s = max(self.done_s, now_s)
+        elif name == "M410":
+            self.done_s = self.free_s = self.clock.at_s
+        elif name == "G92":
+            self.x_deg = values["X"]
+        elif name in ("M17", "M18") and "S" not in values:
+            self.energised = name == "M17"
+        elif name == "M150":
+            self.strips[int(values["S"])] = {letter: int(value) for letter, value in values.items() if letter != "S"}
+        elif name == "M114":
+            self.put(self.position_format.format(x=self.x_deg, count=round(self.x_deg * 160 / 9)) + "\n")
+        elif name == "M115":
+            self.put(
+                "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  2 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0\n"
+                "Cap:EEPROM:0\nCap:EMERGENCY_PARSER:1\n"
+            )
+        self.put(ok)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the table stands where it was told to go."""
+        return self.clock.at_s >= self.done_s
+
+
+class BoardSerial:
+    """What pyserial would return for a board."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.timeout = 0.0
+        self._received = b""
+
+    @property
+    def in_waiting(self) -> int:
+        self._received += self.board.read(0.0)
+        return len(self._received)
+
+    def read(self, size: int) -> bytes:
+        if len(self._received) < size:
+            self._received += self.board.read(self.timeout)
+        data, self._received = self._received[:size], self._received[size:]
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.board.write(data)
+        return len(data)
+
+    def close(self) -> None:
+        self.board.close()
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+@pytest.fixture(scope="session")
+def make_board() -> type[Board]:
+    return Board
+
+
+@pytest.fixture(scope="session")
+def numbered_line() -> Callable[[int, str], bytes]:
+    return line
+
+
+@pytest.fixture
+def serial_board(board: Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
+    """Return a board that every serial port leads to."""
+    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: BoardSerial(board))
+    return board
