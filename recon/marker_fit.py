@@ -144,14 +144,20 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
         sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
         if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
             table, tabled = _pattern(white, float(sigma[0]), float(sigma[1])), sigma
-        s, t, to_h = _invert(warp, xy, s, t)
-        at = [((c - GRID[0]) / (GRID[1] - GRID[0])).astype(np.float32) for c in (s, t)]
+        with np.errstate(all="ignore"):  # a fit that runs away may fold the marker up
+            s, t, to_h = _invert(warp, xy, s, t)
+        if not (np.isfinite(s).all() and np.isfinite(t).all()):
+            return None
+        at = [np.clip((c - GRID[0]) / (GRID[1] - GRID[0]), -1e6, 1e6).astype(np.float32) for c in (s, t)]
         pattern, by_s, by_t, by_log_blur = cv2.remap(table, *at, cv2.INTER_LINEAR).reshape(-1, 4).T.astype(np.float64)
         rows = np.empty((19, len(s)))
         rows[12], rows[13], rows[14], rows[18] = 1.0, s, t, light
         np.multiply(rows[12:15], pattern, out=rows[15:18])
         products = _products(rows[12:])
-        amounts = np.linalg.solve(products[:6, :6] + 1e-12 * np.eye(6), products[:6, 6])
+        try:
+            amounts = np.linalg.solve(products[:6, :6] + 1e-12 * np.eye(6), products[:6, 6])
+        except np.linalg.LinAlgError:
+            return None
         contrast = amounts[3] + amounts[4] * s + amounts[5] * t
         _by_warp(rows, contrast * by_s, contrast * by_t, warp, s, t, xy, to_h)
         rows[11] = contrast * by_log_blur / blur

@@ -132,7 +132,10 @@ def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
         return None
     for _ in range(8 if polish else 0):
         local = linearise(seen, cam_from_canister)
-        step = np.linalg.solve(local.normal[:6, :6], local.gradient[:6])
+        try:
+            step = np.linalg.solve(local.normal[:6, :6], local.gradient[:6])
+        except np.linalg.LinAlgError:
+            return None
         cam_from_canister = twist(np.asarray(step, np.float64)) @ cam_from_canister
         if np.abs(step[3:]).max() < 1e-5:
             break

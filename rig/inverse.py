@@ -23,10 +23,8 @@ NEAR_AXIS_MM = 1.0
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
 """Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
-LONGEST_STEP_RAD = 1.0
-"""No joint moves farther in one step: beyond, the Jacobian says nothing."""
 DAMPING = 0.1
-"""Of the normal equations, per squared size of the twist still to go: it fades, so that the last steps are Newton's own."""
+"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are Newton's own."""
 UNIT_MM = 100.0
 """Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
 
@@ -84,12 +82,12 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     l1, l2, l3 = links
     at, rotation = arm_from_cam[..., :3, 3], arm_from_cam[..., :3, :3]
     azimuth = _azimuth(at, rotation[..., 2])
-    rotation, left_over = _into_plane(rotation, azimuth)
+    ahead, left_over = _into_plane(rotation[..., 2], azimuth)
     answers = []
     for base_rad in (azimuth, azimuth + np.pi):
         out = np.cos(base_rad) * at[..., 0] + np.sin(base_rad) * at[..., 1]
-        lean = np.arctan2(np.cos(base_rad) * rotation[..., 0, 2] + np.sin(base_rad) * rotation[..., 1, 2], rotation[..., 2, 2])
-        # At roll 0 the camera's y leads toward where the arm leans, its x to the arm's right.
+        lean = np.arctan2(np.cos(base_rad) * ahead[..., 0] + np.sin(base_rad) * ahead[..., 1], ahead[..., 2])
+        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of these alike.
         right = np.stack([np.sin(base_rad), -np.cos(base_rad), np.zeros_like(base_rad)], axis=-1)
         x_cam, y_cam = (np.sum(right * rotation[..., k], axis=-1) for k in (0, 1))
         roll = np.arctan2(-y_cam, x_cam)
@@ -98,7 +96,7 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
             answers.append(np.concatenate([base_rad[..., None], pitch, roll[..., None]], axis=-1))
     joints = np.stack(answers, axis=-2)
     joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrapped(joints))
-    wrist = at - l3 * rotation[..., 2] - np.array([0.0, 0.0, base])
+    wrist = at - l3 * ahead - np.array([0.0, 0.0, base])
     return Branches(joints_rad=joints, left_over_rad=left_over, wrist_mm=np.linalg.norm(wrist, axis=-1))
 
 
@@ -160,32 +158,24 @@ def _azimuth(at: Array, ahead: Array) -> Array:
     return np.where(use_axis, np.where(level > EXACT_MM, by_axis, 0.0), np.arctan2(at[..., 1], at[..., 0]))
 
 
-def _into_plane(rotation: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Turn orientations by the smallest angle that brings the optical axis into the vertical plane; return them and that angle."""
+def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
+    """Return the direction (..., 3) in the vertical plane that is nearest to the optical axis, and the angle between them."""
     zero = np.zeros_like(azimuth)
     normal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=-1)
     outward = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)
-    ahead = rotation[..., 2]
     aside = np.sum(normal * ahead, axis=-1, keepdims=True)
     flat = ahead - aside * normal
     length = np.linalg.norm(flat, axis=-1, keepdims=True)
     flat = np.where(length > EXACT_MM, flat / np.maximum(length, EXACT_MM), outward)
-    v = np.cross(ahead, flat)
-    cosine = np.sum(ahead * flat, axis=-1, keepdims=True)
-    columns = np.swapaxes(rotation, -1, -2)
-    across = np.cross(v[..., None, :], columns)
-    turned = columns + across + np.cross(v[..., None, :], across) / (1.0 + cosine[..., None])
-    return np.swapaxes(turned, -1, -2), np.arctan2(np.abs(aside), length)[..., 0]
+    return flat, np.arctan2(np.abs(aside), length)[..., 0]
 
 
 def _step(jacobian: Array, twist: Array) -> Array:
-    """Return the damped, shortened step (N, n) of the normal equations."""
+    """Return the damped step (N, n) of the normal equations."""
     transposed = np.swapaxes(jacobian, -1, -2)
     damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the least keeps singular poses solvable
     normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
-    move = np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
-    longest = np.abs(move).max(axis=1, keepdims=True)
-    return move * np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(longest, 1e-300))
+    return np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
 
 
 def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:

@@ -377,6 +377,8 @@ class MarlinLink:
         state.refused = state.doubtful = False
         state.copies -= 1
         if wanted == self._last + 1:
+            if not state.acknowledged:
+                state.copies -= 1  # answers come in order: the ok of the first copy was lost
             self._acknowledge(state)
             return
         if wanted == 1 and state.number > 1:

@@ -74,6 +74,7 @@ class Port:
         self.device = device
         self._recorder = recorder
         self._timeout_s = 0.0
+        self._is_open = True
         only_for_files: dict[str, Any] = {} if "://" in url else {"exclusive": True}
         try:
             self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_TIMEOUT_S, **only_for_files)
@@ -98,6 +99,7 @@ class Port:
         """
         if self._recorder is not None:
             self._recorder.record(self.clock.now_s(), self.device, ">", data)
+        self._check_open()
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
@@ -115,6 +117,7 @@ class Port:
         LostError
             When the device was unplugged.
         """
+        self._check_open()
         try:
             data = self._waiting() or self._wait(timeout_s)
         except OSError as error:  # in_waiting raises a bare OSError where read and write raise SerialException
@@ -131,8 +134,13 @@ class Port:
 
     def close(self) -> None:
         """Close the port; nothing when it is closed already."""
+        self._is_open = False
         with suppress(OSError):
             self._serial.close()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
 
     def _waiting(self) -> bytes:
         """Read what has arrived. A socket never admits to more than one byte, so it is asked until it has none."""

@@ -241,7 +241,9 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
 def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
     """Read one line; everything that `replay_port` takes out of it is checked here."""
     try:
-        plain: dict[str, Any] = json.loads(line)
+        plain = json.loads(line)
+        if not isinstance(plain, dict):
+            raise ValueError("no object")
         if "dir" in plain:
             plain["sent"] = {">": True, "<": False}[plain["dir"]]
             plain["data"] = bytes.fromhex(plain["hex"])

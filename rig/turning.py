@@ -16,8 +16,8 @@ WAIT_S = 20.0
 """How long a lost board is waited for: time to plug it in again."""
 PAUSE_S = 1.0
 MOST_REFERENCES = 6
-SLIPPED_DEG = 0.5
-"""A picture that shows another angle than commanded by more than this: the table lost steps, or was turned by hand."""
+SLIPPED_DEG = 1.0
+"""A picture that shows another angle than commanded by more than this: the table lost steps, which come in fours, or was turned by hand."""
 
 
 class BoardFaultError(Exception):

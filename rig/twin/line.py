@@ -88,8 +88,11 @@ class Line:
         self.plugged = False
         self.plugs += 1
         self._requests.clear()
+        self._replies.clear()
         self._arrivals.clear()
         self._received.clear()
+        self._request_free_s = self._reply_free_s = 0.0
+        self._mute_ok = False
 
     def plug(self) -> None:
         """Put the cable back."""

@@ -169,6 +169,11 @@ class Servo:
                 self._into_s = self._duration_s = 0.0
         self.torque_on = on
 
+    def turn_by_hand(self, counts: float) -> None:
+        """Turn it while it is limp."""
+        self._sensed = counts
+        self.stop()
+
     def stop(self) -> None:
         """Stay where it is."""
         self._into_s = self._duration_s = 0.0

@@ -193,9 +193,10 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Do what a person does before a stopped scan is taken up: no fault is left, and a board that refuses to move is reset."""
+        """Do what a person does before a stopped scan is taken up: no fault is left, the arm rests, a board that refuses to move is reset."""
         self.pending.clear()
         for line in self.lines.values():
+            line.unplug()  # whatever still is on the wire is gone
             line.plug()
         for _, action in self._later:
             action()
@@ -203,7 +204,8 @@ class Twin:
         for servo in self.world.servos.values():
             servo.stalled = False
             servo.cool_down()
-        self.world.supply.brown_out(0.0)
+        self.world.brown_out(0.0)
+        self.world.put_arm_to_rest()
         if self.board.halted or self.board.commands.stopped:
             self._reset("External Reset")
 

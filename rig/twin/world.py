@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig import kinematics
-from rig.rig_file import ArmPart, RigFile
+from rig.rig_file import ArmPart, Joint, RigFile
 from rig.twin.imperfections import Imperfections
 from rig.twin.lamps import Lamp
 from rig.twin.servo import Servo, Supply
@@ -80,8 +80,8 @@ class TwinWorld:
         self.supply = Supply(key=(seed, _SUPPLY))
         self.servos: dict[int, Servo] = {}
         if rig.arm is not None:
-            for joint, rest_deg in zip(rig.arm.joints, rig.arm.park_deg, strict=True):
-                start = joint.zero_counts + joint.sign * joint.counts_per_deg * rest_deg
+            for joint, rest_deg in _rest(rig):
+                start = _counts(joint, rest_deg)
                 self.servos[joint.servo] = Servo(start_counts=start, imperfections=imperfections, key=(seed, _SERVO, joint.servo))
             if GRIPPER not in self.servos:
                 self.servos[GRIPPER] = Servo(start_counts=500.0, imperfections=imperfections, key=(seed, _SERVO, GRIPPER))
@@ -111,10 +111,16 @@ class TwinWorld:
         self.supply.load_volt = 0.08 * sum(servo.moving for servo in self.servos.values())
 
     def brown_out(self, for_s: float) -> None:
-        """Let the arm's voltage break down for a while: every servo starts anew, without torque."""
+        """Let the arm's voltage break down for a while (0: a moment): every servo starts anew, without torque."""
         self.supply.brown_out(for_s)
         for servo in self.servos.values():
             servo.power_up()
+        self._weigh()
+
+    def put_arm_to_rest(self) -> None:
+        """Move a limp arm to its resting place by hand."""
+        for joint, rest_deg in _rest(self.rig):
+            self.servos[joint.servo].turn_by_hand(_counts(joint, rest_deg))
         self._weigh()
 
     @property
@@ -164,6 +170,15 @@ class TwinWorld:
         for i, joint in enumerate(arm.joints[1:4]):
             torque = float(_WEIGHTS[i:] @ (across[i + 1 :] - across[i])) / most
             self.servos[joint.servo].torque = joint.sign * torque
+
+
+def _rest(rig: RigFile) -> list[tuple[Joint, float]]:
+    """Return the joints with their angles at rest; none without an arm."""
+    return [] if rig.arm is None else list(zip(rig.arm.joints, rig.arm.park_deg, strict=True))
+
+
+def _counts(joint: Joint, angle_deg: float) -> float:
+    return joint.zero_counts + joint.sign * joint.counts_per_deg * angle_deg
 
 
 def _digest(*arrays: frames.Array) -> bytes:

@@ -26,12 +26,6 @@ class Time:
         self.at_s += max(seconds, 0.0)
 
 
-def line(number: int, text: str) -> bytes:
-    """Return a numbered line as a host must send it."""
-    body = f"N{number} {text}".encode()
-    return body + f"*{reduce(lambda total, byte: total ^ byte, body)}\n".encode()
-
-
 @dataclass
 class Board:
     """A board behind a port: the methods of `rig.port.Port`, answers after Marlin 2.1."""
@@ -142,7 +136,7 @@ class Board:
 
     def carry_out(self, text: str, ok: str) -> None:
         name, *words = text.split()
-        values = {word[0]: float(word[1:]) for word in words}
+        values = {word[0]: float(found[0]) if (found := re.match(r"-?[\d.]+", word[1:])) else 0.0 for word in words}
         now_s = max(self.clock.at_s, self.free_s)
         if name in self.unknown or name not in ("G1 G90 G92 M17 M18 M110 M113 M114 M115 M150 M154 M155 M211 M400 M410".split()):
             self.put(f'echo:Unknown command: "{text}"\n{ok}')
@@ -218,11 +212,6 @@ def board() -> Board:
 @pytest.fixture(scope="session")
 def make_board() -> type[Board]:
     return Board
-
-
-@pytest.fixture(scope="session")
-def numbered_line() -> Callable[[int, str], bytes]:
-    return line
 
 
 @pytest.fixture

@@ -214,22 +214,25 @@ def test_thin_bar_between_samples_is_not_missed() -> None:
     """A thin arm swings half round and would brush a needle in one narrow piece of the way."""
     thin = Clearance(margin_mm=0.0, arm_radius_mm=1.0, camera_radius_mm=1.0)
     begin, end = (-90.0, 90.0, 0.0, 0.0, 0.0), (90.0, 90.0, 0.0, 0.0, 0.0)
-    for part in np.linspace(0.03, 0.97, 12):
+    for part in np.linspace(0.03, 0.97, 7):
         x, y, z = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
         needle = Bar(low_mm=(x - 0.5, y - 0.5, z - 0.5), high_mm=(x + 0.5, y + 0.5, z + 0.5))
         with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the way"):
             check_path(replace(RIG, clearance=replace(thin, bars=(needle,))), SCENE, [begin, end])
+        grazing = Bar(low_mm=(x - 0.5, y - 0.5, z + 0.8), high_mm=(x + 0.5, y + 0.5, z + 1.8))
+        with pytest.raises(UnsafeError, match="the bar 1"):
+            check_path(replace(RIG, clearance=replace(thin, bars=(grazing,))), SCENE, [begin, end])
         above = Bar(low_mm=(x - 0.5, y - 0.5, z + 1.6), high_mm=(x + 0.5, y + 0.5, z + 2.6))
         check_path(replace(RIG, clearance=replace(thin, bars=(above,))), SCENE, [begin, end])
 
 
 def test_verdicts_agree_with_dense_samples() -> None:
-    """Of 60 random ways on a crowded rig, clear ones are clear at 200 samples, refused ones too near at one of them."""
+    """Of 45 random ways on a crowded rig, clear ones are clear at 200 samples, refused ones too near at one of them."""
     rig = near(bars=(Bar(low_mm=(200.0, 80.0, 20.0), high_mm=(420.0, 110.0, 60.0)),))
     low, high = (np.array([getattr(joint, name) for joint in ARM.joints]) for name in ("min_deg", "max_deg"))
     rng = np.random.default_rng(0)
     verdicts = []
-    for _ in range(60):
+    for _ in range(45):
         begin, end = rng.uniform(low, high, (2, 5))
         samples = pairs(rig, SCENE, begin + np.linspace(0.0, 1.0, 201)[:, None] * (end - begin))
         spare = float((samples.distance_mm - samples.margin_mm).min())
@@ -242,7 +245,7 @@ def test_verdicts_agree_with_dense_samples() -> None:
         except UnsafeError:
             assert spare < 2.0
             verdicts.append(False)
-    assert 10 < sum(verdicts) < len(verdicts) - 10
+    assert 8 < sum(verdicts) < len(verdicts) - 8
 
 
 @given(
@@ -292,6 +295,30 @@ def test_way_round_goes_through_a_drawn_in_arm() -> None:
     assert len(path) > 1
     assert path[-1] == end
     check_path(rig, SCENE, [begin, *path])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detour:
+    """What else is in the way, and the shape in which the arm gets past."""
+
+    name: str
+    bar: Bar
+    shape: tuple[float, ...]
+
+
+DETOURS = (
+    Detour(name="post behind", bar=Bar(low_mm=(736.0, -2.0, -50.0), high_mm=(740.0, 2.0, 50.0)), shape=ARM.park_deg[1:4]),
+    Detour(name="wall behind", bar=Bar(low_mm=(705.0, -300.0, -50.0), high_mm=(720.0, 300.0, 150.0)), shape=(0.0, 0.0, 0.0)),
+)
+
+
+@pytest.mark.parametrize("detour", DETOURS, ids=lambda detour: detour.name)
+def test_way_round_turns_the_base_with_the_arm_drawn_in(detour: Detour) -> None:
+    begin, end = (45.0, 80.0, 0.0, 0.0, 10.0), (88.0, 80.0, 0.0, 0.0, 0.0)
+    x, y, z = camera_mm(RIG, (67.0, 80.0, 0.0, 0.0, 0.0))
+    between = Bar(low_mm=(x - 2.0, y - 2.0, z - 2.0), high_mm=(x + 2.0, y + 2.0, z + 2.0))
+    rig = replace(RIG, clearance=Clearance(bars=(between, detour.bar)))
+    assert plan_path(rig, SCENE, begin, end) == [(45.0, *detour.shape, 10.0), (88.0, *detour.shape, 0.0), end]
 
 
 def test_no_way_round_says_what_is_in_the_straight_one() -> None:

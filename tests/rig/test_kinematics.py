@@ -115,9 +115,16 @@ def test_body_jacobian_is_that_of_finite_differences(q: Array) -> None:
     angle=st.one_of(st.floats(0.0, 1e-8), st.floats(1e-5, 1e-2), st.floats(0.0, np.pi - 1e-3)),
     v=st.lists(st.floats(-300, 300), min_size=3, max_size=3).map(np.array),
 )
+@settings(max_examples=50)
 def test_logarithm_undoes_the_exponential(direction: Array, angle: float, v: Array) -> None:
     twist = np.concatenate([v, angle * direction / np.linalg.norm(direction)])
     np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, atol=1e-7)
+
+
+@pytest.mark.parametrize("angle_rad", [1e-6, 9.9e-4, 1.01e-3])
+def test_logarithm_of_small_turns_keeps_its_second_order(angle_rad: float) -> None:
+    twist = np.array([300.0, -200.0, 400.0, angle_rad, 0.0, 0.0])
+    np.testing.assert_allclose(log_se3(expm(hat(twist))), twist, rtol=0.0, atol=1e-8)
 
 
 # Appendix C.1 of the thesis. Its base frame's x, y, z are our arm's z, -y, x: there the arm points along x at home.
