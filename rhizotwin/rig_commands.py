@@ -26,6 +26,8 @@ from scenes.schema import to_plain
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
+SHOTS_FILE = "truth/shots.jsonl"
+"""What the twin's pictures truly show, kept so that the truth of a scan that was stopped can be written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +63,10 @@ def scan(options: argparse.Namespace) -> None:
     bench = _bench(options, plan=options.plan, pictures=options.fidelity)
     settings: dict[str, Any] = {"twin": None}
     if twin:
+        # what its pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before, too
+        bench.twin.record.keep_in(options.output.with_name(f".{options.output.name}.twin.jsonl"))
         settings = {"twin": {"profile": options.profile, "fidelity": options.fidelity, "scene_sha256": _hash(bench.twin.scene)}}
+    rendered = twin and options.fidelity == "render"
     with ExitStack() as stack:
         stack.enter_context(_hang_up_stops())
         recorder = _recorder(options.record, stack)
@@ -77,11 +82,13 @@ def scan(options: argparse.Namespace) -> None:
             table_angle_deg=options.table_angle,
             ask=_ask(),
             say=tqdm.write,
+            begun=(lambda: bench.twin.record.keep_in(options.output / SHOTS_FILE)) if rendered else (lambda: None),
         )
-    if twin:
+    if rendered:
         bench.twin.write_truth(options.output, made.frames)
+        bench.twin.record.end()
     print(f"{len(made.frames)} pictures in {options.output / 'images'}")
-    if not twin or options.fidelity == "render":
+    if not twin or rendered:
         print(f"next: rhizotwin reconstruct {options.output} -o my_result")
 
 

@@ -18,8 +18,8 @@ from scenes.pictures import Grey
 
 AT_REST_DEG = 5.0
 """An arm this near to its place of rest may lose its torque."""
-LIT = 1.3
-"""The lamps must brighten the picture by this factor."""
+LIT, LEAST_LIGHT = 1.3, 0.02
+"""The lamps must brighten the picture by this factor, and by this fraction of full scale."""
 
 T = TypeVar("T")
 
@@ -140,17 +140,17 @@ def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, ri
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return
-    shots = report.look("lights", lambda: _lit(camera, lights, rig, scene))
-    if shots is None:
+    lit = report.look("lights", lambda: _lit(camera, lights, rig, scene))
+    if lit is None:
         return
     if rig.arm is None:
-        report.look("picture", lambda: (None, preflight.check_picture(shots, scene.camera)))
-        report.look("markers", lambda: (None, preflight.check_markers(shots, scene)))
+        report.look("picture", lambda: (None, preflight.check_picture(lit, scene.camera)))
+        report.look("markers", lambda: (None, preflight.check_markers(lit, scene)))
     else:
-        found = preflight.exposure_of(shots)
+        found = preflight.exposure_of(lit)
         text = f"{100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated, from where the arm stands now"
         report.line("picture", "ok", text)
-        report.line("markers", "ok", f"not needed from where the arm stands now ({_seen(shots, scene)})")
+        report.line("markers", "ok", f"not needed from where the arm stands now ({_seen(lit, scene)})")
 
 
 def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Grey, str]:
@@ -161,7 +161,10 @@ def _lit(camera: Camera, lights: Lights, rig: RigFile, scene: Scene) -> tuple[Gr
     lit = camera.capture().image
     preflight.check_size(lit, scene.camera)
     before, after = (preflight.exposure_of(image).bright for image in (dark, lit))
-    if after < LIT * before:
+    brighter = after >= LIT * before + LEAST_LIGHT
+    if not brighter and rig.arm is not None:
+        return lit, "answer, but the camera does not see the panel from where the arm stands now"
+    if not brighter:
         raise RigError(
             f"lights: the picture is as bright without them ({100.0 * before:.0f} %) as with them ({100.0 * after:.0f} %); check the "
             "lamps' supply and data line, darken the room, and see that the camera looks at the panel"

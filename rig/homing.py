@@ -42,13 +42,13 @@ def facing_angle(seen: Sighting, scene: Scene) -> float:
     return wrapped(-scene.turntable.direction * seen.azimuth_deg)
 
 
-def angle_against(seen: Sighting, references: Sequence[Reference], scene: Scene) -> float:
+def angle_against(cam_from_canister: Array, references: Sequence[Reference], scene: Scene) -> float:
     """Return the table angle relative to pictures taken at known angles by a camera that stood at the same place.
 
     With ``cam_from_canister = C Rz(angle) S`` for the camera C and the seat S, both constant, the rotation between two pictures is the
     table's alone: errors of camera, seat and strip cancel. Several references lessen the noise of single pictures; their median is taken.
     """
-    canister_from_cam = frames.invert(seen.cam_from_canister)
+    canister_from_cam = frames.invert(cam_from_canister)
     direction = scene.turntable.direction
     angles = [reference.table_deg - direction * _turn_deg(canister_from_cam @ reference.cam_from_canister) for reference in references]
     return angles[0] + float(np.median([wrapped(angle - angles[0]) for angle in angles]))
@@ -81,7 +81,7 @@ def find_angle(
         When nobody and nothing knows the angle, or the markers contradict the one given.
     """
     if seen is not None:
-        angle = angle_against(seen, references, scene) if references else facing_angle(seen, scene)
+        angle = angle_against(seen.cam_from_canister, references, scene) if references else facing_angle(seen, scene)
         if given_deg is not None and abs(wrapped(angle - given_deg)) > DISAGREE_DEG:
             raise RigError(
                 f"turntable: was said to stand at {given_deg:g} deg, but the markers show {angle % 360.0:.1f} deg; leave --table-angle out"

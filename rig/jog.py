@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import preflight
+from rig.arm_stand import within_limits
 from rig.clearance import check_path, plan_path
 from rig.devices import Arm
 from rig.errors import RigError
@@ -14,7 +15,7 @@ from rig.homing import facing_angle
 from rig.kinematics import cam_from_rig as camera_at
 from rig.markers import Sighting, read_strip, why_unread
 from rig.open import Devices
-from rig.placing import camera_wanted, joints_for
+from rig.placing import arm_of, camera_wanted, joints_for
 from rig.safety import Say, make_safe, park
 from rig.session import encode_png
 from rig.stand import place_of
@@ -125,11 +126,12 @@ class Jog:
 
     def _table(self, words: list[str]) -> None:
         (text,) = words
+        angle_deg = finite(text)
         self._board()
         table = self._devices.table
         if not table.knows_zero():
             raise RigError("turntable: its angle is not known; type home, or home 0 when the strip's seam faces the camera")
-        goal_deg = finite(text) + (table.position_deg() if text[0] in "+-" else 0.0)
+        goal_deg = angle_deg + (table.position_deg() if text[0] in "+-" else 0.0)
         self._say(f"table at {table.move_to(goal_deg):.3f} deg")
 
     def _home(self, words: list[str]) -> None:
@@ -159,10 +161,11 @@ class Jog:
         if not 0 <= k < JOINT_COUNT:
             raise ValueError(number)
         angle_deg = finite(text)
-        arm = self._arm()
+        arm, part = self._arm(), arm_of(self._devices.rig)
         here = arm.read_joints()
         goal = list(here)
         goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
+        within_limits(part, tuple(goal))
         check_path(self._devices.rig, self._scene, [here, tuple(goal)])
         self._say(joints_text(arm.move_to(tuple(goal))))
 

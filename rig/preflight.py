@@ -47,8 +47,7 @@ def exposure_of(image: Grey) -> Exposure:
 def check_table(table: Turntable) -> str:
     """Connect to the turntable and say what answers."""
     table.prepare()
-    angle = "angle known" if table.knows_zero() else "angle not known yet"
-    return f"{table.describe()}; {angle}"
+    return table.describe()
 
 
 def check_lights(lights: Lights, part: LightsPart) -> str:

@@ -23,7 +23,7 @@ from rig.open import Devices
 from rig.safety import Say, make_safe
 from rig.session import Session, file_of, take_up
 from rig.stand import Stand, Tripod
-from rig.turning import BoardFaultError, Turning
+from rig.turning import BoardFaultError, Taken, Turning
 from rig.turntable import LEAST_DEG, MOST_DEG
 from scenes import plan
 from scenes.dataset import Dataset, Frame
@@ -52,6 +52,7 @@ def scan(
     ask: Ask | None = None,
     say: Say = tqdm.write,
     progress: bool = True,
+    begun: Callable[[], object] = lambda: None,
 ) -> Dataset:
     """Take every view of a scene's plan that the folder does not have yet.
 
@@ -68,6 +69,7 @@ def scan(
     ask : puts a question to a person; None when nobody is there.
     say : takes lines for people.
     progress : show a bar with the time left.
+    begun : called once it is known that the folder can be used, before anything moves.
 
     Returns
     -------
@@ -86,6 +88,7 @@ def scan(
     _refuse_plan(scene, planned)
     session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
     try:
+        begun()
         return _Scan(devices, scene, session, table_angle_deg=table_angle_deg, ask=ask, say=say, progress=progress).run(planned)
     finally:
         session.close()
@@ -110,10 +113,12 @@ class _Scan:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
         self._board_used = self._arm_used = self._homed = False
         self._placement = 0
-        self._bright: float | None = None
+        self._bright = 0.0
+        """How bright the ring's pictures are."""
 
     def run(self, planned: list[View]) -> Dataset:
         """Take what is missing, and leave the rig safe whatever happens."""
+        self._drop_slipped(self._turning.pictures_of(self._session))
         remaining = self._session.remaining()
         if not remaining:
             self._say(f"{self._session.folder}: all {len(planned)} pictures are there")
@@ -174,23 +179,25 @@ class _Scan:
         self._stand.place(ring)
         self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
         self._placement = self._session.next_placement(index)
-        self._bright = None
         for view in views:
             frame, image = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
             self._session.record(frame, image)
             self._turning.taken(view.table_deg, self._session.folder / frame.file)
             bar.update()
-        self._refuse_slipped()
+        slipped = self._drop_slipped(self._turning.pictures)
+        if slipped:
+            raise RigError(f"{slipped}: free the table, then finish the scan with --resume")
 
     def _look_about(self, index: int, near_deg: float) -> None:
         """Judge the picture, make the table's angle known, and correct the camera's place."""
         shot, seen = self._stand.search(self._scene.plan.rings[index])
         self._turning.answers()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
+        self._bright = preflight.exposure_of(shot.image).bright
         if not self._homed:
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
-            self._turning.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
+            self._turning.start(seen, shot.image, earlier=earlier, resumed=self._session.begun, near_deg=near_deg)
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turning.angle_deg)
         self._turning.seen(seen)
@@ -236,45 +243,47 @@ class _Scan:
         return frame, shot.image
 
     def _lit_picture(self, angle_deg: float) -> Shot:
-        """Take a picture between two proofs of the angle, as bright as the ring's others: the lamps cannot be read back."""
-        shot = self._eye.picture()
-        self._turning.verify(angle_deg)
-        bright = preflight.exposure_of(shot.image).bright
-        if self._bright is None:
-            self._bright = bright
-        if not DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
-            self._note(
-                "lights", f"lights: the panel changed from {self._bright:.2f} to {bright:.2f} of full scale; switching them on again"
-            )
-            self._turning.light()
+        """Take a picture, prove that the table still stands, and that the lamps, which cannot be read back, are as bright as they were."""
+        bright = 0.0
+        for again in (False, True):
+            if again:
+                self._note("lights", f"lights: the panel went from {self._bright:.2f} to {bright:.2f} of full scale; switched on again")
+                self._turning.light()
             shot = self._eye.picture()
             self._turning.verify(angle_deg)
             bright = preflight.exposure_of(shot.image).bright
-            if not DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
-                raise RigError(
-                    f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the "
-                    "lamps, their supply and what stands before the camera, then finish the scan with --resume"
-                )
-        return shot
+            if DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
+                return shot
+        raise RigError(
+            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, their "
+            "supply and what stands before the camera, then finish the scan with --resume"
+        )
 
-    def _refuse_slipped(self) -> None:
-        """Take pictures out that show another angle than commanded, and stop: lost steps cannot be read back, but stay lost."""
+    def _drop_slipped(self, pictures: list[Taken]) -> str:
+        """Take pictures out that show another angle than commanded, and say which: lost steps cannot be read back, but stay lost."""
         self._session.flush()
-        slipped = self._turning.slipped()
-        if slipped:
-            self._session.drop([f"images/{path.name}" for path in slipped])
-            raise RigError(
-                f"turntable: the markers of {slipped[0].name} to {slipped[-1].name} show other angles than commanded: the table slipped "
-                "or the camera was pushed; these pictures are taken out: free the table, then finish the scan with --resume"
-            )
+        slipped = self._turning.slipped(pictures)
+        if not slipped:
+            return ""
+        self._session.drop([f"images/{path.name}" for path in slipped])
+        names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
+        text = (
+            f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
+        )
+        text += "these pictures are taken out"
+        self._note("slipped", text)
+        return text
 
     def _stopped(self, error: BaseException) -> None:
         """Write the log, and say how the scan goes on; the first error is what counts."""
         with suppress(Exception):
+            self._drop_slipped(self._turning.pictures)
+        with suppress(Exception):
             self._note("stopped", str(error) or type(error).__name__, quiet=True)
             done = len(self._session.save().frames)
+            motor = "" if self._turning.lost else "; the table's motor stays on, so that its angle is kept"
             if done:
-                self._say(f"{done} pictures are kept; the table's motor stays on, so that its angle is kept: finish the scan with --resume")
+                self._say(f"{done} pictures are kept{motor}: finish the scan with --resume")
 
     def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
         """Say what happened, and keep it in the dataset's log."""

@@ -59,6 +59,16 @@ class Session:
         """Time of the scan that earlier runs used up."""
         return self._begun_s
 
+    @property
+    def begun(self) -> bool:
+        """Whether there is any picture."""
+        return bool(self._frames)
+
+    def last_station(self) -> list[Frame]:
+        """Return the frames that the camera took from the place where it stood last, in the order they were taken."""
+        taken = sorted(self._frames.values(), key=lambda frame: frame.time_s or 0.0)
+        return [frame for frame in taken if frame.station == taken[-1].station]
+
     def remaining(self) -> list[View]:
         """Return the views that have no picture yet."""
         self.flush()
@@ -182,7 +192,7 @@ def take_up(
         if folder.exists() and not folder.is_dir():
             raise UserError(f"{folder} is a file, give the name of a new folder for the dataset")
         _remove_temporary(folder)
-        if folder.is_dir() and any(not path.is_dir() for path in folder.rglob("*")):
+        if folder.is_dir() and any(path.is_file() and path.relative_to(folder).parts[0] != "truth" for path in folder.rglob("*")):
             raise UserError(f"{folder} is not empty and holds no stopped scan: choose a new folder for the dataset")
         return Session(new, planned)
     before = load_dataset(folder)

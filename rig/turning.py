@@ -6,9 +6,10 @@ from pathlib import Path
 
 from rig.errors import LostError, NoAnswerError, RigError
 from rig.eye import Eye
-from rig.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, find_angle, wrapped
+from rig.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrapped
 from rig.markers import Sighting, read_strip, why_unread
 from rig.open import Devices
+from rig.session import Session
 from scenes.model import Scene
 from scenes.pictures import Grey, decode_grey
 
@@ -16,8 +17,13 @@ WAIT_S = 20.0
 """How long a lost board is waited for: time to plug it in again."""
 PAUSE_S = 1.0
 MOST_REFERENCES = 6
+BESIDE_DEG = 20.0
+"""A camera may stand beside the x axis by this much: a tripod put up by hand."""
 SLIPPED_DEG = 1.0
 """A picture that shows another angle than commanded by more than this: the table lost steps, which come in fours, or was turned by hand."""
+
+Taken = tuple[float, Path]
+"""Commanded angle and file of a picture."""
 
 
 class BoardFaultError(Exception):
@@ -50,38 +56,49 @@ class Turning:
         self._given_deg = given_deg
         self._note = note
         self._looks: list[Reference] = []
-        self._pictures: list[tuple[float, Path]] = []
+        self.pictures: list[Taken] = []
+        """Pictures of the scan that the camera took where it stands."""
         self.lost = False
         """Whether the board was lost and has not come back."""
 
     def camera_moved(self) -> None:
         """Forget the pictures by which the angle could be found anew: the camera stands elsewhere now."""
         self._looks.clear()
-        self._pictures.clear()
+        self.pictures.clear()
 
     def seen(self, seen: Sighting | None) -> None:
         """Remember what the strip says while the angle is known."""
         if seen is not None:
             self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
 
+    @staticmethod
+    def pictures_of(session: Session) -> list[Taken]:
+        """Return the pictures that the camera took from its last place in an earlier run, which nobody may have compared yet."""
+        return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
+
     def taken(self, table_deg: float, path: Path) -> None:
         """Remember a picture of the scan that the camera took where it stands."""
-        self._pictures.append((table_deg, path))
+        self.pictures.append((table_deg, path))
 
-    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[tuple[float, Path]], near_deg: float) -> None:
+    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], resumed: bool, near_deg: float) -> None:
         """Make the table's angle known before the first picture of a run.
 
         Parameters
         ----------
         seen, image : what the strip says now, and in which picture.
         earlier : angles and pictures of the same ring from an earlier run; a table that kept its angle is compared with them.
+        resumed : whether there are any pictures: then an angle that the table kept is worth more than a new one.
         near_deg : the angle that is wanted next.
         """
         references = self._read(earlier)
         kept_deg = self._kept_deg()
-        if kept_deg is not None and (references or (seen is None and self._given_deg is None)):
-            shown_deg = angle_against(seen, references, self._scene) if seen is not None and references else kept_deg
-            if abs(wrapped(shown_deg - kept_deg)) <= DISAGREE_DEG:
+        if kept_deg is not None and (resumed or (seen is None and self._given_deg is None)):
+            shown_deg, most_deg = kept_deg, DISAGREE_DEG
+            if seen is not None and references:
+                shown_deg = angle_against(seen.cam_from_canister, references, self._scene)
+            elif seen is not None:
+                shown_deg, most_deg = facing_angle(seen, self._scene), BESIDE_DEG
+            if abs(wrapped(shown_deg - kept_deg)) <= most_deg:
                 checked = "not checked by markers" if seen is None else f"the markers show {shown_deg % 360.0:.2f} deg"
                 self._note("angle", f"turntable: kept its angle, {kept_deg:.2f} deg ({checked})")
                 return
@@ -140,10 +157,10 @@ class Turning:
         else:
             self._note("fault", f"{fault.cause}; asking again")
         shot, seen = self._eye.look()
-        references = [*self._looks, *self._read(self._pictures)]
+        references = [*self._looks, *self._read(self.pictures)]
         kept_deg = self._kept_deg()
         if kept_deg is not None:
-            shown_deg = angle_against(seen, references, self._scene) if seen is not None and references else kept_deg
+            shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
             if abs(wrapped(shown_deg - kept_deg)) <= SLIPPED_DEG:
                 self._note("angle", f"turntable: is back and kept its angle, {kept_deg:.2f} deg")
                 self.lost = False
@@ -152,18 +169,19 @@ class Turning:
         self.lost = False
         return True
 
-    def slipped(self) -> list[Path]:
-        """Return the pictures, from the last one back, whose markers show another angle than the table was commanded to.
+    def slipped(self, pictures: list[Taken]) -> list[Path]:
+        """Return the pictures whose markers show another angle than the table was commanded to.
 
-        Read by their markers from the last to the first that agrees, since steps that were lost stay lost.
+        They are read from the last one back to the first that agrees, since steps that were lost stay lost. What they are compared with is
+        what was seen from the same place before, or else the first of them.
         """
+        references = self._looks or self._read(pictures[:1])
         found: list[Path] = []
-        for table_deg, path in reversed(self._pictures):
+        for table_deg, path in reversed(pictures):
             shown = self._read([(table_deg, path)])
-            if not self._looks or not shown:
+            if not references or not shown:
                 break
-            seen = Sighting(cam_from_canister=shown[0].cam_from_canister, markers=0, reprojection_px=0.0)
-            if abs(wrapped(angle_against(seen, self._looks, self._scene) - table_deg)) <= SLIPPED_DEG:
+            if abs(wrapped(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= SLIPPED_DEG:
                 break
             found.append(path)
         return found[::-1]
@@ -203,7 +221,7 @@ class Turning:
             else:
                 return
 
-    def _read(self, pictures: list[tuple[float, Path]]) -> list[Reference]:
+    def _read(self, pictures: list[Taken]) -> list[Reference]:
         """Read the strip in some of the pictures, spread over all of them."""
         step = max(1, -(-len(pictures) // MOST_REFERENCES))
         found: list[Reference] = []

@@ -90,8 +90,10 @@ class MarlinTurntable:
         """
         _check_angle(angle_deg)
         here = _table_deg(self._known_x_deg())
-        needs_room = here if self._seated else here + self._part.approach_deg
-        way = [angle_deg - self._part.approach_deg, angle_deg] if angle_deg < needs_room - _ROUNDED_DEG else [angle_deg]
+        room_deg = self._part.approach_deg
+        way = [angle_deg]
+        if room_deg > 0.0 and angle_deg < (here if self._seated else here + room_deg) - _ROUNDED_DEG:
+            way.insert(0, angle_deg - room_deg)
         length_deg = sum(abs(b - a) for a, b in zip([here, *way], way, strict=False))
         expect_s = length_deg / self._part.speed_deg_per_s + _START_S
         self._verified, self._seated = None, False
@@ -122,7 +124,7 @@ class MarlinTurntable:
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
         """Return the angle that the board says, once it is the one that it was told; a different answer is not believed at once."""
-        read_deg = x_deg = before_deg = math.nan
+        read_deg = before_deg = math.nan
         for look in range(_LOOKS):
             if look:
                 self._clock.sleep(_PAUSE_S)
@@ -132,8 +134,6 @@ class MarlinTurntable:
             if off_deg <= _ROUNDED_DEG or (off_deg <= self._part.tolerance_deg and read_deg == before_deg):
                 self._verified = (self._link.sessions, x_deg)
                 return read_deg
-        if x_deg < KNOWN_X_DEG:
-            raise LostError(f"{self._link.name}: does not know the table's angle any more; it was reset, so find the angle anew")
         raise LostError(
             f"{self._link.name}: says that the table stands at {read_deg:.2f} deg after it was told {angle_deg:.2f} deg; check the "
             "firmware's axis limits, then find the angle anew"

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from rig.twin.world import Sight
 from scenes import frames
 from scenes.atomic import write_image
-from scenes.errors import UserError
 from scenes.model import Scene
 from scenes.pictures import Grey
 from scenes.truth import save_truth
@@ -114,18 +113,12 @@ class Rendered:
         return light
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
-        """Write the ``truth`` of a dataset, given each picture's file name and what it shows.
-
-        Raises
-        ------
-        UserError
-            When the scene has no specimen.
-        """
+        """Write the ``truth`` of a dataset, given each picture's file name and what it shows; the scene must have a specimen."""
         from sim.truth import truth_of, write_specimen
 
         world = self._drawn()
         if self._solid is None:
-            raise UserError(f"scene {self._scene.name!r} has no specimen, so that its pictures have no truth")
+            raise ValueError(f"scene {self._scene.name!r} has no specimen")
         write_specimen(folder, self._solid)
         for file, sight in taken:
             if sight.place_key not in self._masks:

@@ -59,6 +59,12 @@ class Record:
             raise UserError(f"{path}: cannot be used for the twin's record ({error.strerror})") from error
         self._path = path
 
+    def end(self) -> None:
+        """Remove the file: it is needed no more."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+            self._path = None
+
     def add(self, image: Grey, sight: Sight, time_s: float) -> None:
         """Remember a picture."""
         shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)

@@ -12,7 +12,7 @@ import numpy as np
 from rig.twin.imperfections import Imperfections, Key
 
 MICROSTEPS = 32
-ACCELERATION_DEG_PER_S2 = 360.0
+ACCELERATION_DEG_PER_S2 = 60.0
 MAX_SPEED_DEG_PER_S = 360.0
 QUEUE = 16
 """Moves that wait behind the one that runs."""

@@ -147,16 +147,21 @@ class Twin:
         """Without an arm: put the tripod where a ring of the plan wants it, as well as a hand does."""
         self.world.tripod_cam_from_rig = self._ring_cameras[ring]
 
-    def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> None:
+    def write_truth(self, folder: Path | str, frames: Iterable[Frame]) -> bool:
         """Write the ``truth`` of a dataset that was taken with this twin: solid, skeleton, true poses, masks.
+
+        Returns
+        -------
+        bool
+            False, and nothing is written, where there is none: sketched pictures, or a scene without a specimen.
 
         Raises
         ------
         UserError
-            When a frame was not taken by this twin (or one whose record it keeps), the scene has no specimen, or pictures are sketches.
+            When a frame was not taken by this twin, nor by one whose record it has taken up (`Record.keep_in`).
         """
-        if self._rendered is None:
-            raise UserError("sketched pictures show no specimen, so that they have no truth; let the twin render them")
+        if self._rendered is None or self.scene.specimen is None:
+            return False
         taken = []
         for frame in frames:
             path = Path(folder) / frame.file
@@ -165,6 +170,7 @@ class Twin:
                 raise UserError(f"{path}: was not taken by this twin, so that its true pose is not known")
             taken.append((frame.file, shot.sight))
         self._rendered.write_truth(Path(folder), taken)
+        return True
 
     def inject(self, fault: Fault) -> None:
         """Let a fault happen."""
@@ -193,7 +199,7 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Do what a person does before a stopped scan is taken up: no fault is left, the arm rests, a board that refuses to move is reset."""
+        """Do what a person does before a stopped scan is taken up: no fault is left, the arm rests, a refusing board is reset."""
         self.pending.clear()
         for line in self.lines.values():
             line.unplug()  # whatever still is on the wire is gone

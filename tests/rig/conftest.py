@@ -11,6 +11,7 @@ Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
 Fault = Callable[[bytes], list[Piece]]
 SPEED_DEG_PER_S = 30.0
+COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114, 115, 150, 154, 155, 211, 400, 410))}
 
 
 class Time:
@@ -20,9 +21,11 @@ class Time:
         self.at_s = 0.0
 
     def now_s(self) -> float:
+        """Return the time."""
         return self.at_s
 
     def sleep(self, seconds: float) -> None:
+        """Let time pass."""
         self.at_s += max(seconds, 0.0)
 
 
@@ -67,6 +70,7 @@ class Board:
             self.put("start\nPowerUp\nMarlin 2.1.2.5\necho: Last Updated: 2024-12-02\n", 1.0)
 
     def write(self, data: bytes) -> None:
+        """Take bytes from the host."""
         if self.unplugged:
             raise OSError(5, "Input/output error")
         number = len(self.sent)
@@ -79,6 +83,7 @@ class Board:
                 self.take(text.decode("latin-1").strip())
 
     def read(self, timeout_s: float) -> bytes:
+        """Hand out the next piece that is due within the time-out."""
         if self.unplugged:
             raise OSError(5, "Input/output error")
         self.waiting.sort(key=lambda piece: piece[0])
@@ -91,13 +96,16 @@ class Board:
         return data
 
     def discard_input(self) -> None:
+        """Drop what is due."""
         while self.read(0.0):
             pass
 
     def close(self) -> None:
+        """Count how often the port is closed."""
         self.closed += 1
 
     def reset(self, banner: str) -> None:
+        """Start anew, saying so or not."""
         self.last, self.x_deg, self.energised, self.partial = 0, 0.0, False, b""
         self.done_s = self.free_s = self.clock.at_s
         self.strips = {0: {}, 1: {}}
@@ -105,6 +113,7 @@ class Board:
         self.put(banner, 0.3)
 
     def put(self, text: str, delay_s: float = 0.001) -> None:
+        """Print lines, with their faults."""
         for text_line in text.splitlines(keepends=True):
             fault = self.reply_faults.get(self.printed, lambda data: [(0.0, data)])
             self.printed += 1
@@ -113,8 +122,9 @@ class Board:
                     self.waiting.append((max(self.clock.at_s, self.free_s) + delay_s + later_s, data))
 
     def take(self, text: str) -> None:
+        """Check number and checksum of a line."""
         if not text:
-            return
+            return None
         number: int | None = None
         if text.startswith("N"):
             body, star, checksum = text.partition("*")
@@ -132,13 +142,15 @@ class Board:
         return None
 
     def refuse(self, why: str) -> None:
+        """Ask for the line that is wanted."""
         self.put(f"Error:{why}, Last Line: {self.last}\nResend: {self.last + 1}\n" + "ok\n" * self.ok_after_resend)
 
     def carry_out(self, text: str, ok: str) -> None:
+        """Do a command."""
         name, *words = text.split()
         values = {word[0]: float(found[0]) if (found := re.match(r"-?[\d.]+", word[1:])) else 0.0 for word in words}
         now_s = max(self.clock.at_s, self.free_s)
-        if name in self.unknown or name not in ("G1 G90 G92 M17 M18 M110 M113 M114 M115 M150 M154 M155 M211 M400 M410".split()):
+        if name in self.unknown or name not in COMMANDS:
             self.put(f'echo:Unknown command: "{text}"\n{ok}')
             return
         self.done.append(text)
@@ -166,7 +178,7 @@ class Board:
             self.put(self.position_format.format(x=self.x_deg, count=round(self.x_deg * 160 / 9)) + "\n")
         elif name == "M115":
             self.put(
-                "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  2 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0\n"
+                "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  2 2024 12:00:00) SOURCE_CODE_URL:github.com/x PROTOCOL_VERSION:1.0\n"
                 "Cap:EEPROM:0\nCap:EMERGENCY_PARSER:1\n"
             )
         self.put(ok)
@@ -187,20 +199,24 @@ class BoardSerial:
 
     @property
     def in_waiting(self) -> int:
+        """Number of bytes that have arrived."""
         self._received += self.board.read(0.0)
         return len(self._received)
 
     def read(self, size: int) -> bytes:
+        """Hand out the next piece that is due within the time-out."""
         if len(self._received) < size:
             self._received += self.board.read(self.timeout)
         data, self._received = self._received[:size], self._received[size:]
         return data
 
     def write(self, data: bytes) -> int:
+        """Take bytes from the host."""
         self.board.write(data)
         return len(data)
 
     def close(self) -> None:
+        """Count how often the port is closed."""
         self.board.close()
 
 

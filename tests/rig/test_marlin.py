@@ -1,6 +1,7 @@
 """The link to a Marlin board: the bytes on the wire, every fault that an answer can have, and random pairs of them."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.errors import LostError, NoAnswerError, RigError
-from rig.marlin import ANSWER_S, BUSY_S, LONGEST_S, MarlinLink
+from rig.marlin import MarlinLink
+from rig.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
 from rig.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, numbered, read_line
 from rig.rig_file import TurntablePart
 from rig.turntable import MarlinTurntable
@@ -41,6 +43,7 @@ class Script:
         self.interrupt = False
 
     def answer(self, *answers: Any) -> None:
+        """Let the board say something."""
         due_s = self.clock.now_s()
         for answer in answers:
             if isinstance(answer, float):
@@ -49,6 +52,7 @@ class Script:
                 self.waiting.append((due_s, answer if isinstance(answer, bytes) else f"{answer}\n".encode()))
 
     def write(self, data: bytes) -> None:
+        """Demand the next line of the script."""
         assert self.steps, f"nothing more was to be sent, but {data!r} was"
         wanted, answers = self.steps.pop(0)
         checksum = 0
@@ -58,6 +62,7 @@ class Script:
         self.answer(*answers)
 
     def read(self, timeout_s: float) -> bytes:
+        """Hand out the next answer that is due within the time-out."""
         if self.interrupt and timeout_s > 0.0:
             self.interrupt = False
             raise KeyboardInterrupt
@@ -70,9 +75,11 @@ class Script:
         return data
 
     def discard_input(self) -> None:
+        """Refuse: what is dropped must have been read."""
         raise AssertionError("the link reads what it drops")
 
     def close(self) -> None:
+        """Note it."""
         self.steps.append(("closed", ()))
 
 
@@ -84,10 +91,12 @@ class Talk:
     link: MarlinLink
 
     def then(self, *steps: tuple[str, tuple[Any, ...]]) -> MarlinLink:
+        """Go on with the script; return the link."""
         self.script.steps += steps
         return self.link
 
     def since_s(self) -> float:
+        """Return the time since the link was started."""
         return self.script.clock.now_s()
 
 
@@ -271,7 +280,7 @@ def test_the_line_number_of_a_former_session_does_not_matter(make_board: Any) ->
 def test_another_firmware_is_told(make_board: Any) -> None:
     script = Script(make_board().clock, GREETING[0], *[(f"N{n} M115", ("Grbl 1.1f", "ok")) for n in (1, 2, 3)])
     link = MarlinLink(script)
-    with pytest.raises(NoAnswerError, match="does not answer M115 as Marlin does .'Grbl 1.1f'."):
+    with pytest.raises(NoAnswerError, match=r"does not answer M115 as Marlin does \('Grbl 1.1f'\)"):
         link.start()
     assert not link.ready
 
@@ -320,6 +329,7 @@ TROUBLES = (
     Trouble("resend damaged", ((M400, (REFUSED[0], "Rezend: 8", "ok")), (M400, ("ok",)))),
     Trouble("error damaged", ((M400, ("Error:checksum mismatch, Last Lin", REFUSED[1], "ok")), (M400, ("ok",)))),
     Trouble("numbers contradict", ((M400, ("Error:x, Last Line: 7", "Resend: 1", "ok")), (M400, ("ok",)))),
+    Trouble("numbers contradict each other as if it was taken", ((M400, ("Error:x, Last Line: 7", "Resend: 9", "ok")), (M400, ("ok",)))),
     Trouble("only a damaged error", ((M400, ("Error:checksum mi", "ok")), (M400, TWICE))),
     Trouble("ok lost", ((M400, ()), (M400, TWICE)), ANSWER_S, ANSWER_S + 0.1),
     Trouble("ok and the answer to its copy lost", ((M400, ()), (M400, ()), (M400, TWICE)), 13.0, 13.6),
@@ -367,8 +377,9 @@ def test_a_command_gets_through(trouble: Trouble, talk: Talk) -> None:
 )
 def test_a_lost_board_stays_lost_until_it_is_started(answers: tuple[str, ...], talk: Talk) -> None:
     link = talk.then((M400, answers), ("N9 M17", ()))
-    with pytest.raises(LostError, match="turntable on fake: the board"):
+    with suppress(LostError):
         link.command("M400")
+    with pytest.raises(LostError, match="turntable on fake: the board"):
         link.command("M17")
     talk.script.steps.clear()
     assert not link.ready
@@ -382,7 +393,7 @@ def test_a_lost_board_stays_lost_until_it_is_started(answers: tuple[str, ...], t
 
 def test_a_lost_ok_and_a_silent_reset(talk: Talk) -> None:
     link = talk.then((M400, ()), (M400, ("Error:Line Number is not Last Line Number+1, Last Line: 0", "Resend: 1", "ok")))
-    with pytest.raises(LostError, match="was reset .it counts its lines from the beginning."):
+    with pytest.raises(LostError, match=r"was reset \(it counts its lines from the beginning\)"):
         link.command("M400")
 
 
@@ -563,6 +574,7 @@ class Hit:
     late_s: float
 
     def __call__(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Return what becomes of bytes."""
         where = min(int(self.part * len(data)), len(data) - 1)
         changed = data[:where] + bytes((data[where] ^ (1 << (self.at % 8)),)) + data[where + 1 :]
         return {
@@ -593,7 +605,12 @@ resets = st.dictionaries(st.integers(0, 40), st.sampled_from(("", "start\n Watch
     angles=st.lists(st.sampled_from((0.0, 9.0, 18.0, 90.0, 351.0)), min_size=1, max_size=3),
 )
 def test_no_wrong_angle_is_ever_believed_and_nothing_hangs(
-    make_board: Callable[..., Any], replies: list[Hit], asked: list[Hit], resets: dict[int, str], speaks: dict[str, bool], angles: list[float]
+    make_board: Callable[..., Any],
+    replies: list[Hit],
+    asked: list[Hit],
+    resets: dict[int, str],
+    speaks: dict[str, bool],
+    angles: list[float],
 ) -> None:
     board = make_board(
         reply_faults={hit.at: hit for hit in replies}, request_faults={hit.at: hit for hit in asked}, resets=resets, **speaks

@@ -26,6 +26,7 @@ class Terminal:
     port: Port
 
     def unplug(self) -> None:
+        """Pull the cable."""
         os.close(self.master)
         self.master = -1
 
@@ -170,10 +171,12 @@ class Notes(Recorder):
     def __init__(self) -> None:
         self.entries: list[tuple[Any, ...]] = []
 
-    def opened(self, t_s: float, device: str, *, url: str, baud: int) -> None:
+    def opened(self, _t_s: float, device: str, *, url: str, baud: int) -> None:
+        """Note it."""
         self.entries.append((device, url, baud))
 
-    def record(self, t_s: float, device: str, direction: str, data: bytes) -> None:
+    def record(self, _t_s: float, device: str, direction: str, data: bytes) -> None:
+        """Note it."""
         self.entries.append((device, direction, data))
 
 
@@ -188,6 +191,7 @@ class Slow:
 
     @property
     def timeout(self) -> float:
+        """The time-out that is set."""
         return self._timeout
 
     @timeout.setter
@@ -196,14 +200,16 @@ class Slow:
         self.changes += 1
 
     def read(self, _size: int) -> bytes:
+        """Wait in vain."""
         self.waited.append(self._timeout)
         return b""
 
     def write(self, _data: bytes) -> int:
+        """Take nothing."""
         raise serial.SerialTimeoutException("Write timeout")
 
     def close(self) -> None:
-        pass
+        """Do nothing."""
 
 
 @pytest.fixture
@@ -229,7 +235,8 @@ def test_time_outs_are_seldom_set(slow: Slow) -> None:
     assert slow.changes == 1
 
 
-def test_a_device_that_takes_nothing(slow: Slow) -> None:
+@pytest.mark.usefixtures("slow")
+def test_a_device_that_takes_nothing() -> None:
     with pytest.raises(NoAnswerError, match="took no bytes"):
         opened("fake").write(b"x")
 

@@ -26,7 +26,7 @@ def lines(path: Path) -> list[dict[str, Any]]:
 
 
 def small(path: Path) -> Path:
-    """A session of three exchanges of the turntable, one of the arm between them."""
+    """Record a session: three exchanges of the turntable, one of the arm between them."""
     recorder = Recorder(path)
     recorder.opened(0.0, "turntable", url="/dev/ttyUSB0", baud=115200)
     recorder.record(0.5, "turntable", ">", b"M114\n")
@@ -69,7 +69,7 @@ def test_a_line_cut_off_by_a_crash_is_left_out(tmp_path: Path) -> None:
 def test_a_full_disk_is_told() -> None:
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full")
-    with pytest.raises(RigError, match="/dev/full: the recording cannot be written .*No space left"):
+    with pytest.raises(RigError, match=r"/dev/full: the recording cannot be written .*No space left"):
         Recorder("/dev/full")
 
 
@@ -171,7 +171,7 @@ def test_sending_on_after_the_end_is_a_difference(replay: ReplayPort) -> None:
 def test_stopping_early_is_a_difference(replay: ReplayPort) -> None:
     replay.write(b"M114\n")
     replay.discard_input()
-    with pytest.raises(ReplayError, match="line 7 has b'M17.n' sent, but the driver stopped"):
+    with pytest.raises(ReplayError, match=r"line 7 has b'M17.n' sent, but the driver stopped"):
         replay.finish()
 
 
@@ -233,7 +233,7 @@ def drive(link: MarlinLink, clock: Any) -> list[float]:
 
 @pytest.fixture
 def session(serial_board: Any, tmp_path: Path) -> Path:
-    """A recorded session on a board that resets when its port is opened, with a lost ``ok`` and a damaged request."""
+    """Record a session on a board that resets when its port is opened, with a lost ``ok`` and a damaged request."""
     serial_board.__init__(
         greets=True,
         reply_faults={40: lambda _data: []},

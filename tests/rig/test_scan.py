@@ -160,7 +160,11 @@ class FakeCamera:
         self.world.call("camera.capture")
         self.world.now_s += 0.01
         world = self.world
-        return Shot(image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front), exposure_s=0.01, gain=1.0)
+        return Shot(
+            image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front),
+            exposure_s=0.01,
+            gain=1.0,
+        )
 
     def close(self) -> None:
         self.world.call("camera.close")
@@ -425,7 +429,11 @@ def keep_dark(world: World) -> None:
 def test_fault_that_stays_stops_the_scan_with_its_cause(trouble: Trouble, tmp_path: Path) -> None:
     world, said = World(), []
     trouble.arm(world)
-    named = {"camera dead": "camera: no picture", "board dead": "turntable: unplugged.*did not come back", "lamps dead": "lights: the panel is"}
+    named = {
+        "camera dead": "camera: no picture",
+        "board dead": "turntable: unplugged.*did not come back",
+        "lamps dead": "lights: the panel is",
+    }
     with pytest.raises(RigError, match=named[trouble.name]):
         run(world, tmp_path / "d", said=said)
     assert (world.panel, world.front) == (0.0, 0.0)

@@ -123,7 +123,7 @@ def test_each_fault_is_cured_or_named(kind: FaultKind, count: int, tmp_path: Pat
     made = load_dataset(tmp_path / "d")
     assert [frame.table_deg for frame in made.frames] == [view.table_deg for view in plan.views(SCENE)]
     assert kept is None or made.frames[: len(kept.frames)] == kept.frames
-    assert all(abs(off) < 2.0 for off in off_deg(twin, made))
+    assert all(abs(off) < 4.0 for off in off_deg(twin, made))  # a fault at the wrong moment would give many times that
     assert is_safe(twin)
 
 

@@ -131,8 +131,8 @@ def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
     assert board.send("M114") == ["X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0", "ok"]
     assert board.send("M400") == []
     assert board.send("M114") == []  # waits behind
-    assert board.wait(4.4) == ["echo:busy: processing"] * 2
-    assert board.wait(0.2) == ["ok", "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0", "ok"]
+    assert board.wait(4.8) == ["echo:busy: processing"] * 2
+    assert board.wait(0.1) == ["ok", "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0", "ok"]
     assert board.table.true_deg == pytest.approx(90.0)
 
 

@@ -192,7 +192,7 @@ def turned(table: Stepper, goal_deg: float) -> float:
 def test_a_table_takes_the_time_of_a_trapezoid() -> None:
     table = stepper()
     table.queue(90.0, 30.0)
-    assert table.remaining_s() == pytest.approx(90.0 / 30.0 + 30.0 / 360.0, rel=1e-3)
+    assert table.remaining_s() == pytest.approx(90.0 / 30.0 + 30.0 / 60.0, rel=1e-3)
     table.advance(1.0)
     before = table.true_deg
     table.advance(0.5)

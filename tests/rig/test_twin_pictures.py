@@ -177,6 +177,8 @@ def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
     later.record.keep_in(tmp_path / "record.jsonl")
     later.write_truth(tmp_path, [made[1][0]])
     assert load_truth(tmp_path).views == truth.views[1:2]
+    later.record.end()
+    assert not (tmp_path / "record.jsonl").exists()
 
 
 def _camera(twin: Twin, k: int) -> object:
@@ -187,8 +189,9 @@ def _camera(twin: Twin, k: int) -> object:
 
 
 def test_sketches_have_no_truth(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="sketched"):
-        Twin(scene_of((64, 48)), pictures="sketch").write_truth(tmp_path, [])
+    assert not Twin(scene_of((64, 48)), pictures="sketch").write_truth(tmp_path, [])
+    assert not Twin(replace(scene_of((64, 48)), specimen=None)).write_truth(tmp_path, [])
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be() -> None:

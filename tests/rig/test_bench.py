@@ -1,0 +1,228 @@
+"""What a person on the bench sees: one line for each device, and typed lines that refuse what is not safe."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from rig.bench import check
+from rig.errors import RigError
+from rig.example import EXAMPLE
+from rig.jog import Jog
+from rig.open import open_devices
+from rig.rig_file import ArmPart, RigFile, load_rig
+from rig.twin.faults import FOR_GOOD, Fault
+from rig.twin.twin import Twin
+from scenes.errors import UserError
+from scenes.files import load_profile
+from scenes.model import Camera, MarkerStrip, Scene
+from scenes.pictures import decode_grey
+
+SCENE = Scene(
+    camera=Camera().resized((400, 300)),
+    strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
+    disturbances=load_profile("clean"),
+)
+
+
+def twin_of(*faults: Fault, rig: RigFile | None = None) -> Twin:
+    return Twin(SCENE, seed=2, profile_name="clean", pictures="sketch", faults=faults, rig=rig)
+
+
+def looked(twin: Twin, folder: Path) -> tuple[int, list[str]]:
+    lines: list[str] = []
+    wrong = check(twin.rig, twin.calibrated_scene(), clock=twin.clock, open_camera=twin.open_camera, say=lines.append, folder=folder)
+    twin.clock.sleep(1.0)
+    return wrong, lines
+
+
+def test_a_sound_rig_is_all_ok(tmp_path: Path) -> None:
+    twin = twin_of()
+    wrong, lines = looked(twin, tmp_path)
+    assert wrong == 0
+    assert [line.split()[0] for line in lines] == ["turntable", "arm", "camera", "lights", "picture", "markers", "disk"]
+    assert all(line.split()[1] == "ok" for line in lines)
+    assert twin.world.panel.level == twin.world.front.level == 0.0
+    assert not any(servo.torque_on for servo in twin.world.servos.values()), "the arm was at rest"
+
+
+def test_on_a_tripod_picture_and_markers_are_judged(tmp_path: Path) -> None:
+    wrong, lines = looked(twin_of(rig=RigFile(arm=None)), tmp_path)
+    assert wrong == 0, lines
+    assert any(line.startswith("picture    ok    panel at") for line in lines)
+    assert any(line.startswith("markers    ok    ") and "read" in line for line in lines)
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A device that does not work, and the line that says so."""
+
+    device: str
+    fault: Fault
+    named: str
+
+
+BROKEN = [
+    Broken("turntable", Fault(kind="unplugged", device="table", at_s=0.0, amount=0.0), "unplugged|not there"),
+    Broken("arm", Fault(kind="overheated", device="arm", at_s=0.0, amount=80.0), "°C, above 65 °C"),
+    Broken("arm", Fault(kind="reply_dropped", device="arm", at_message=1, count=FOR_GOOD), "does not answer"),
+    Broken("camera", Fault(kind="camera_stopped", device="camera", at_message=1, amount=0.0), "no picture"),
+]
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: f"{broken.device} {broken.fault.kind}")
+def test_what_is_wrong_is_said_and_the_rest_is_looked_at(broken: Broken, tmp_path: Path) -> None:
+    wrong, lines = looked(twin_of(broken.fault), tmp_path)
+    bad = [line for line in lines if line.split()[1] == "WRONG"]
+    assert wrong == len(bad) >= 1
+    assert bad[0].startswith(broken.device)
+    assert any(word in bad[0] for word in broken.named.split("|")), bad
+    assert {"turntable", "arm", "camera", "disk"} <= {line.split()[0] for line in lines}
+
+
+def test_lamps_that_do_not_light_up_are_noticed(tmp_path: Path) -> None:
+    rig = replace(RigFile(arm=None), lights=replace(RigFile().lights, panel_level=0.0, front_level=0.0))
+    wrong, lines = looked(twin_of(rig=rig), tmp_path)
+    assert wrong >= 1
+    assert any(line.startswith("lights     WRONG the picture is as bright without them") for line in lines)
+
+
+class Bench:
+    """A twin with somebody who types."""
+
+    def __init__(self, *faults: Fault, rig: RigFile | None = None) -> None:
+        self.twin = twin_of(*faults, rig=rig)
+        self.said: list[str] = []
+
+    def types(self, *lines: str, stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None) -> list[str]:
+        devices = open_devices(self.twin.rig, self.twin.calibrated_scene(), clock=self.twin.clock, camera=self.twin.open_camera())
+
+        def typed() -> object:
+            yield from lines
+            before_leaving()
+
+        try:
+            Jog(devices, self.twin.calibrated_scene(), say=self.said.append).run(typed(), stop_at_mistake=stop_at_mistake)
+        finally:
+            devices.close()
+            self.twin.clock.sleep(1.0)
+        return self.said
+
+
+def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
+    bench = Bench()
+    start_deg = bench.twin.world.table_deg
+    said = bench.types("table +9", "home 40", "table +9", "table 30  # back", "table 900", "quit", "table 0")
+    assert "turntable: its angle is not known; type home, or home 0 when the strip's seam faces the camera" in said
+    assert "table at 49.000 deg" in said
+    assert "table at 30.000 deg" in said
+    assert any("900 deg is outside -90 to 720 deg" in line for line in said)
+    assert bench.twin.world.table_deg - start_deg == pytest.approx(-10.0, abs=0.06)  # a microstep
+    assert said[-1] == "turntable: its motor stays on, so that its angle is kept"
+
+
+def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> None:
+    bench = Bench()
+    seen: list[tuple[float, ...]] = []
+    file = tmp_path / "look.png"
+    said = bench.types(
+        "lights 1 1",
+        "go 400 -20",
+        "markers",
+        "home",
+        "pose",
+        f"picture {file}",
+        "joint 1 +3",
+        before_leaving=lambda: seen.append(bench.twin.world.joints_deg),
+    )
+    assert any("markers, " in line and "px off" in line for line in said), said
+    assert any("by the markers the camera is 4" in line or "by the markers the camera is 39" in line for line in said)
+    assert decode_grey(file.read_bytes(), where="look").shape == (300, 400)
+    assert seen[0][0] == pytest.approx(3.0, abs=0.3)
+    assert bench.twin.world.joints_deg == pytest.approx(bench.twin.rig.arm.park_deg, abs=0.5)
+    assert not any(servo.torque_on for servo in bench.twin.world.servos.values())
+    assert bench.twin.world.panel.level == 0.0
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A line that is not done, and what is said."""
+
+    line: str
+    named: str
+
+
+REFUSED = [
+    Refused("dance", "there is no command 'dance'; there are table, home"),
+    Refused("table fast", "'table fast' is not understood, write: table +9 | table 90"),
+    Refused("table", "is not understood, write: table"),
+    Refused("lights 2", "is not understood, write: lights"),
+    Refused("lights nan", "is not understood, write: lights"),
+    Refused("joint 6 +5", "is not understood, write: joint"),
+    Refused("joint 2 +400", "limits"),
+    Refused("joint 2 89", "arm: "),
+    Refused("go 60 -42", "arm: "),
+    Refused("go 400 900", "out of reach"),
+    Refused("go -5 0", "is not understood, write: go"),
+    Refused("picture look.jpg", "written as PNG"),
+    Refused("markers", "markers: "),
+    Refused("park now", "is not understood, write: park"),
+]
+
+
+@pytest.mark.parametrize("refused", REFUSED, ids=lambda refused: refused.line)
+def test_refused_with_the_reason_and_nothing_moves(refused: Refused) -> None:
+    bench = Bench()
+    before = bench.twin.world.joints_deg
+    moved: list[tuple[float, ...]] = []
+    said = bench.types(refused.line, before_leaving=lambda: moved.append(bench.twin.world.joints_deg))
+    assert any(refused.named in line for line in said), said
+    assert moved[0] == pytest.approx(before, abs=0.5)
+
+
+def test_a_pipe_ends_at_the_first_mistake() -> None:
+    bench = Bench()
+    with pytest.raises(UserError, match="no command 'tabel'"):
+        bench.types("lights 1 1", "tabel +9", "lights 0.5", stop_at_mistake=True)
+    assert bench.twin.world.panel.level == 0.0
+
+
+def test_help_names_every_command() -> None:
+    said = Bench().types("help")
+    for word in ("table +9", "home", "lights", "joint 2 +5", "go", "park", "relax", "pose", "markers", "picture", "quit"):
+        assert any(line.strip().startswith(word) for line in said), word
+
+
+def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
+    bench = Bench()
+
+    def press() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bench.types("lights 1 1", "joint 1 +3", before_leaving=press)
+    assert bench.twin.world.panel.level == 0.0
+    assert not any(servo.torque_on for servo in bench.twin.world.servos.values())
+
+
+def test_the_example_is_a_whole_rig_file_of_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(EXAMPLE)
+    rig = load_rig(path)
+    assert rig == RigFile(name="my_rig", description="arm, turntable and lights on a bench", arm=ArmPart())
+    keys = {line.split("=")[0].strip() for line in EXAMPLE.splitlines() if "=" in line and not line.startswith("#")}
+    for part in (rig, rig.turntable, rig.lights, rig.arm, rig.arm.joints[0], rig.camera, rig.clearance):
+        sections = {"turntable", "lights", "arm", "camera", "clearance", "joints"}
+        assert set(part.__dataclass_fields__) <= keys | sections, part
+
+
+def test_no_arm_is_said() -> None:
+    said = Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0")
+    assert said.count("this rig has no arm") == 4
+
+
+def test_a_rig_that_is_not_there_is_said() -> None:
+    rig = replace(twin_of().rig, turntable=replace(RigFile().turntable, port="/dev/rhizotwin-no-such-port"))
+    with pytest.raises(RigError, match="turntable: /dev/rhizotwin-no-such-port is not there"):
+        open_devices(rig, SCENE, clock=twin_of().clock)
