@@ -255,8 +255,8 @@ class _Scan:
             if DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
                 return shot
         raise RigError(
-            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, their "
-            "supply and what stands before the camera, then finish the scan with --resume"
+            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
+            "their supply and what stands before the camera, then finish the scan with --resume"
         )
 
     def _drop_slipped(self, pictures: list[Taken]) -> str:

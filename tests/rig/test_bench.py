@@ -96,6 +96,7 @@ class Bench:
         self.said: list[str] = []
 
     def types(self, *lines: str, stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None) -> list[str]:
+        """Type lines at the twin's bench; return what was said."""
         devices = open_devices(self.twin.rig, self.twin.calibrated_scene(), clock=self.twin.clock, camera=self.twin.open_camera())
 
         def typed() -> object:

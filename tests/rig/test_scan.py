@@ -1,6 +1,5 @@
 """The scan's own logic on devices that are a few lines each: order of the calls, faults one by one, every way out."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from rig import kinematics, session
+from rig import scan as scan_module
 from rig.devices import Shot
 from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
 from rig.homing import facing_angle
@@ -31,7 +31,7 @@ STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)
 SCENE = Scene(camera=LENS, strip=STRIP, plan=CapturePlan(rings=(Ring(views=4),)))
 BLIND = replace(SCENE, strip=replace(SCENE.strip, bottom_mm=400.0))
 """Its strip is out of the picture."""
-CALLS = 26
+CALLS = 25
 """Calls of devices in a scan of `SCENE` without trouble."""
 
 
@@ -56,6 +56,7 @@ class World:
     on_call: Callable[[str], None] = lambda _: None
 
     def call(self, name: str) -> None:
+        """Note a call of a device, and let happen what is to happen at it."""
         self.calls.append(name)
         self.on_call(name)
         if self.reset and name.startswith(("table", "lights")):
@@ -68,6 +69,7 @@ class World:
 
     @property
     def cam_from_rig(self) -> np.ndarray:
+        """Where the camera really stands."""
         if self.joints_deg is not None:
             return kinematics.cam_from_rig(ArmPart(), self.joints_deg)
         ring = self.scene.plan.rings[0]
@@ -81,7 +83,7 @@ class World:
 
 
 @dataclass
-class FakeClock:
+class _FakeClock:
     world: World
 
     def now_s(self) -> float:
@@ -92,7 +94,7 @@ class FakeClock:
 
 
 @dataclass
-class FakeTable:
+class _FakeTable:
     world: World
     closed: bool = False
 
@@ -134,7 +136,7 @@ class FakeTable:
 
 
 @dataclass
-class FakeLights:
+class _FakeLights:
     world: World
 
     def set(self, *, panel: float, front: float) -> None:
@@ -147,7 +149,7 @@ class FakeLights:
 
 
 @dataclass
-class FakeCamera:
+class _FakeCamera:
     world: World
 
     def describe(self) -> str:
@@ -171,7 +173,7 @@ class FakeCamera:
 
 
 @dataclass
-class FakeArm:
+class _FakeArm:
     """Goes beside every place by the same error."""
 
     world: World
@@ -229,12 +231,12 @@ def devices(world: World) -> Devices:
     with_arm = world.joints_deg is not None
     return Devices(
         rig=RigFile(arm=ArmPart() if with_arm else None),
-        clock=FakeClock(world),
-        table=FakeTable(world),
-        lights=FakeLights(world),
-        camera=FakeCamera(world),
-        arm=FakeArm(world) if with_arm else None,
-        open_board=lambda: (FakeTable(world), FakeLights(world)),
+        clock=_FakeClock(world),
+        table=_FakeTable(world),
+        lights=_FakeLights(world),
+        camera=_FakeCamera(world),
+        arm=_FakeArm(world) if with_arm else None,
+        open_board=lambda: (_FakeTable(world), _FakeLights(world)),
     )
 
 
@@ -360,7 +362,7 @@ CURED = [
     Trouble("unplugged", "table.move", 3, fails(LostError("turntable: unplugged"))),
     Trouble("unplugged after a picture", "table.position", 3, fails(LostError("turntable: unplugged"))),
     Trouble("camera stops once", "camera.capture", 3, fails(RigError("camera: no picture"))),
-    Trouble("lamps go out", "camera.capture", 3, lambda world: FakeLights(replace_calls(world)).off()),
+    Trouble("lamps go out", "camera.capture", 3, lambda world: _FakeLights(replace_calls(world)).off()),
 ]
 
 
@@ -418,7 +420,7 @@ def keep_failing(world: World, device: str, error: Exception) -> None:
 
 
 def keep_dark(world: World) -> None:
-    def on_call(name: str) -> None:
+    def on_call(_: str) -> None:
         world.panel = world.front = 0.0
 
     world.on_call = on_call
@@ -466,12 +468,54 @@ def test_error_of_the_way_out_does_not_hide_the_first(tmp_path: Path) -> None:
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
     world = World()
     Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 7.2)).arm(world)
-    with pytest.raises(RigError, match="view_002.png to view_003.png show other angles"):
+    with pytest.raises(RigError, match=r"view_002\.png to view_003\.png show other angles"):
         run(world, tmp_path / "d")
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
     made = run(world, tmp_path / "d", resume=True)
     assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
     assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+
+
+def slip_and_stop(world: World) -> None:
+    """Let the table slip before its third move, and press Ctrl-C at its fourth."""
+    moves = [0]
+
+    def on_call(name: str) -> None:
+        if name == "table.move":
+            moves[0] += 1
+            if moves[0] == 3:
+                world.table_true_deg += 7.2
+            if moves[0] == 4:
+                raise KeyboardInterrupt
+
+    world.on_call = on_call
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["stopped", "killed"])
+def test_table_that_slipped_before_the_scan_was_stopped(killed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wrong picture is taken out on the way out, or else when the scan is taken up."""
+    world, said = World(), []
+    slip_and_stop(world)
+    if killed:
+        monkeypatch.setattr(scan_module._Scan, "_stopped", lambda *_: None)
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    assert len(load_dataset(tmp_path / "d").frames) == (3 if killed else 2)
+    world.on_call = lambda _: None
+    made = run(world, tmp_path / "d", resume=True, said=said)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+    assert any("it was turned" in line for line in said)
+
+
+def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
+    world, said = World(on_call=stop_at(16)), []
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    world.on_call = lambda _: None
+    run(world, tmp_path / "d", resume=True, said=said)
+    assert any(line.startswith("turntable: kept its angle") for line in said)
+    assert world.calls.count("table.declare") == 1
 
 
 def test_angle_is_asked_when_no_marker_can_be_read(tmp_path: Path) -> None:
@@ -489,7 +533,7 @@ def test_angle_is_asked_when_no_marker_can_be_read(tmp_path: Path) -> None:
 
 
 def test_angle_is_refused_to_be_guessed(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match="angle is not known, and no markers were found.*--table-angle"):
+    with pytest.raises(RigError, match=r"angle is not known, and no markers were found.*--table-angle"):
         run(World(scene=BLIND), tmp_path / "d")
     assert not (tmp_path / "d" / "dataset.json").exists()
 
@@ -579,7 +623,7 @@ def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Monke
         write(path, data)
 
     monkeypatch.setattr(session, "write_bytes", full_later)
-    with pytest.raises(UserError, match="view_002.png: the disk is full"):
+    with pytest.raises(UserError, match=r"view_002\.png: the disk is full"):
         run(world, tmp_path / "d")
     monkeypatch.undo()
     made = run(world, tmp_path / "d", resume=True)
@@ -608,14 +652,14 @@ def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -
         assert len(frame.joints_deg) == len(frame.joints_read_deg) == 5
         assert frame.joints_deg == pytest.approx(frame.joints_read_deg, abs=0.13)
     assert {frame.joints_deg for frame in made.frames if frame.ring == 0} == {made.frames[0].joints_deg}
-    assert np.subtract(world.joints_deg, FakeArm(world).error_deg) == pytest.approx(ArmPart().park_deg, abs=0.13)
+    assert np.subtract(world.joints_deg, _FakeArm(world).error_deg) == pytest.approx(ArmPart().park_deg, abs=0.13)
     assert not world.torque
 
 
 def test_ring_out_of_reach_is_refused_before_anything_moves(tmp_path: Path) -> None:
     world = armed()
     world.scene = with_rings(Ring(views=2), Ring(views=2, height_mm=900.0))
-    with pytest.raises(UnsafeError, match="arm: .*reach"):
+    with pytest.raises(UnsafeError, match=r"arm: .*reach"):
         run(world, tmp_path / "d")
     assert world.calls == []
 

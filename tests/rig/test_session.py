@@ -121,7 +121,7 @@ def test_differences_are_refused_by_name(difference: Difference, tmp_path: Path)
 def test_many_differences_are_named_shortly(tmp_path: Path) -> None:
     taken(tmp_path / "d", 0)
     other = replace(SCENE, canister=replace(SCENE.canister, outer_radius_mm=70.0, wall_mm=3.0, height_mm=150.0, base_mm=5.0, n_wall=1.5))
-    with pytest.raises(UserError, match="scene.canister.outer_radius_mm, .* and more"):
+    with pytest.raises(UserError, match=r"scene\.canister\.outer_radius_mm, .* and more"):
         begin(tmp_path / "d", resume=True, scene=other)
 
 
