@@ -59,7 +59,11 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m benchmarks",
         description="Measure how well and how fast the twin and the reconstruction do, beside the numbers that were committed.",
     )
-    made.add_argument("what", choices=["accuracy", "speed"], help="accuracy: render, reconstruct, score; speed: wall times and memory")
+    made.add_argument(
+        "what",
+        choices=["accuracy", "speed", "rig"],
+        help="accuracy: render, reconstruct, score; speed: wall times and memory; rig: faults, kills, kinematics, lens, a scan of the twin",
+    )
     made.add_argument("--quick", action="store_true", help="the small set that runs with every change (accuracy: under five minutes)")
     made.add_argument("--gate", action="store_true", help="end with code 1 where a number is worse than the baseline or missing")
     made.add_argument("--update-baseline", action="store_true", help="record this run as the baseline, to be committed")
@@ -96,12 +100,13 @@ def _run(given: argparse.Namespace) -> int:
     # A missing baseline is known before an hour of measuring, not after it.
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
 
-    from benchmarks import accuracy, cache, speed  # these import the renderer
+    from benchmarks import accuracy, cache, rig, speed  # these import the renderer
     from rhizotwin import engine
 
     engine.start(given.device)
     measure = {
         "accuracy": lambda: accuracy.measure(chosen, say=say),
+        "rig": lambda: rig.measure(quick=given.quick, say=say),
         "speed": lambda: speed.measure(quick=given.quick, device=given.device, say=say),
     }
     run = measure[given.what]()

@@ -1,7 +1,7 @@
 """Scans of an emulated rig on which things go wrong: each must end complete, or stopped with its cause named and fit to be finished.
 
-A run scans a small plan with one or two faults of the menu at random moments. Where it stops, the faults are taken away, as a person would, and the
-scan is taken up. What the twin's camera really saw is then held against what the dataset says.
+A run scans a small plan with one or two faults of the menu at random moments. Where it stops, the faults are taken away, as a person
+would, and the scan is taken up. What the twin's camera really saw is then held against what the dataset says.
 """
 
 import itertools
@@ -74,7 +74,7 @@ def draws(count: int) -> list[tuple[int, tuple[str, ...]]]:
 
 
 def run_all(count: int, *, say: Callable[[str], None], workers: int = 2) -> list[FaultRun]:
-    """Make so many runs, the quick set taken evenly from all kinds; says how it goes every hundred."""
+    """Make so many runs, shared between processes; says what goes wrong, and how it goes every hundred runs."""
     found: list[FaultRun] = []
     with ProcessPoolExecutor(max_workers=workers) as pool:
         for run in pool.map(run_one, *zip(*draws(count), strict=True), chunksize=5):
@@ -180,7 +180,7 @@ def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
         if id(shot) in seen:
             problems.append(f"{frame.file} is the picture of another view")
         seen.add(id(shot))
-        if frame.table_read_deg is None or abs(frame.table_read_deg - (frame.table_deg or 0.0)) > dataset_tolerance_deg(twin):
+        if frame.table_read_deg is None or abs(frame.table_read_deg - (frame.table_deg or 0.0)) > twin.rig.turntable.tolerance_deg:
             problems.append(f"{frame.file}: read {frame.table_read_deg}, commanded {frame.table_deg}")
             continue
         off.setdefault(frame.station, []).append((shot.sight.table_deg - frame.table_read_deg + 180.0) % 360.0 - 180.0)
@@ -195,5 +195,3 @@ def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
 def dataset_tolerance_deg(twin: Twin) -> float:
     """Return how far a recorded angle may be from the commanded one."""
     return twin.rig.turntable.tolerance_deg
-
-

@@ -209,8 +209,10 @@ class _Scan:
         fault: BoardFaultError | None = None
         while True:
             try:
-                if fault is not None and self._turning.recover(fault, near_deg=near_deg, again=faults > 1):
-                    self._placement += 1
+                if fault is not None:
+                    self._session.flush()  # the pictures tell the angle
+                    if self._turning.recover(fault, near_deg=near_deg, again=faults > 1):
+                        self._placement += 1
                 return action()
             except BoardFaultError as another:
                 fault, faults = another, faults + 1

@@ -19,6 +19,8 @@ PAUSE_S = 1.0
 MOST_REFERENCES = 6
 BESIDE_DEG = 20.0
 """A camera may stand beside the x axis by this much: a tripod put up by hand."""
+FINE_DEG = 0.02
+"""What a pair of pictures can tell."""
 SLIPPED_DEG = 1.0
 """A picture that shows another angle than commanded by more than this: the table lost steps, which come in fours, or was turned by hand."""
 
@@ -150,12 +152,13 @@ class Turning:
         RigError
             When the board does not come back, or the angle cannot be found.
         """
-        self.lost = True
-        if again or isinstance(fault.cause, LostError):
-            self._note("fault", f"{fault.cause}; connecting again")
-            self._reconnect(fault.cause)
-        else:
+        if not again and not isinstance(fault.cause, LostError):
             self._note("fault", f"{fault.cause}; asking again")
+            self.angle_deg()
+            return False
+        self.lost = True
+        self._note("fault", f"{fault.cause}; connecting again")
+        self._reconnect(fault.cause)
         shot, seen = self._eye.look()
         references = [*self._looks, *self._read(self.pictures)]
         kept_deg = self._kept_deg()
@@ -166,6 +169,8 @@ class Turning:
                 self.lost = False
                 return False
         self._declare(self._found(seen, shot.image, references, near_deg, given_deg=None))
+        if seen is not None and references:
+            self._refine(references, near_deg)
         self.lost = False
         return True
 
@@ -185,6 +190,17 @@ class Turning:
                 break
             found.append(path)
         return found[::-1]
+
+    def _refine(self, references: list[Reference], angle_deg: float) -> None:
+        """Look again once the table has arrived from its usual side: where it stood when the board was lost, its play was anywhere."""
+        read_deg = self.turn(angle_deg)
+        self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
+        _, seen = self._eye.look()
+        if seen is None:
+            return
+        off_deg = wrapped(angle_against(seen.cam_from_canister, references, self._scene) - read_deg)
+        if abs(off_deg) > FINE_DEG:
+            self._declare(Angle(table_deg=read_deg + off_deg, source=f"{seen.markers} markers, play taken up"))
 
     def _kept_deg(self) -> float | None:
         """Return the angle that the board still holds, or None."""

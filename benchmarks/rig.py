@@ -1,0 +1,180 @@
+"""The rig: faults survived, kills survived, kinematics, the scan's own time, the lens, and a scan of the twin reconstructed."""
+
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import rig_faults, rig_kills
+from benchmarks.accuracy import Run
+from benchmarks.metric import Metric
+from recon.pipeline import reconstruct
+from recon.score import score
+from rig import calibration, inverse, kinematics
+from rig.clock import SystemClock
+from rig.open import open_devices
+from rig.rig_file import ArmPart
+from rig.scan import scan
+from rig.twin.server import TwinServer
+from rig.twin.stepper import ACCELERATION_DEG_PER_S2
+from rig.twin.twin import Twin
+from scenes import files
+from scenes.board import CharucoBoard
+from scenes.dataset import Dataset
+from scenes.model import CapturePlan, Ring
+from sim.board import simulate_board
+
+Say = Callable[[str], None]
+
+TARGETS_START_DEG = (0.0, 30.0, 30.0, 30.0, 0.0)
+"""The one pose that Newton's method begins from, whatever it is to reach."""
+MOST_STEPS = 20
+BOARD_PICTURES = 20
+
+
+def measure(*, quick: bool, say: Say) -> Run:
+    """Measure the rig's parts one after the other; one that fails is recorded and the rest go on."""
+    run = Run()
+    parts: dict[str, Callable[[], list[Metric]]] = {
+        "inverse": lambda: _inverse(1000 if quick else 10_000),
+        "faults": lambda: _faults(24 if quick else 1000, run, say),
+        "kills": lambda: _kills(2 if quick else 50, run, say),
+        "overhead": _overhead,
+        "calibrate": lambda: _calibrate(("bench",) if quick else ("clean", "bench")),
+    }
+    if not quick:
+        parts["scan"] = _scanned
+    for name, part in parts.items():
+        began = time.perf_counter()
+        try:
+            found = part()
+        except Exception:  # noqa: BLE001 - whatever it is, the gate must hear of it
+            run.crashed[name] = traceback.format_exc()
+            say(f"{name}: CRASHED\n{run.crashed[name]}")
+            continue
+        run.metrics += found
+        say(
+            f"{name} ({time.perf_counter() - began:.0f} s): " + ", ".join(f"{m.key.split('/', 1)[1]} {m.value:.4g} {m.unit}" for m in found)
+        )
+    return run
+
+
+def _count(key: str, value: float) -> Metric:
+    return Metric(key=f"rig/{key}", value=float(value), unit="1", direction="down")
+
+
+def _inverse(count: int) -> list[Metric]:
+    """Reach random places of the arm in closed form and by Newton's method, and look where that leads."""
+    part = ArmPart()
+    rng = np.random.default_rng(0)
+    low, high = ([getattr(joint, name) for joint in part.joints] for name in ("min_deg", "max_deg"))
+    joints_deg = rng.uniform(low, high, (count, len(part.joints)))
+    goals = kinematics.arm_from_cam(part, joints_deg)
+    branches = inverse.inverse(part, goals).joints_rad
+    reached = kinematics.arm_from_cam(part, np.rad2deg(branches))
+    off = np.nanmin(np.abs(reached - goals[:, None]).max(axis=(2, 3)), axis=1)
+    found = inverse.newton(part, goals, np.deg2rad(np.broadcast_to(TARGETS_START_DEG, joints_deg.shape)))
+    landed = np.abs(kinematics.arm_from_cam(part, np.rad2deg(found.joints_rad)) - goals).max(axis=(1, 2)) < 1e-6
+    failed = ~(found.converged & (found.steps <= MOST_STEPS) & landed)
+    return [
+        Metric(key="rig/inverse/closed_form_error", value=float(off.max()), unit="mm", direction="down", abs_tol=1e-9),
+        Metric(key="rig/inverse/newton_failed", value=float(failed.mean()), unit="1", direction="down", abs_tol=0.0005),
+        Metric(key="rig/inverse/newton_steps", value=float(np.median(found.steps)), unit="1", direction="down", abs_tol=1.0),
+    ]
+
+
+def _faults(count: int, run: Run, say: Say) -> list[Metric]:
+    runs = rig_faults.run_all(count, say=say)
+    run.details["faults"] = [asdict(one) for one in runs]
+    ended = Counter(one.ended for one in runs)
+    return [
+        _count("faults/problems", sum(bool(one.problems) for one in runs)),
+        Metric(key="rig/faults/runs", value=float(len(runs)), unit="1", direction="up"),
+        Metric(key="rig/faults/complete_at_once", value=ended["complete"] / len(runs), unit="1", direction="up", abs_tol=0.05),
+        Metric(key="rig/faults/longest", value=max(one.virtual_s for one in runs), unit="s", direction="down", rel_tol=0.5),
+    ]
+
+
+def _kills(count: int, run: Run, say: Say) -> list[Metric]:
+    found = rig_kills.run_all(count, say=say)
+    run.details["kills"] = list(found.problems)
+    return [
+        _count("kills/problems", len(found.problems)),
+        Metric(key="rig/kills/kills", value=float(found.kills), unit="1", direction="up", abs_tol=float(count) / 5.0),
+    ]
+
+
+def _overhead() -> list[Metric]:
+    """Scan a twin in real time, and take motion, rest and exposure from the time between two pictures."""
+    views = 9
+    scene = files.load_scene("printed_8ml")
+    scene = replace(scene, plan=CapturePlan(rings=(Ring(views=views),)), disturbances=files.load_profile("bench"))
+    twin = Twin(scene, seed=0, profile_name="bench", pictures="sketch")
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
+        (Path(working) / "ports").mkdir()
+        server = TwinServer(twin, Path(working) / "ports")
+        server.start()
+        try:
+            clock = SystemClock()
+            rig = replace(server.rig, name="twin")
+            devices = open_devices(rig, twin.calibrated_scene(), clock=clock)
+            try:
+                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", say=lambda _: None, progress=False)
+            finally:
+                devices.close()
+        finally:
+            server.stop()
+    times = [frame.time_s for frame in dataset.frames if frame.time_s is not None]
+    part, step_deg = rig.turntable, 360.0 / views
+    motion_s = step_deg / part.speed_deg_per_s + part.speed_deg_per_s / ACCELERATION_DEG_PER_S2
+    rest_s = np.diff(times) - motion_s - part.settle_s - rig.camera.exposure_s
+    return [Metric(key="rig/overhead/per_view", value=float(np.median(rest_s)), unit="s", direction="down", abs_tol=0.02)]
+
+
+def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
+    metrics = []
+    for profile in profiles:
+        scene = replace(files.load_scene("printed_8ml"), disturbances=files.load_profile(profile))
+        with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
+            folder = Path(working) / "pictures"
+            simulate_board(scene, CharucoBoard(), folder, pictures=BOARD_PICTURES, seed=0, progress=False)
+            found = calibration.calibrate(sorted(folder.glob("*.png")), CharucoBoard())
+        true_px = scene.camera.focal_px
+        error = max(abs(found.camera.focal_px[k] / true_px[k] - 1.0) for k in range(2))
+        metrics += [
+            Metric(key=f"rig/calibrate/{profile}/focal_error", value=error, unit="1", direction="down", abs_tol=2e-4),
+            Metric(key=f"rig/calibrate/{profile}/rms", value=found.fit.rms_px, unit="px", direction="down", abs_tol=0.02),
+        ]
+    return metrics
+
+
+def _scanned() -> list[Metric]:
+    """Scan the printed root on the twin as a lab would, and reconstruct it."""
+    scene = replace(files.load_scene("printed_8ml"), disturbances=files.load_profile("bench"))
+    twin = Twin(scene, seed=0, profile_name="bench", pictures="render")
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
+        folder, result = Path(working) / "dataset", Path(working) / "result"
+        dataset = _scan(twin, folder)
+        result.mkdir()
+        reconstruct(folder, result, progress=False)
+        twin.write_truth(folder, dataset.frames)
+        found: dict[str, Any] = score(result, folder).to_dict()
+    return [
+        Metric(key="rig/scan/volume_error", value=found["volume_error"], unit="1", direction="zero", abs_tol=0.01),
+        Metric(key="rig/scan/iou", value=found["iou"], unit="1", direction="up", abs_tol=0.01),
+    ]
+
+
+def _scan(twin: Twin, folder: Path) -> Dataset:
+    scene = twin.calibrated_scene()
+    devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
+    try:
+        return scan(devices, scene, folder, seed=twin.seed, say=lambda _: None, progress=False)
+    finally:
+        devices.close()
