@@ -21,6 +21,7 @@ from rig.clock import SystemClock
 from rig.open import open_devices
 from rig.rig_file import ArmPart
 from rig.scan import scan
+from rig.twin.camera import READOUT_S
 from rig.twin.server import TwinServer
 from rig.twin.stepper import ACCELERATION_DEG_PER_S2
 from rig.twin.twin import Twin
@@ -133,7 +134,8 @@ def _overhead() -> list[Metric]:
     times = [frame.time_s for frame in dataset.frames if frame.time_s is not None]
     part, step_deg = rig.turntable, 360.0 / views
     motion_s = step_deg / part.speed_deg_per_s + part.speed_deg_per_s / ACCELERATION_DEG_PER_S2
-    rest_s = np.diff(times) - motion_s - part.settle_s - rig.camera.exposure_s
+    exposed_s = rig.camera.exposure_s + READOUT_S  # a sensor's rows are read out one after the other
+    rest_s = np.diff(times) - motion_s - part.settle_s - exposed_s
     return [Metric(key="rig/overhead/per_view", value=float(np.median(rest_s)), unit="s", direction="down", abs_tol=0.02)]
 
 

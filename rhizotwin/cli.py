@@ -316,9 +316,9 @@ def _add_plan(commands: Commands) -> None:
         commands,
         "plan",
         "try capture plans on the twin before building or scanning",
-        description="Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and picture\n"
-        "sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png. A stopped run is taken up by the same\n"
-        "command. Each combination takes about a minute for 40 pictures of 800x600 on two cores.",
+        description="Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and\n"
+        "picture sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png. A stopped run is taken up by the\n"
+        "same command. Each combination takes about a minute for 40 pictures of 800x600 on two cores.",
         epilog="examples:\n  rhizotwin plan radish_day15a -o my_plan --views 20,40,41\n"
         "  rhizotwin plan printed_8ml -o my_plan --views 21,41 --heights=-42 --heights=-100,-42 --within 3\n"
         "  rhizotwin plan my_scene.toml -o my_plan --image-wh 800x600,1600x1200 --profile bench --seeds 3",

@@ -198,6 +198,7 @@ class ArmStand:
         with self._watched():
             for joints_deg in path:
                 read = self._arm.move_to(joints_deg)
+        self._clock.sleep(self._part.settle_s)
         self._placed = Placed(joints_deg=tuple(path[-1]), joints_read_deg=tuple(read))
 
     @contextmanager

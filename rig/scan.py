@@ -197,7 +197,7 @@ class _Scan:
         if not self._homed:
             before = self._session.frames_of(index)
             earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
-            self._turning.start(seen, shot.image, earlier=earlier, resumed=self._session.begun, near_deg=near_deg)
+            self._turning.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turning.angle_deg)
         self._turning.seen(seen)

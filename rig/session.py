@@ -59,11 +59,6 @@ class Session:
         """Time of the scan that earlier runs used up."""
         return self._begun_s
 
-    @property
-    def begun(self) -> bool:
-        """Whether there is any picture."""
-        return bool(self._frames)
-
     def last_station(self) -> list[Frame]:
         """Return the frames that the camera took from the place where it stood last, in the order they were taken."""
         taken = sorted(self._frames.values(), key=lambda frame: frame.time_s or 0.0)

@@ -82,19 +82,18 @@ class Turning:
         """Remember a picture of the scan that the camera took where it stands."""
         self.pictures.append((table_deg, path))
 
-    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], resumed: bool, near_deg: float) -> None:
+    def start(self, seen: Sighting | None, image: Grey, *, earlier: list[Taken], near_deg: float) -> None:
         """Make the table's angle known before the first picture of a run.
 
         Parameters
         ----------
         seen, image : what the strip says now, and in which picture.
         earlier : angles and pictures of the same ring from an earlier run; a table that kept its angle is compared with them.
-        resumed : whether there are any pictures: then an angle that the table kept is worth more than a new one.
         near_deg : the angle that is wanted next.
         """
         references = self._read(earlier)
         kept_deg = self._kept_deg()
-        if kept_deg is not None and (resumed or (seen is None and self._given_deg is None)):
+        if kept_deg is not None and (seen is not None or self._given_deg is None):
             shown_deg, most_deg = kept_deg, DISAGREE_DEG
             if seen is not None and references:
                 shown_deg = angle_against(seen.cam_from_canister, references, self._scene)

@@ -103,7 +103,7 @@ class PtyPorts:
                         self._opened(name)
                     if port.is_open and port.master is not None:
                         poller.register(port.master, select.POLLIN)
-                self.catch_up()
+                # Of the time that was served: what fell due since then must not be slept over.
                 wait_s = (self._clock.next_s() - self.real.now_s()) / self.real.speed
             closed = any(not port.is_open or port.holds_back for port in self._ports.values())
             wait_s = min(max(wait_s, 0.0), LOOK_AGAIN_S if closed else LONGEST_WAIT_S)

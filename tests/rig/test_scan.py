@@ -50,6 +50,9 @@ class World:
     joints_deg: tuple[float, ...] | None = None
     """Where the arm really is; None: the camera stands on a tripod where the first ring wants it."""
     torque: bool = False
+    moved_s: float = 0.0
+    rested_s: float = 1e9
+    """Shortest rest of the arm before a picture."""
     reset: bool = False
     """Whether the board was reset since it was connected, which the driver notices at the next call."""
     calls: list[str] = field(default_factory=list)
@@ -162,6 +165,7 @@ class _FakeCamera:
         self.world.call("camera.capture")
         self.world.now_s += 0.01
         world = self.world
+        world.rested_s = min(world.rested_s, world.now_s - world.moved_s)
         return Shot(
             image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front),
             exposure_s=0.01,
@@ -200,6 +204,7 @@ class _FakeArm:
         assert self.world.torque
         self.world.joints_deg = tuple(round(a / 0.24) * 0.24 + b for a, b in zip(joints_deg, self.error_deg, strict=True))
         self.world.now_s += 2.0
+        self.world.moved_s = self.world.now_s
         return self.read_joints()
 
     def health(self) -> None:
@@ -644,6 +649,7 @@ def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -
     world.on_call = lambda name: places.append(world.cam_from_rig) if name == "table.move" else None
     made = run(world, tmp_path / "d")
     assert angles(made) == [view.table_deg for view in plan.views(RINGS)]
+    assert world.rested_s >= ArmPart().settle_s
     for place, view in zip(places, plan.views(RINGS), strict=True):
         off_mm, off_deg = frames.pose_error(place @ frames.rotation_z(azimuth_rad(place)), view.cam_from_rig)
         assert off_mm < 4.0
