@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from recon import carve, density, evidence, parsimony, tracing, tube_fit, tube_picture, tubes
+from recon import carve, density, evidence, mending, parsimony, tracing, tube_fit, tube_picture, tubes
 from recon.carve import DistanceMaps, Grid
 from recon.density import Cells
 from recon.evidence import CORE_PX, Evidence
@@ -37,7 +37,7 @@ _END_NODES = 3
 _SHELL_CELLS = 2.5
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
-_SIGMAS_PX = (0.289, 0.36, 0.45, 0.55, 0.65, 0.8)
+_BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 _FIRST_STEPS = 3
 _LAST_STEPS = 4
 
@@ -63,8 +63,8 @@ class RootSystem:
     margin_mm: float
     """Within this of a core point lies the whole of a thick organ."""
     px_a_mm: float
-    sigma_px: float
-    """Width of a pixel and the pictures' blur together."""
+    blur_px: float
+    """Standard deviation of the pictures' blur."""
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children."""
@@ -103,13 +103,13 @@ def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | N
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with run.stage("tubes"):
         start, buried, organ = _thicken(start, core, balls, cells.grid.size_mm)
-        fitted, _ = tube_fit.fit(seen, start, organ, sigma_px=tube_picture.PIXEL_SIGMA, steps=_FIRST_STEPS)
-        sigma_px = _blur(seen, fitted)
-        fitted, pull = tube_fit.fit(seen, fitted, organ, sigma_px=sigma_px)
+        fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
+        blur_px = _blur(seen, fitted)
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px)
         stays = fitted.staying(_ends(fitted, pull, organ))
-        fitted, buried, organ = fitted.keep(stays), buried[stays], organ[stays]
-        fitted, _ = tube_fit.fit(seen, fitted, organ, sigma_px=sigma_px, steps=_LAST_STEPS)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, sigma_px)
+        fitted, buried, organ = mending.mend(fitted.keep(stays)), buried[stays], organ[stays]
+        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
 
 
 def _scale(seen: Evidence, water: Water) -> float:
@@ -175,13 +175,13 @@ def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
 
 
 def _blur(seen: Evidence, fitted: Tubes) -> float:
-    """Find the width of pixel and blur together with which the tubes explain the pictures best."""
+    """Find the blur with which the tubes explain the pictures best."""
     at = seen.project(fitted.centre_mm)
     cost = []
-    for sigma_px in _SIGMAS_PX:
-        difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, sigma_px))
+    for blur_px in _BLURS_PX:
+        difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, blur_px))
         cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
-    return _SIGMAS_PX[int(np.argmin(cost))]
+    return _BLURS_PX[int(np.argmin(cost))]
 
 
 def _ends(fitted: Tubes, pull: Pull, thick: Mask) -> Mask:

@@ -31,7 +31,7 @@ _DENSE = 0.25
 """Density, 1/mm, from which a cell must belong to a branch."""
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
 """Density given to cells inside thick organs, and its rise with depth, a mm: paths keep to their middle."""
-_CLAIM_MM = 0.3
+_CLAIM_CELLS = 1.5
 _CORE_CLAIM_MM = 0.65
 """Cells this far beyond the core about a path in a thick organ are claimed with it."""
 _LEAST_MM = 1.0
@@ -89,10 +89,11 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         return []
     centre = cells.centre_mm
     high = np.flatnonzero(centre[:, 2] > centre[dense, 2].max() - _TOP_MM)
-    start = high[density[high].argmax()]
+    heavy = high[density[high] > 0.5 * density[high].max()]
+    start = heavy[centre[heavy, 2].argmax()]
     cost, before = dijkstra(_graph(cells, density), directed=False, indices=start, return_predecessors=True)
     length = _lengths(cost, before, centre)
-    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, _CLAIM_MM)
+    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, _CLAIM_CELLS * cells.grid.size_mm)
     lines = _branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
     if not lines:
         return []

@@ -35,13 +35,13 @@ _STRETCH_NODES = 21
 _BULGE = 1.25
 
 
-def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, sigma_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:
+def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:
     """Move the nodes and change their radii until the tubes explain the pictures.
 
     Parameters
     ----------
     fixed : (N,) nodes that stay as they are (thick organs, which hide others but are measured otherwise).
-    sigma_px : width of the pixel and the camera's blur together.
+    blur_px : standard deviation of the pictures' blur.
 
     Returns
     -------
@@ -51,9 +51,9 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, sigma_px: float, steps
     prior = _prior(tubes)
     for _ in range(steps):
         at = evidence.project(tubes.centre_mm)
-        depth = tube_picture.optical_depth(evidence, tubes, at, sigma_px)
+        depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
         difference = tube_picture.unexplained(evidence, depth)
-        pull = tube_picture.pull(evidence, tubes, at, depth, difference, sigma_px)
+        pull = tube_picture.pull(evidence, tubes, at, depth, difference, blur_px)
         tubes = _step(tubes, pull, prior, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
     return tubes, pull

@@ -2,11 +2,13 @@
 
 A tube's segment is a strip in a picture: with its axis at distance d from a pixel's centre and half-width w it covers
 
-    c = (erf((d + w) / (sqrt(2) s)) - erf((d - w) / (sqrt(2) s))) / 2
+    c = F(d + w) - F(d - w)
 
-of the pixel, where s is the width of the pixel and the blur together. Roots hide each other: coverages combine as 1 - prod (1 - c), so
-that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends with the same width, so that
-the segments of a branch add up to a strip without seams.
+of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the direction (t_x, t_y) it
+is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|: the square pixel seen along the edge.
+Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact in variance). Roots hide each other: coverages
+combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends,
+so that the segments of a branch add up to a strip without seams.
 """
 
 from __future__ import annotations
@@ -27,6 +29,9 @@ Array = NDArray[np.float64]
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
 _MARGIN_PX = 2.0
+_NARROWEST_PX = 0.1
+_FAR_PX = 3.0
+"""Beyond this from an edge a pixel lies on one side of it, blur and all."""
 _FULLEST = 0.995
 _PROFILE = 13
 _PROFILE_MARGIN_PX = 1.8
@@ -38,7 +43,7 @@ _OUTLIER = 0.05
 """Sum of squared differences over a profile, px, from which a view loses weight: something else is there."""
 
 
-def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, sigma_px: float) -> Any:
+def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
     """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
     a, b = tubes.segments.T
     first, second = at.px[:, a], at.px[:, b]
@@ -67,14 +72,22 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, sigma_px: float) 
     pixels, start, width = whole(span[..., 0] * span[..., 1]), whole(base), evidence.image_wh[0]
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
     dr.eval(depth)
-    scale = 1.0 / (sigma_px * np.sqrt(2.0))
+    scale = 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * np.sqrt(2.0))
+    box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + 6.0 * blur_px**2), _NARROWEST_PX) for t in (t_x, t_y))
+    outer, inner = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b)
+
+    def side(x: Any) -> Any:
+        """Return the part of a pixel that lies on one side of an edge."""
+        x = dr.clip(x, -_FAR_PX, _FAR_PX)
+        ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
+        return 0.5 * (ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (box_a * box_b)
 
     def body(k: Any, i: Any, j: Any) -> tuple[Any, Any, Any]:
         u, v = left + i, top + j
         e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
         s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
         w = w_a + (w_b - w_a) * dr.clip(s / reach_px, 0, 1)
-        c = 0.5 * (dr.erf((d + w) * scale) - dr.erf((d - w) * scale))
+        c = side(d + w) - side(d - w)
         gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - reach_px) * scale))
         value = -gate * dr.log(1 - dr.minimum(c, _FULLEST))
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, start + v * width + u, value > 1e-4)
@@ -108,7 +121,7 @@ class Pull:
     """(N,) views in which most of the node is visible."""
 
 
-def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, sigma_px: float) -> Pull:
+def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Pull:
     """Compare pictures and tubes across every node in every view.
 
     In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
@@ -121,7 +134,7 @@ def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: An
     across = at.across(normal)
     scale = np.linalg.norm(across, axis=-1)
     used = at.seen & (speed > _LEAST_SPEED_PX)
-    sums = _profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, sigma_px)
+    sums = _profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, blur_px)
     shift_2, shift_width, width_2, shift, width, shown, whole = sums
     count = len(tubes.radius_mm)
     hessian, gradient = np.zeros((count, 4, 4)), np.zeros((count, 4))
@@ -135,7 +148,7 @@ def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: An
 
 
 def _profiles(
-    evidence: Evidence, px: Array, normal: Array, half_px: Array, used: NDArray[np.bool_], depth: Any, difference: Any, sigma_px: float
+    evidence: Evidence, px: Array, normal: Array, half_px: Array, used: NDArray[np.bool_], depth: Any, difference: Any, blur_px: float
 ) -> list[Array]:
     """Integrate over the profiles (V, N): shift^2, shift * width, width^2, both times the difference, coverage shown and whole."""
 
@@ -146,7 +159,7 @@ def _profiles(
     base = np.broadcast_to(np.arange(len(px))[:, None] * evidence.pixels, used.shape)[used]
     start = mi.UInt32(base.astype(np.uint32))
     columns, rows = evidence.image_wh
-    sigma = float(np.hypot(sigma_px, np.sqrt(_INTERPOLATION_VARIANCE)))
+    sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     scale, peak = 1.0 / (sigma * np.sqrt(2.0)), 1.0 / (sigma * np.sqrt(2.0 * np.pi))
     sums = [dr.zeros(mi.Float, len(base)) for _ in range(8)]
     reach = w + _PROFILE_MARGIN_PX

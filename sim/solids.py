@@ -14,7 +14,7 @@ from scenes.rsml import Root
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
-SIDES = ((0.6, 20), (2.0, 20), (5.0, 24), (np.inf, 24))
+SIDES = ((0.6, 8), (2.0, 12), (5.0, 16), (np.inf, 24))
 """Sides of a tube up to a diameter in mm."""
 SPLIT_TURN_RAD = 2.0
 """A tube that has turned this far goes on as a new one: united, it may then cross itself."""
