@@ -81,18 +81,24 @@ class _Footprints:
     """mi.Float, area of a mm2 in the picture; 0 where the view says nothing about the cell."""
 
 
-def estimate(evidence: Evidence, cells: Cells, *, iterations: int = ITERATIONS) -> Cells:
+def estimate(evidence: Evidence, cells: Cells, solid: Cells, *, iterations: int = ITERATIONS) -> tuple[Cells, NDArray[np.int64]]:
     """Find the shadows of cells; those that cast none are left out.
+
+    Parameters
+    ----------
+    solid : cells of thick organs, which cover all that is behind them.
 
     Returns
     -------
-    Cells with their shadows, at most those given.
+    cells : with their shadows, some of those given.
+    number : (N,) which of them.
     """
+    covered = _covered(evidence, solid)
     seen_from = _look(evidence, cells)
     shadow = _start(evidence, seen_from, len(cells.index)) * (2.5 * cells.grid.size_mm**2)
     number = np.arange(len(cells.index))
     for iteration in range(iterations):
-        shadow = _improve(evidence, seen_from, shadow)
+        shadow = _improve(evidence, covered, seen_from, shadow)
         if iteration in _THIN_OUT:
             kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
             number = number[np.array(kept)]
@@ -100,7 +106,7 @@ def estimate(evidence: Evidence, cells: Cells, *, iterations: int = ITERATIONS) 
             seen_from = [_Footprints(f.base, dr.gather(mi.Vector2f, f.px, kept), dr.gather(mi.Float, f.px2_a_mm2, kept)) for f in seen_from]
             dr.eval(shadow, [(f.px, f.px2_a_mm2) for f in seen_from])
     found = cells.chosen(number)
-    return Cells(found.grid, found.index, np.array(shadow, np.float32))
+    return Cells(found.grid, found.index, np.array(shadow, np.float32)), number
 
 
 def _look(evidence: Evidence, cells: Cells) -> list[_Footprints]:
@@ -132,18 +138,33 @@ def _start(evidence: Evidence, seen_from: list[_Footprints], count: int) -> Any:
     return dr.exp(total / dr.maximum(votes, 1.0))
 
 
-def _improve(evidence: Evidence, seen_from: list[_Footprints], shadow: Any) -> Any:
-    """Return the shadows after one step of MART over all views."""
-    width = evidence.image_wh[0]
-    explained = dr.zeros(mi.Float, evidence.pixels * len(seen_from))
+def _covered(evidence: Evidence, solid: Cells) -> Any:
+    """Return the coverage by thick organs: mi.Float, (V, H, W) flattened."""
+    covered = dr.zeros(mi.Float, evidence.pixels * evidence.bank.count)
+    if len(solid.index):
+        _cast(covered, evidence.image_wh[0], _look(evidence, solid), dr.full(mi.Float, solid.grid.size_mm**2, len(solid.index)))
+    dr.eval(covered)
+    return covered
+
+
+def _cast(onto: Any, width: int, seen_from: list[_Footprints], shadow: Any) -> None:
+    """Add the shadows of cells to the pictures of all views, bilinearly."""
     for f in seen_from:
         seen = f.px2_a_mm2 > 0
         column, row = mi.UInt32(f.px.x), mi.UInt32(f.px.y)
         fu, fv = f.px.x - mi.Float(column), f.px.y - mi.Float(row)
         at, area = f.base + row * width + column, shadow * f.px2_a_mm2
         for step, weight in ((0, (1 - fu) * (1 - fv)), (1, fu * (1 - fv)), (width, (1 - fu) * fv), (width + 1, fu * fv)):
-            dr.scatter_reduce(dr.ReduceOp.Add, explained, area * weight, at + step, seen)
+            dr.scatter_reduce(dr.ReduceOp.Add, onto, area * weight, at + step, seen)
+    dr.eval(onto)
+
+
+def _improve(evidence: Evidence, covered: Any, seen_from: list[_Footprints], shadow: Any) -> Any:
+    """Return the shadows after one step of MART over all views."""
+    width = evidence.image_wh[0]
+    explained = mi.Float(covered + 0.0)
     dr.eval(explained)
+    _cast(explained, width, seen_from, shadow)
     ratio = (evidence.coverage + _FLOOR) / (dr.minimum(explained, 1.0) + _FLOOR)
     dr.eval(ratio)
     total, votes = dr.zeros(mi.Float, dr.width(shadow)), dr.zeros(mi.Float, dr.width(shadow))

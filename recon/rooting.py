@@ -34,7 +34,11 @@ _ENDS_SHOWN = 0.15
 _ENDS_VIEWS = 3.0
 """A branch ends where less of it than this shows unhidden, or in fewer views: it explains no pixels of its own."""
 _END_NODES = 3
-_SHELL_CELLS = 2.5
+_NEIGHBOURS = 12
+_INSIDE = 0.9
+"""Share of a root's radius within which another centre line is its own."""
+_FLANK_PX = 0.5
+"""About `CORE_PX` and this beyond a core point lies the flank of a thick organ."""
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
@@ -94,10 +98,11 @@ def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | N
             return None
     with run.stage("density"):
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        deep = depth > _SHELL_CELLS * cells.grid.size_mm  # the shell about it hides it
-        cells = density.join(density.estimate(seen, cells.chosen(~deep)), cells.chosen(deep))
+        organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
+        thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
+        cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
     with run.stage("trace"):
-        paths = tracing.trace(cells, tracing.core_depth(cells, core.index, reach_mm=margin_mm))
+        paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:
             return None
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
@@ -184,9 +189,9 @@ def _blur(seen: Evidence, fitted: Tubes) -> float:
     return _BLURS_PX[int(np.argmin(cost))]
 
 
-def _ends(fitted: Tubes, pull: Pull, thick: Mask) -> Mask:
+def _ends(fitted: Tubes, pull: Pull, organ: Mask) -> Mask:
     """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
-    gone = np.zeros(len(thick), bool)
+    gone = np.zeros(len(organ), bool)
     for k in range(len(fitted.branches)):
         own = fitted.own(k)
         shown, views = (
@@ -194,4 +199,12 @@ def _ends(fitted: Tubes, pull: Pull, thick: Mask) -> Mask:
             for value in (pull.visible, pull.views)
         )
         gone[own] = (shown < _ENDS_SHOWN) | (views < _ENDS_VIEWS)
-    return gone & ~thick
+    return (gone & ~organ) | _inside_another(fitted)
+
+
+def _inside_another(fitted: Tubes) -> Mask:
+    """Tell the nodes (N,) that lie inside an earlier branch: second paths along the same root."""
+    centre, radius, owner = fitted.centre_mm, fitted.radius_mm, fitted.owner
+    distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
+    inside: Mask = ((owner[near] < owner[:, None]) & (distance < _INSIDE * radius[near])).any(axis=1)
+    return inside

@@ -160,12 +160,13 @@ def _branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm:
         while before[way[-1]] >= 0 and not owned[way[-1]]:
             way.append(int(before[way[-1]]))
         line = np.array(way[::-1])
-        fresh = left[line] >= 0
+        fresh = np.linalg.norm(np.diff(centre[line], axis=0), axis=1)[left[line[1:]] >= 0].sum()
+        if fresh < max(_LEAST_MM, claim_mm[tip]):
+            left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
+            continue
         # in thick organs the balls are large: a few of them cover the way
         for cell in line[_apart(centre[line], claim_mm[line])]:
             left[tree.query_ball_point(centre[cell], claim_mm[cell])] = -1.0
-        if np.linalg.norm(np.diff(centre[line], axis=0), axis=1)[fresh[1:]].sum() < _LEAST_MM:
-            continue
         owned[line] = True
         lines.append(line)
     return lines

@@ -35,6 +35,10 @@ TRUNK = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
 TWIG = line((0.0, 0.0, -30.0), (9.0, 0.0, -42.0))
 
 
+def nothing(grid: Grid) -> Cells:
+    return Cells(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+
+
 @cache
 def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views),)))
@@ -135,7 +139,7 @@ def test_density_and_tracing_find_thin_roots():
     seen = pictured(true)
     grid = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
     index = np.stack(np.meshgrid(np.arange(36), np.arange(20), np.arange(10, 90), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
-    cells = estimate(seen, Cells(grid, index, np.zeros(len(index), np.float32)))
+    cells, _ = estimate(seen, Cells(grid, index, np.zeros(len(index), np.float32)), nothing(grid))
     assert len(cells.index) < 0.3 * len(index)
     paths = tracing.trace(cells, np.full(len(cells.index), -1.0))
     found = [Root(points_mm=path.points_mm, diameters_mm=np.ones(len(path.points_mm)), order=0, parent=-1) for path in paths]
@@ -210,5 +214,5 @@ def test_nothing_seen_gives_no_density():
     seen = Evidence.of(bank, [blank] * bank.count)
     grid = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
     cells = Cells(grid, np.array([[10, 10, 50]], np.int32), np.zeros(1, np.float32))
-    shadow = estimate(seen, cells).shadow_mm2
+    shadow = estimate(seen, cells, nothing(grid))[0].shadow_mm2
     assert not len(shadow) or shadow.max() < 1e-2
