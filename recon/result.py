@@ -4,6 +4,7 @@ RESULT/  result.json   numbers, views, rig, warnings, timings, settings and vers
 shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the untrimmed hull as
 hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
 shape.ply     surface, canister frame, mm
+roots.rsml    centre lines and diameters of the roots, where some were found
 silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
 seen/NAME.png          8 bit: 255 where the picture says something about the water
 """
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 
 from recon.result_files import SCHEMA_VERSION, picture_path
 from recon.silhouettes import Silhouette
-from scenes import atomic
+from scenes import atomic, rsml
+from scenes.rsml import Root
 
 Triple = tuple[float, float, float]
 
@@ -78,6 +80,13 @@ class Shape:
     """Volume of the water that too few views see."""
     extents_min_mm: Triple
     extents_max_mm: Triple
+    roots: tuple[Root, ...] = ()
+    """Centre lines and diameters, parents before children; empty where there are none."""
+
+    @property
+    def length_mm(self) -> float:
+        """Return the total length of the roots."""
+        return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in self.roots))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +123,8 @@ class Result:
             "hull_mm3": shape.hull_mm3,
             "untrimmed_mm3": shape.untrimmed_mm3,
             "blind_mm3": shape.blind_mm3,
+            "length_mm": shape.length_mm,
+            "tips": len(shape.roots),
             "extents_min_mm": shape.extents_min_mm,
             "extents_max_mm": shape.extents_max_mm,
             "views": [asdict(view) for view in self.views],
@@ -144,6 +155,9 @@ def write(result: Result, folder: Path) -> None:
     (folder / "result.json").unlink(missing_ok=True)
     atomic.write_bytes(folder / "shape.npz", buffer.getvalue())
     atomic.write_bytes(folder / "shape.ply", bytes(trimesh.exchange.ply.export_ply(shape.mesh)))
+    (folder / "roots.rsml").unlink(missing_ok=True)
+    if shape.roots:
+        rsml.write_rsml(folder / "roots.rsml", shape.roots)
     for file, silhouette in result.silhouettes.items():
         atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
         atomic.write_image(picture_path(folder / "seen", file), silhouette.seen.astype(np.uint8) * 255)

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from recon import result_files
+from recon.score_roots import RootScore, compare_roots
 from recon.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
 from recon.score_views import MaskScore, PoseScore, compare_masks, compare_poses
+from scenes import rsml
 from scenes.dataset import load_dataset
 from scenes.errors import UserError
 from scenes.truth import load_truth
@@ -42,6 +44,8 @@ class Score:
     masks: MaskScore | None
     """None where the result holds no silhouettes."""
     hull: HullScore
+    roots: RootScore | None
+    """None where the truth or the result has no roots."""
     blind_mm3: float
     """Volume of the water that too few views could see."""
     timings_s: dict[str, float]
@@ -74,6 +78,14 @@ class Score:
         for axis, found, true, error in zip("xyz", self.extents_mm, self.extents_true_mm, self.extents_error, strict=True):
             rows.append((f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {_percent(error)}"))
         v, s = self.voxels, self.surface
+        if self.roots is not None:
+            r = self.roots
+            rows += [
+                ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {_percent(r.length_error)}"),
+                ("  centre lines", f"recall {r.recall:.4f}, precision {r.precision:.4f}, median distance {r.distance_median_mm:.3f} mm"),
+                ("  radii", f"median {_percent(r.radius_error_median)}"),
+                ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
+            ]
         return [
             *rows,
             ("voxels", f"recall {v.recall:.4f}, precision {v.precision:.4f}, IoU {v.iou:.4f}"),
@@ -165,6 +177,8 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
     low, high = (float(value) for value in summary["volume_interval_mm3"])
+    found_roots, true_roots = result_folder / "roots.rsml", mesh_path.parent / "skeleton.rsml"
+    both = found_roots.is_file() and true_roots.is_file()
     return Score(
         scene=summary["scene"],
         voxel_mm=float(summary["voxel_mm"]),
@@ -182,6 +196,7 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
         poses=compare_poses(summary["views"], truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
         masks=compare_masks(summary["views"], result_folder, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
+        roots=compare_roots(rsml.read_rsml(found_roots), rsml.read_rsml(true_roots)) if both else None,
         blind_mm3=float(summary["blind_mm3"]),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
         peak_memory_mib=summary.get("peak_memory_mib"),

@@ -1,15 +1,17 @@
 """From silhouettes to a shape: outlines, hull, what the silhouettes need of it, surface and size."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import carve, parsimony, projection, silhouettes, surface
+from recon import carve, parsimony, projection, rooting, silhouettes, surface, tube_volume
 from recon.cameras import View
+from recon.evidence import Evidence
 from recon.refraction import Optics
 from recon.result import Shape, Triple, Voxels
+from recon.rooting import Water
 from recon.run import Run
 from recon.silhouettes import UPSAMPLING, Silhouette
 from scenes.errors import UserError
@@ -31,6 +33,9 @@ class Carved:
     hull: carve.Hull
     bank: projection.ViewBank
     maps: carve.DistanceMaps
+    silhouettes: list[Silhouette]
+    """In the order of the bank's views."""
+    water: Water
 
 
 def carve_hull(
@@ -83,21 +88,33 @@ def carve_hull(
             f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
             "the poses or the scene file do not fit the pictures."
         )
-    return Carved(hull=hull, bank=bank, maps=maps)
+    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=[drawn[k] for k in order], water=Water(radius, top, bottom))
 
 
 def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics: Optics, *, voxel_mm: float) -> Shape:
-    """Carve the silhouettes' hull, trim it to what they need, and measure it."""
+    """Carve the silhouettes' hull, trim it to what they need, fit tubes to the roots that are too thin for it, and measure the whole."""
     halvings = max(0, math.ceil(math.log2(voxel_mm / FINEST_MM)))
     carved = carve_hull(run, drawn, views, optics, finest_mm=voxel_mm / 2**halvings)
     hull = carved.hull
     with run.stage("trim"):
         trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
-    volume = trimmed.leaves.volume_mm3()
-    # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
-    interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3
-    _warn(run, volume, interval, trimmed.kept_mm3)
-    return measure(run, hull, trimmed.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=trimmed.kept_mm3)
+    seen = Evidence.of(carved.bank, carved.silhouettes)
+    system = rooting.find(run, seen, trimmed.balls, carved.water)
+    if system is None:
+        volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
+        # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
+        interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3
+        _warn(run, volume, interval, kept_mm3)
+        return measure(run, hull, trimmed.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=kept_mm3)
+    with run.stage("unite"):
+        united = tube_volume.unite(trimmed.leaves, system)
+    volume, share = united.leaves.volume_mm3(), united.thick_mm3 / trimmed.leaves.volume_mm3()
+    kept_mm3 = share * trimmed.kept_mm3
+    low = volume - share * (hull.leaves.volume_mm3() - hull.moved_in_mm3) - united.thinner_mm3
+    interval = max(0.0, low), max(hull.moved_out_mm3, volume + united.thicker_mm3)
+    _warn(run, volume, interval, kept_mm3)
+    shape = measure(run, hull, united.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=kept_mm3)
+    return replace(shape, roots=system.roots())
 
 
 def measure(

@@ -15,7 +15,7 @@ from scenes.specimens import MeshSpecimen, RsmlSpecimen
 from scenes.truth import load_truth
 
 RSML_SUFFIXES = (".rsml", ".xml")
-RESULT_NAMES = ("result.json", "shape.npz", "shape.ply", "silhouettes", "seen", "pictures", "report.html", "score.json")
+RESULT_NAMES = ("result.json", "shape.npz", "shape.ply", "roots.rsml", "silhouettes", "seen", "pictures", "report.html", "score.json")
 """What a result folder may hold and still be replaced by a new result."""
 
 

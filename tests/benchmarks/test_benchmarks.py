@@ -75,6 +75,7 @@ def scan_score():
         poses=None,
         masks=None,
         hull=HullScore(recall=1.0, volume_mm3=110.0, volume_error=0.1, kept_recall=1.0, leaf_count_volume_mm3=98.0),
+        roots=None,
         blind_mm3=0.0,
         timings_s={},
         peak_memory_mib=None,

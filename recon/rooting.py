@@ -1,0 +1,210 @@
+"""The tube stage: from coverage to a tree of tubes, roots too thin for a hull included."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from recon import carve, density, evidence, mending, parsimony, tracing, tube_fit, tube_picture, tubes
+from recon.carve import DistanceMaps, Grid
+from recon.density import Cells
+from recon.evidence import CORE_PX, Evidence
+from recon.parsimony import Balls
+from recon.run import Run
+from recon.tube_picture import Pull
+from recon.tubes import SPACING_MM, Tubes
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CELL_PX = 0.75
+"""Edge of the cells of the search space, seen from the cameras."""
+_MOST_CELLS = 2_000_000
+"""A search space with more cells is made coarser: its footprints in all views must fit in memory."""
+_THIN_MM = (0.05, 0.3)
+"""Radii that shadows can tell at the start; thicker roots shade their own cells."""
+_ENDS_SHOWN = 0.15
+_ENDS_VIEWS = 3.0
+"""A branch ends where less of it than this shows unhidden, or in fewer views: it explains no pixels of its own."""
+_END_NODES = 3
+_NEIGHBOURS = 12
+_INSIDE = 0.9
+"""Share of a root's radius within which another centre line is its own."""
+_FLANK_PX = 0.5
+"""About `CORE_PX` and this beyond a core point lies the flank of a thick organ."""
+_BEYOND_PX = 1.25
+"""Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
+_BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+_FIRST_STEPS = 3
+_LAST_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Water:
+    """The space in which roots can be."""
+
+    radius_mm: float
+    top_mm: float
+    bottom_mm: float
+
+
+@dataclass(frozen=True)
+class RootSystem:
+    """Roots found as tubes."""
+
+    tubes: Tubes
+    buried: Mask
+    """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
+    core_mm: Array
+    """(M, 3) points deep inside thick organs."""
+    margin_mm: float
+    """Within this of a core point lies the whole of a thick organ."""
+    px_a_mm: float
+    blur_px: float
+    """Standard deviation of the pictures' blur."""
+
+    def roots(self) -> tuple[Root, ...]:
+        """Return the branches as roots, parents before children."""
+        owner, orders = self.tubes.owner, list[int]()
+        roots: list[Root] = []
+        for k, nodes in enumerate(self.tubes.branches):
+            parent = int(owner[nodes[0]]) if k else -1
+            orders.append(orders[parent] + 1 if k else 0)
+            diameters = 2.0 * self.tubes.radii(k)
+            roots.append(Root(points_mm=self.tubes.centre_mm[nodes], diameters_mm=diameters, order=orders[k], parent=parent))
+        return tuple(roots)
+
+
+def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | None:
+    """Find the roots as a tree of tubes; None where there are none.
+
+    Parameters
+    ----------
+    seen : measured coverage.
+    balls : balls inside the hull, as `parsimony.trim` grew them.
+    """
+    px_a_mm = _scale(seen, water)
+    margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
+    with run.stage("search"):
+        cells, core = _search_space(run, seen, water, _CELL_PX / px_a_mm)
+        if not len(cells.index):
+            return None
+    with run.stage("density"):
+        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+        organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
+        thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
+        cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+    with run.stage("trace"):
+        paths = tracing.trace(cells, depth) if len(cells.index) else []
+        if not paths:
+            return None
+        start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
+    with run.stage("tubes"):
+        start, buried, organ = _thicken(start, core, balls, cells.grid.size_mm)
+        fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
+        blur_px = _blur(seen, fitted)
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px)
+        stays = fitted.staying(_ends(fitted, pull, organ))
+        fitted, buried, organ = mending.mend(fitted.keep(stays)), buried[stays], organ[stays]
+        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
+
+
+def _scale(seen: Evidence, water: Water) -> float:
+    """Return px/mm at the middle of the water."""
+    at = seen.project(np.array([[0.0, 0.0, 0.5 * (water.top_mm + water.bottom_mm)]]))
+    return float(np.median(np.sqrt(np.linalg.norm(at.du, axis=-1) * np.linalg.norm(at.dv, axis=-1))))
+
+
+def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tuple[Cells, Cells]:
+    """Carve where roots may be, and where thick organs are for certain."""
+    outlines = run.each(lambda k: evidence.generous_outline(seen.silhouettes[k]), "search", list(range(seen.bank.count)))
+    generous = DistanceMaps.of(np.stack(outlines))
+    low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
+    while True:
+        grid = Grid.over(low, high, size_mm)
+        cells = density.even_cells(_carve(seen, generous, grid, water))
+        if len(cells.index) <= _MOST_CELLS:
+            break
+        size_mm *= 1.26
+    outlines = run.each(lambda k: evidence.core_outline(seen.silhouettes[k]), "core", list(range(seen.bank.count)))
+    core = density.even_cells(_carve(seen, DistanceMaps.of(np.stack(outlines)), grid, water))
+    return cells, core
+
+
+def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carve.Leaves:
+    """Carve outlines out of the water."""
+    least = max(3, math.ceil(parsimony.VOTES * seen.bank.count))
+    hull = carve.carve(seen.bank, maps, grid, radius_mm=water.radius_mm, top_mm=water.top_mm, bottom_mm=water.bottom_mm, min_votes=least)
+    return hull.leaves
+
+
+def _first_radius(path: tracing.Path) -> Array:
+    """Guess radii along a path: the shadow of a millimetre of root is its diameter."""
+    way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
+    share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
+    radius: Array = np.clip(0.5 * share, *_THIN_MM)
+    return radius
+
+
+def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
+    """Give the nodes of thick organs the radius of the nearest ball.
+
+    A branch that runs within the core for more than the organ's width is the organ itself; others only begin inside it.
+
+    Returns
+    -------
+    tubes : with the organs' radii.
+    buried : (N,) nodes inside thick organs.
+    organ : (N,) those of them that belong to the organ's own centre line.
+    """
+    none = np.zeros(len(start.radius_mm), bool)
+    if not len(core.index) or not len(balls.radius_mm):
+        return start, none, none
+    buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < 1.5 * near_mm
+    radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
+    for k in range(len(start.branches)):
+        own = start.own(k)
+        run, count = ndimage.label(buried[own])
+        for number in range(1, count + 1):
+            nodes = own[run == number]
+            organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
+    return tubes.moved(start, start.centre_mm, np.where(organ, radius, start.radius_mm)), buried, organ
+
+
+def _blur(seen: Evidence, fitted: Tubes) -> float:
+    """Find the blur with which the tubes explain the pictures best."""
+    at = seen.project(fitted.centre_mm)
+    cost = []
+    for blur_px in _BLURS_PX:
+        difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, blur_px))
+        cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
+    return _BLURS_PX[int(np.argmin(cost))]
+
+
+def _ends(fitted: Tubes, pull: Pull, organ: Mask) -> Mask:
+    """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
+    gone = np.zeros(len(organ), bool)
+    for k in range(len(fitted.branches)):
+        own = fitted.own(k)
+        shown, views = (
+            np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
+            for value in (pull.visible, pull.views)
+        )
+        gone[own] = (shown < _ENDS_SHOWN) | (views < _ENDS_VIEWS)
+    return (gone & ~organ) | _inside_another(fitted)
+
+
+def _inside_another(fitted: Tubes) -> Mask:
+    """Tell the nodes (N,) that lie inside an earlier branch: second paths along the same root."""
+    centre, radius, owner = fitted.centre_mm, fitted.radius_mm, fitted.owner
+    distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
+    inside: Mask = ((owner[near] < owner[:, None]) & (distance < _INSIDE * radius[near])).any(axis=1)
+    return inside

@@ -1,0 +1,79 @@
+"""Compare the roots of a result, as centre lines, with the true ones."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+NEAR_MM = 0.5
+"""A centre line this near the other counts as found."""
+TIP_MM = 1.0
+_STEP_MM = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootScore:
+    """How the found roots agree with the true ones. Errors are signed fractions: found / true - 1."""
+
+    length_mm: float
+    length_true_mm: float
+    length_error: float
+    recall: float
+    """Share of the true length within `NEAR_MM` of a found centre line."""
+    precision: float
+    """Share of the found length within `NEAR_MM` of a true centre line."""
+    distance_median_mm: float
+    """From found centre lines to true ones."""
+    radius_error_median: float
+    """Signed fraction, where a centre line was found."""
+    tips: int
+    tips_true: int
+    tip_recall: float
+    """Share of the true tips with a found tip within `TIP_MM`."""
+    tip_precision: float
+
+
+def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
+    """Compare centre lines, radii and tips of two root systems, neither of them empty."""
+    found_mm, found_radius = _dense(found)
+    true_mm, true_radius = _dense(true)
+    away, nearest = cKDTree(true_mm).query(found_mm)
+    missed = cKDTree(found_mm).query(true_mm)[0]
+    near = away < NEAR_MM
+    ratio = found_radius[near] / np.maximum(true_radius[nearest[near]], 1e-9)
+    tips, true_tips = (np.array([root.points_mm[-1] for root in roots]) for roots in (found, true))
+    length, true_length = _length(found), _length(true)
+    return RootScore(
+        length_mm=length,
+        length_true_mm=true_length,
+        length_error=length / true_length - 1.0,
+        recall=float((missed < NEAR_MM).mean()),
+        precision=float(near.mean()),
+        distance_median_mm=float(np.median(away)),
+        radius_error_median=float(np.median(ratio)) - 1.0 if near.any() else float("nan"),
+        tips=len(tips),
+        tips_true=len(true_tips),
+        tip_recall=float((cKDTree(tips).query(true_tips)[0] < TIP_MM).mean()),
+        tip_precision=float((cKDTree(true_tips).query(tips)[0] < TIP_MM).mean()),
+    )
+
+
+def _length(roots: Sequence[Root]) -> float:
+    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
+
+
+def _dense(roots: Sequence[Root]) -> tuple[Array, Array]:
+    """Return points (P, 3) every 0.1 mm along the roots, and the radii (P,) there."""
+    points, radii = [], []
+    for root in roots:
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        at = (np.arange(max(1, round(along[-1] / _STEP_MM))) + 0.5) * along[-1] / max(1, round(along[-1] / _STEP_MM))
+        points.append(np.stack([np.interp(at, along, root.points_mm[:, axis]) for axis in range(3)], axis=1))
+        radii.append(np.interp(at, along, root.diameters_mm / 2.0))
+    return np.concatenate(points), np.concatenate(radii)

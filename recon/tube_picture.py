@@ -1,0 +1,183 @@
+"""Coverage pictures of tubes seen through the water, and how they change with the tubes (Dr.Jit).
+
+A tube's segment is a strip in a picture: with its axis at distance d from a pixel's centre and half-width w it covers
+
+    c = F(d + w) - F(d - w)
+
+of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the direction (t_x, t_y) it
+is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|: the square pixel seen along the edge.
+Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact in variance). Roots hide each other: coverages
+combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends,
+so that the segments of a branch add up to a strip without seams.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.evidence import Evidence, Nodes, bilinear
+from recon.tubes import Tubes
+
+Array = NDArray[np.float64]
+
+PIXEL_SIGMA = 12.0**-0.5
+"""Standard deviation of the square pixel."""
+_MARGIN_PX = 2.0
+_NARROWEST_PX = 0.1
+_FAR_PX = 3.0
+"""Beyond this from an edge a pixel lies on one side of it, blur and all."""
+_FULLEST = 0.995
+_PROFILE = 13
+_PROFILE_MARGIN_PX = 1.8
+_INTERPOLATION_VARIANCE = 0.1
+"""Variance, px2, by which bilinear interpolation blurs."""
+_LEAST_SPEED_PX = 0.3
+"""A tube seen end-on (px/mm along its axis) shows no strip."""
+_OUTLIER = 0.05
+"""Sum of squared differences over a profile, px, from which a view loses weight: something else is there."""
+
+
+def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
+    """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
+    a, b = tubes.segments.T
+    first, second = at.px[:, a], at.px[:, b]
+    length = np.linalg.norm(second - first, axis=-1)
+    along = (second - first) / np.maximum(length, 1e-6)[..., None]
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    half = [
+        tubes.radius_mm[end] * np.linalg.norm(normal[..., :1] * at.du[:, end] + normal[..., 1:] * at.dv[:, end], axis=-1) for end in (a, b)
+    ]
+    reach = np.maximum(*half)[..., None] + _MARGIN_PX
+    limit = np.array(evidence.image_wh) - 1
+    low = np.clip(np.floor(np.minimum(first, second) - reach), 0, limit)
+    span = np.clip(np.ceil(np.maximum(first, second) + reach), 0, limit) - low + 1
+    drawn = at.seen[:, a] & at.seen[:, b] & (length > 1e-3)
+    base = np.broadcast_to(np.arange(evidence.bank.count)[:, None] * evidence.pixels, drawn.shape)
+
+    def number(values: Array) -> Any:
+        return mi.Float(values[drawn].astype(np.float32))
+
+    def whole(values: NDArray[Any]) -> Any:
+        return mi.UInt32(values[drawn].astype(np.uint32))
+
+    x, y, t_x, t_y, reach_px = number(first[..., 0]), number(first[..., 1]), number(along[..., 0]), number(along[..., 1]), number(length)
+    w_a, w_b = number(half[0]), number(half[1])
+    left, top, columns = whole(low[..., 0]), whole(low[..., 1]), whole(span[..., 0])
+    pixels, start, width = whole(span[..., 0] * span[..., 1]), whole(base), evidence.image_wh[0]
+    depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
+    dr.eval(depth)
+    scale = 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * np.sqrt(2.0))
+    box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + 6.0 * blur_px**2), _NARROWEST_PX) for t in (t_x, t_y))
+    outer, inner = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b)
+
+    def side(x: Any) -> Any:
+        """Return the part of a pixel that lies on one side of an edge."""
+        x = dr.clip(x, -_FAR_PX, _FAR_PX)
+        ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
+        return 0.5 * (ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (box_a * box_b)
+
+    def body(k: Any, i: Any, j: Any) -> tuple[Any, Any, Any]:
+        u, v = left + i, top + j
+        e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
+        s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
+        w = w_a + (w_b - w_a) * dr.clip(s / reach_px, 0, 1)
+        c = side(d + w) - side(d - w)
+        gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - reach_px) * scale))
+        value = -gate * dr.log(1 - dr.minimum(c, _FULLEST))
+        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, start + v * width + u, value > 1e-4)
+        last = i + 1 == columns
+        return k + 1, dr.select(last, 0, i + 1), dr.select(last, j + 1, j)
+
+    begin = tuple(dr.zeros(mi.UInt32, int(drawn.sum())) for _ in range(3))
+    dr.while_loop(begin, lambda k, *_: k < pixels, body)
+    dr.eval(depth)
+    return depth
+
+
+def unexplained(evidence: Evidence, depth: Any) -> Any:
+    """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float, flattened."""
+    difference = (evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen
+    dr.eval(difference)
+    return difference
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What the pictures want of each node: the normal equations of position and radius, H x = g."""
+
+    hessian: Array
+    """(N, 4, 4) of x, y, z, radius."""
+    gradient: Array
+    """(N, 4)"""
+    visible: Array
+    """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
+    views: Array
+    """(N,) views in which most of the node is visible."""
+
+
+def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Pull:
+    """Compare pictures and tubes across every node in every view.
+
+    In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
+    by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
+    """
+    tangent = tubes.tangents
+    t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
+    speed = np.hypot(t_u, t_v)
+    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
+    across = at.across(normal)
+    scale = np.linalg.norm(across, axis=-1)
+    used = at.seen & (speed > _LEAST_SPEED_PX)
+    sums = _profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, blur_px)
+    shift_2, shift_width, width_2, shift, width, shown, whole = sums
+    count = len(tubes.radius_mm)
+    hessian, gradient = np.zeros((count, 4, 4)), np.zeros((count, 4))
+    hessian[:, :3, :3] = np.einsum("vn,vni,vnj->nij", shift_2, across, across)
+    hessian[:, :3, 3] = hessian[:, 3, :3] = np.einsum("vn,vni->ni", shift_width * scale, across)
+    hessian[:, 3, 3] = (width_2 * scale**2).sum(axis=0)
+    gradient[:, :3] = np.einsum("vn,vni->ni", shift, across)
+    gradient[:, 3] = (width * scale).sum(axis=0)
+    visible = shown.sum(axis=0) / np.maximum(whole.sum(axis=0), 1e-9)
+    return Pull(hessian, gradient, visible, (shown > 0.5 * np.maximum(whole, 1e-9)).sum(axis=0).astype(np.float64))
+
+
+def _profiles(
+    evidence: Evidence, px: Array, normal: Array, half_px: Array, used: NDArray[np.bool_], depth: Any, difference: Any, blur_px: float
+) -> list[Array]:
+    """Integrate over the profiles (V, N): shift^2, shift * width, width^2, both times the difference, coverage shown and whole."""
+
+    def number(values: Array) -> Any:
+        return mi.Float(values[used].astype(np.float32))
+
+    u, v, n_u, n_v, w = number(px[..., 0]), number(px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
+    base = np.broadcast_to(np.arange(len(px))[:, None] * evidence.pixels, used.shape)[used]
+    start = mi.UInt32(base.astype(np.uint32))
+    columns, rows = evidence.image_wh
+    sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
+    scale, peak = 1.0 / (sigma * np.sqrt(2.0)), 1.0 / (sigma * np.sqrt(2.0 * np.pi))
+    sums = [dr.zeros(mi.Float, len(base)) for _ in range(8)]
+    reach = w + _PROFILE_MARGIN_PX
+    for k in range(_PROFILE):
+        o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
+        at = dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01)
+        d, t = (bilinear(source, start, columns, *at) for source in (difference, depth))
+        c = dr.minimum(0.5 * (dr.erf((o + w) * scale) - dr.erf((o - w) * scale)), _FULLEST)
+        visible = dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
+        g_plus, g_minus = (peak * dr.exp(-dr.square((o + side * w) * scale)) * visible for side in (1.0, -1.0))
+        shift, width = g_minus - g_plus, g_plus + g_minus
+        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, d * d)
+        sums = [total + term for total, term in zip(sums, terms, strict=True)]
+    step = reach * (2.0 / (_PROFILE - 1))
+    weight = step / (1.0 + sums.pop() * step / _OUTLIER)
+    scattered = []
+    for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True):
+        whole = np.zeros(used.shape)
+        whole[used] = np.array(total * factor)
+        scattered.append(whole)
+    return scattered

@@ -1,0 +1,218 @@
+"""Tubes: strings of nodes, their volume, the pictures they cast, and how a fit finds them again."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from recon import mending, projection, rooting, score_roots, tracing, tube_fit, tube_picture, tube_volume, tubes
+from recon.cameras import View
+from recon.carve import Grid, Leaves
+from recon.density import Cells, estimate
+from recon.evidence import Evidence
+from recon.refraction import Optics
+from recon.silhouettes import Silhouette
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+from scenes.rsml import Root
+
+
+def line(*corners: tuple[float, float, float], step: float = 0.1) -> np.ndarray:
+    """Return points along straight pieces."""
+    pieces = []
+    for a, b in pairwise(corners):
+        count = max(2, round(float(np.linalg.norm(np.subtract(b, a))) / step) + 1)
+        pieces.append(np.linspace(a, b, count))
+    return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
+
+
+def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
+    return tubes.string(paths, [np.full(len(path), radius_mm) for path in paths])
+
+
+TRUNK = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
+TWIG = line((0.0, 0.0, -30.0), (9.0, 0.0, -42.0))
+
+
+def nothing(grid: Grid) -> Cells:
+    return Cells(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+
+
+@cache
+def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
+    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views),)))
+    planned = plan.views(scene)
+    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
+    return projection.ViewBank.of(found, Optics.of(scene)), (400, 300)
+
+
+def pictured(system: tubes.Tubes) -> Evidence:
+    """Return the coverage that tubes cast, as evidence."""
+    bank, (width, height) = cameras()
+    blank = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in range(bank.count)]
+    seen = Evidence.of(bank, blank)
+    depth = tube_picture.optical_depth(seen, system, seen.project(system.centre_mm), 0.0)
+    coverage = 1.0 - np.exp(-np.array(depth)).reshape(bank.count, height, width)
+    return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(picture.shape, bool)) for picture in coverage])
+
+
+def test_a_straight_string_keeps_length_and_ends():
+    system = strung(TRUNK, TWIG)
+    assert system.length_mm == pytest.approx(30.0 + 15.0, abs=0.3)
+    np.testing.assert_allclose(system.centre_mm[system.branches[0][[0, -1]]], TRUNK[[0, -1]], atol=1e-9)
+    assert system.owner[system.branches[1][0]] == 0
+
+
+def test_cutting_keeps_what_bears_a_branch():
+    system = strung(TRUNK, TWIG)
+    gone = np.ones(len(system.radius_mm), bool)
+    gone[system.branches[1][5]] = False
+    cut = system.keep(system.staying(gone))
+    assert [len(branch) for branch in cut.branches] == [np.flatnonzero(system.branches[0] == system.branches[1][0])[0] + 1, 6]
+    np.testing.assert_allclose(cut.centre_mm[cut.branches[1]], system.centre_mm[system.branches[1][:6]])
+
+
+def test_filled_volume_is_that_of_the_frustum():
+    path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
+    system = tubes.string([path], [np.linspace(0.4, 0.1, len(path))])
+    length = float(np.linalg.norm(path[-1] - path[0]))
+    filled = tube_volume.fill(system, 0.05)
+    assert filled.volume_mm3.sum() == pytest.approx(np.pi * length / 3.0 * (0.16 + 0.04 + 0.01), rel=2e-3)
+
+
+def test_crossing_tubes_count_their_overlap_once():
+    a, b = line((-5.0, 0.0, -30.0), (5.0, 0.0, -30.0)), line((0.0, -5.0, -30.0), (0.0, 5.0, -30.0))
+    system = strung(a, b, radius_mm=0.3)
+    straight = tubes.Tubes(system.centre_mm, system.radius_mm, (system.branches[0], system.branches[1][1:]))
+    steinmetz = 16.0 / 3.0 * 0.3**3
+    ends = np.pi * 0.09 * np.linalg.norm(np.diff(system.centre_mm[straight.branches[1]], axis=0), axis=1).sum()
+    expected = np.pi * 0.09 * 10.0 + ends - steinmetz
+    assert tube_volume.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
+
+
+def test_uniting_keeps_thick_organs_and_adds_tubes():
+    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
+    index = np.array([[64, 64, 200]], np.int32)
+    solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
+    core = grid.origin_mm + (index + 4) * 0.125
+    path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
+    system = strung(path)
+    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, 0.3)
+    united = tube_volume.unite(solid, found)
+    assert united.thick_mm3 == pytest.approx(1.0)
+    assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
+    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, 0.3)
+    assert tube_volume.unite(solid, far).thick_mm3 == 0.0
+
+
+def test_coverage_of_a_thin_tube_is_its_projected_area():
+    system = strung(TRUNK, radius_mm=0.1)
+    seen = pictured(system)
+    at = seen.project(system.centre_mm)
+    way = np.linalg.norm(np.diff(at.px, axis=1), axis=-1)
+    width = 0.2 * np.linalg.norm(at.du, axis=-1)  # the trunk hangs upright
+    area = (way * 0.5 * (width[:, 1:] + width[:, :-1]) * (at.seen[:, 1:] & at.seen[:, :-1])).sum()
+    assert np.array(seen.coverage).sum() == pytest.approx(area, rel=0.02)
+
+
+def test_fit_finds_moved_and_swollen_tubes_again():
+    true = strung(TRUNK, TWIG, radius_mm=0.25)
+    seen = pictured(true)
+    rng = np.random.default_rng(3)
+    wave = 0.15 * np.sin(np.arange(len(true.radius_mm)) / 4.0)[:, None] * rng.normal(size=3)
+    start = tubes.moved(true, true.centre_mm + wave, np.full(len(true.radius_mm), 0.15))
+    fitted, pull = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=15)
+    inner = slice(3, -3)
+    for branch in true.branches:
+        off = fitted.centre_mm[branch][inner] - true.centre_mm[branch][inner]
+        along = true.tangents[branch][inner]
+        across = np.linalg.norm(off - (off * along).sum(1, keepdims=True) * along, axis=1)
+        assert np.median(across) < 0.03
+    assert np.median(fitted.radius_mm) == pytest.approx(0.25, rel=0.03)
+    assert np.median(pull.visible) > 0.8
+
+
+def test_density_and_tracing_find_thin_roots():
+    """Two roots, less than a pixel wide, from their coverage alone."""
+    true = strung(TRUNK, TWIG, radius_mm=0.2)
+    seen = pictured(true)
+    grid = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
+    index = np.stack(np.meshgrid(np.arange(36), np.arange(20), np.arange(10, 90), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    cells, _ = estimate(seen, Cells(grid, index, np.zeros(len(index), np.float32)), nothing(grid))
+    assert len(cells.index) < 0.3 * len(index)
+    paths = tracing.trace(cells, np.full(len(cells.index), -1.0))
+    found = [Root(points_mm=path.points_mm, diameters_mm=np.ones(len(path.points_mm)), order=0, parent=-1) for path in paths]
+    truth = [Root(points_mm=path, diameters_mm=np.ones(len(path)), order=0, parent=-1) for path in (TRUNK, TWIG)]
+    score = score_roots.compare_roots(found, truth)
+    assert min(score.recall, score.precision) > 0.95
+    assert (score.tip_recall, score.tips) == (1.0, 2)
+
+
+def test_core_depth_is_signed():
+    grid = Grid(np.zeros(3), 0.5, 0, (20, 20, 20))
+    core = np.stack(np.meshgrid(*[np.arange(5, 10)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    cells = Cells(grid, np.array([[7, 7, 7], [5, 7, 7], [4, 7, 7], [19, 19, 19]], np.int32), np.zeros(4, np.float32))
+    np.testing.assert_allclose(tracing.core_depth(cells, core, reach_mm=1.2), [1.5, 0.5, -0.5, -1.2])
+
+
+def _fork(*lines: np.ndarray, starts: tuple[int, ...]) -> tubes.Tubes:
+    """Put branches together whose first node is a given node."""
+    centre, branches = [lines[0]], [np.arange(len(lines[0]))]
+    for points, start in zip(lines[1:], starts, strict=True):
+        count = sum(len(part) for part in centre)
+        branches.append(np.concatenate([[start], count + np.arange(len(points))]))
+        centre.append(points)
+    nodes = np.concatenate(centre)
+    return tubes.Tubes(nodes, np.full(len(nodes), 0.1), tuple(branches))
+
+
+def test_a_root_that_was_cut_where_it_touches_another_is_joined():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
+    above, below = line((-6.0, 0.2, -6.0), (-0.5, 0.2, -9.6), step=0.5), line((0.3, 0.2, -10.2), (6.0, 0.2, -14.0), step=0.5)
+    system = _fork(trunk, above, below, starts=(2, 20))
+    mended = mending.mend(system)
+    assert len(mended.branches) == 2
+    assert mended.branches[1][0] == 2
+    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], below[-1])
+
+
+def test_tips_that_meet_head_to_head_are_joined():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
+    left, right = line((0.5, 0.0, -5.0), (6.0, 0.0, -7.0), step=0.5), line((12.0, 0.0, -9.0), (6.3, 0.0, -7.1), step=0.5)
+    other = line((0.5, 1.0, -2.0), (13.0, 0.0, -8.0), step=0.5)
+    system = _fork(trunk, left, right, other, starts=(10, len(trunk) + len(left) + len(right) + len(other) - 2, 4))
+    assert len(mending.mend(_parents_first(system)).branches) == 3
+
+
+def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
+    return tubes.Tubes(system.centre_mm, system.radius_mm, tuple(system.branches[k] for k in (0, 1, 3, 2)))
+
+
+def test_tips_that_pass_beside_each_other_stay():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
+    left, right = line((0.5, 0.0, -5.0), (6.0, 0.0, -7.0), step=0.5), line((0.5, 0.6, -6.0), (6.0, 0.6, -7.0), step=0.5)
+    assert len(mending.mend(_fork(trunk, left, right, starts=(10, 12))).branches) == 3
+
+
+def test_score_of_equal_and_of_shifted_roots():
+    root = Root(points_mm=TRUNK, diameters_mm=np.full(len(TRUNK), 0.4), order=0, parent=-1)
+    same = score_roots.compare_roots([root], [root])
+    assert (same.length_error, same.recall, same.precision, same.tip_recall) == (0.0, 1.0, 1.0, 1.0)
+    half = Root(points_mm=TRUNK[:151] + np.array([0.1, 0.0, 0.0]), diameters_mm=np.full(151, 0.5), order=0, parent=-1)
+    score = score_roots.compare_roots([half], [root])
+    assert score.length_error == pytest.approx(-0.5, abs=0.01)
+    assert score.recall == pytest.approx(0.5, abs=0.03)
+    assert score.precision == 1.0
+    assert score.radius_error_median == pytest.approx(0.25)
+    assert score.tip_recall == 0.0
+
+
+def test_nothing_seen_gives_no_density():
+    bank, (width, height) = cameras()
+    blank = Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool))
+    seen = Evidence.of(bank, [blank] * bank.count)
+    grid = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
+    cells = Cells(grid, np.array([[10, 10, 50]], np.int32), np.zeros(1, np.float32))
+    shadow = estimate(seen, cells, nothing(grid))[0].shadow_mm2
+    assert not len(shadow) or shadow.max() < 1e-2
