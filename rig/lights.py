@@ -1,7 +1,7 @@
 """The lamps: two NeoPixel strips of a Marlin board."""
 
 from rig.clock import Clock
-from rig.errors import LostError
+from rig.errors import LostError, NoAnswerError
 from rig.marlin import MarlinLink
 from rig.marlin_lines import POSITION
 from rig.rig_file import LightsPart
@@ -34,7 +34,26 @@ class MarlinLights:
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both off, whatever happened before; a board that was lost is connected anew for it."""
+        """Switch both off, whatever happened before; a board that was lost is connected anew for it.
+
+        Raises
+        ------
+        NoAnswerError
+            When nobody knows whether they are off: the board does not answer. It was told all the same.
+        LostError
+            When the board is not there any more.
+        """
+        try:
+            self._surely_off()
+        except NoAnswerError:
+            self._link.send_unheard(*(f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip)))
+            raise
+
+    def close(self) -> None:
+        """Close the port that table and lights share."""
+        self._link.close()
+
+    def _surely_off(self) -> None:
         if not self._link.ready:
             self._link.start()
         try:
@@ -42,10 +61,6 @@ class MarlinLights:
         except LostError:  # it was reset meanwhile: it answers again after a new start
             self._link.start()
             self._show(0.0, 0.0)
-
-    def close(self) -> None:
-        """Close the port that table and lights share."""
-        self._link.close()
 
     def _show(self, panel: float, front: float) -> None:
         self._link.command("M400")  # M150 does not wait for moves, and its interrupt lock would disturb their steps

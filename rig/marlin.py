@@ -105,6 +105,12 @@ class MarlinLink:
         """
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
+    def send_unheard(self, *texts: str) -> None:
+        """Send commands to a board that may hear though it is not heard: three times, unnumbered, so that lost lines do no harm."""
+        for text in texts * 3:
+            self._wire.send(text.encode() + b"\n")
+        self._unsettled_s = self._unsettled_s or 0.0
+
     def quick_stop(self) -> bool:
         """Stop a move at once, where the firmware can (EMERGENCY_PARSER); return whether it can. The table's angle is forgotten."""
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:

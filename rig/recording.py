@@ -26,11 +26,12 @@ class Recorder:
     Raises
     ------
     RigError
-        When the file cannot be written; from `record` as well.
+        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from being switched off.
     """
 
     def __init__(self, path: Path | str) -> None:
         self._path = Path(path)
+        self._broken = False
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._path.open("ab", buffering=0)
@@ -60,12 +61,16 @@ class Recorder:
             self._stream.close()
 
     def _put(self, entry: dict[str, Any]) -> None:
+        if self._broken:
+            return
         line = json.dumps(entry).encode() + b"\n"
+        self._broken = True
         try:
             written = self._stream.write(line)
         except OSError as error:
             raise self._failed(error) from error
-        if written != len(line):
+        self._broken = written != len(line)
+        if self._broken:
             raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
 
     def _failed(self, error: OSError) -> RigError:

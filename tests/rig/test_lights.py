@@ -96,6 +96,20 @@ def test_off_after_no_answer(board: Any) -> None:
     assert board.strips == {0: OFF, 1: OFF}
 
 
+def test_off_reaches_a_board_that_is_not_heard(board: Any) -> None:
+    lights = on(board)
+    lights.set(panel=1.0, front=1.0)
+
+    def deaf(timeout_s: float) -> bytes:
+        board.clock.sleep(timeout_s)
+        return b""
+
+    board.read = deaf
+    with pytest.raises(NoAnswerError):
+        lights.off()
+    assert board.strips == {0: OFF, 1: OFF}
+
+
 def test_off_when_stopped_by_ctrl_c_in_a_move(board: Any) -> None:
     """The answers to the move that was broken off are not taken for those of the lamps."""
     lights = on(board)

@@ -87,6 +87,7 @@ def test_a_disk_that_gets_full_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(recorder, "_stream", Full())
     with pytest.raises(RigError, match="disk is full"):
         recorder.record(1.0, "arm", "<", b"\x00")
+    recorder.record(1.1, "turntable", ">", b"M150")  # told once: the lamps can still be switched off
     recorder.close()
 
 
