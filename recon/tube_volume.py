@@ -20,6 +20,8 @@ _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _LEAST_SAMPLES = 6
 _DENSE_MM = 0.15
 _NEAR = 24
+_MOST_REACH_MM = 1.0
+"""Thicker roots than half of this are no tubes: the trimmed hull gives their shape."""
 _SAMPLES_A_NODE = 2.5
 _FINEST_SPACING_MM = 0.05
 _SLACK_PX = 0.05
@@ -91,7 +93,7 @@ def _in_earlier(tubes: Tubes, point: Array, branch: Index) -> Mask:
         return inside
     # only points near two branches need a closer look: those whose node's neighbourhood holds another branch
     tree = cKDTree(centre)
-    reach = 2.0 * float(np.quantile(radius, 0.99)) + 2.0 * _DENSE_MM
+    reach = min(2.0 * float(np.quantile(radius, 0.99)) + 2.0 * _DENSE_MM, _MOST_REACH_MM)
     mixed = np.zeros(len(centre), bool)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
