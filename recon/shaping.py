@@ -18,6 +18,8 @@ from scenes.errors import UserError
 
 FINEST_MM = 0.14
 """Voxels larger than this are carved finer and gathered, so that their occupancy is measured and not guessed."""
+TUBES_FROM = 0.3
+"""Share of the trimmed volume that is untrimmed hull beyond which tubes are sought: 3 % for a print, 60 % for thin roots, which are all hull."""
 SLACK_PX = 0.3
 """Outline uncertainty that the volume's interval allows for."""
 _SURFACE_LEAVES = 1_000_000
@@ -98,10 +100,11 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
     hull = carved.hull
     with run.stage("trim"):
         trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
-    seen = Evidence.of(carved.bank, carved.silhouettes)
-    system = rooting.find(run, seen, trimmed.balls, carved.water)
+    volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
+    system = None
+    if kept_mm3 > TUBES_FROM * volume:
+        system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), trimmed.balls, carved.water)
     if system is None:
-        volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
         # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
         interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3
         _warn(run, volume, interval, kept_mm3)
