@@ -18,8 +18,10 @@ from scenes.errors import UserError
 
 FINEST_MM = 0.14
 """Voxels larger than this are carved finer and gathered, so that their occupancy is measured and not guessed."""
-TUBES_FROM = 0.3
-"""Share of the trimmed volume that is untrimmed hull beyond which tubes are sought: 3 % for a print, 60 % for thin roots, which are all hull."""
+THIN_KEPT, THIN_SMALL = 0.3, 0.7
+"""Tubes are sought where more than these shares of the trimmed volume are untrimmed hull, and leaves of the finest size.
+
+Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large leaves (14 % small)."""
 SLACK_PX = 0.3
 """Outline uncertainty that the volume's interval allows for."""
 _SURFACE_LEAVES = 1_000_000
@@ -102,7 +104,7 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
         trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
     volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
     system = None
-    if kept_mm3 > TUBES_FROM * volume:
+    if _is_thin(trimmed):
         system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), trimmed.balls, carved.water)
     if system is None:
         # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
@@ -118,6 +120,13 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
     _warn(run, volume, interval, kept_mm3)
     shape = measure(run, hull, united.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=kept_mm3)
     return replace(shape, roots=system.roots())
+
+
+def _is_thin(trimmed: parsimony.Trimmed) -> bool:
+    """Tell whether much of the shape is roots too thin to be trimmed."""
+    leaves, volume = trimmed.leaves, trimmed.leaves.volume_mm3()
+    finest_mm3 = float(leaves.occupancy[leaves.size == 1].sum(dtype=np.float64)) * leaves.grid.size_mm**3
+    return trimmed.kept_mm3 > THIN_KEPT * volume and finest_mm3 > THIN_SMALL * volume
 
 
 def measure(
