@@ -143,6 +143,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
         return "crashed", str(error), [f"crashed: {type(error).__name__}: {error}"]
     problems += _wrong(twin, dataset, kept)
+    twin.clock.sleep(1.0)  # lamps fade
     if twin.world.panel.level > 0.0 or twin.world.front.level > 0.0:
         problems.append("the lights are still on")
     return ended, stop, problems

@@ -48,9 +48,11 @@ def run_all(kills: int, *, say: Callable[[str], None]) -> KillRuns:
             folder = Path(name)
             whole, _ = _finished(folder / "whole", arm=arm, kills=0, seed=0)
             share = kills // 2 + (kills % 2 if arm else 0)
-            for number, first in enumerate(range(0, share, KILLS_EACH)):
-                wanted = min(KILLS_EACH, share - first)
-                found, killed = _finished(folder / f"killed_{number}", arm=arm, kills=wanted, seed=number)
+            left, number = share, 0
+            while left > 0:  # a scan may end before it was killed as often as wanted
+                number += 1
+                found, killed = _finished(folder / f"killed_{number}", arm=arm, kills=min(KILLS_EACH, left), seed=number)
+                left -= killed
                 new = _differences(whole, found, same_pixels=not arm)
                 problems += [f"{'arm' if arm else 'tripod'}, dataset {number}, after {killed} kills: {problem}" for problem in new]
                 made, done = made + 1, done + killed

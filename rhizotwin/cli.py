@@ -446,14 +446,14 @@ def _diameter_mm(text: str) -> float:
 
 
 def _millimetres(text: str, limits: tuple[float, float]) -> float:
-    return _between(text, limits, "mm")
+    return _between(text, limits, "mm", "millimetres")
 
 
-def _between(text: str, limits: tuple[float, float], unit: str) -> float:
+def _between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of {unit}") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of {units or unit}") from None
     low, high = limits
     if not low <= value <= high:
         raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} {unit}")

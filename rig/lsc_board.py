@@ -28,6 +28,8 @@ MULT_SERVO_POS_READ = 21
 _PATIENCE_S = (0.6, 0.6, 0.8, 1.0)
 """A reading of all positions takes up to 450 ms on some boards."""
 _AGREE_TRIES = 8
+_REST = bytes(100)
+"""Zeros for a silent board: it may wait for the rest of a frame whose length was damaged on the way."""
 _AGREE_COUNTS = 1
 _AGREE_V = 0.2
 _HOLD_S = 1.0
@@ -174,6 +176,8 @@ class LscBoard:
             heard_all += heard
             if found is not None:
                 return found, heard_all
+            if not heard:
+                self._wire.write(_REST)
         return None, heard_all
 
 

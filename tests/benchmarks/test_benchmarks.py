@@ -19,7 +19,7 @@ def test_case_names_are_unique_and_targets_name_measured_things():
         assert len(set(names)) == len(names)
     full = {case.name for case in cases.ladder(quick=False)}
     for key in cases.TARGETS:
-        assert key.startswith(("render/", "reconstruct/", "projection/")) or key.rpartition("/")[0] in full
+        assert key.startswith(("render/", "reconstruct/", "projection/", "rig/")) or key.rpartition("/")[0] in full
 
 
 @pytest.mark.parametrize("case", cases.ladder(quick=False) + cases.ladder(quick=True), ids=lambda case: case.name)
