@@ -45,7 +45,8 @@ def register(url: str, socket: Socket) -> None:
 class Serial(SerialBase):
     """A port of a twin; behaves as a USB serial port on Linux does, its errors included."""
 
-    # set by SerialBase's properties
+    # set by SerialBase and its properties
+    is_open: bool
     _port: str | None
     _timeout: float | None
     _exclusive: bool | None
