@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from recon.marker_fit import fit_marker
 from scenes.errors import UserError
 from scenes.frames import Array
+from scenes.markers import dictionary_named
 from scenes.model import MarkerStrip
 
 Bytes = NDArray[np.uint8]
@@ -49,10 +50,10 @@ def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
     UserError
         When OpenCV has no such dictionary, or it has too few markers.
     """
-    name = f"DICT_{strip.dictionary}"
-    if not hasattr(cv2.aruco, name):
-        raise UserError(f"strip.dictionary: {strip.dictionary!r} is not one of OpenCV's ArUco dictionaries, use for example APRILTAG_36h11")
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    try:
+        dictionary = dictionary_named(strip.dictionary)
+    except UserError as error:
+        raise UserError(f"strip.dictionary: {error}") from None
     last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
     if last >= size:
         raise UserError(f"strip: its last marker has the id {last}, but {strip.dictionary} ends at {size - 1}: lower first_id or use fewer")

@@ -17,12 +17,11 @@ from rig.markers import Sighting, read_strip, why_unread
 from rig.open import Devices
 from rig.placing import arm_of, camera_wanted, joints_for
 from rig.safety import Say, make_safe, park
-from rig.session import encode_png
 from rig.stand import place_of
 from scenes.atomic import write_bytes
 from scenes.errors import UserError
 from scenes.model import Ring, Scene
-from scenes.pictures import Grey
+from scenes.pictures import Grey, encode_png
 
 JOINT_COUNT = 5
 

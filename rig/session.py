@@ -13,15 +13,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 from rig.rig_file import RigFile
 from scenes.atomic import write_bytes
 from scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
 from scenes.errors import UserError
 from scenes.model import Disturbances, Scene
-from scenes.pictures import Grey
+from scenes.pictures import Grey, encode_png
 from scenes.plan import View
 from scenes.provenance import versions
 from scenes.schema import to_plain
@@ -210,14 +207,6 @@ def take_up(
 def file_of(view: View) -> str:
     """Return the path of a view's picture in the dataset."""
     return f"images/view_{view.index:03d}.png"
-
-
-def encode_png(image: Grey) -> bytes:
-    """Encode a picture; OpenCV's own setting (a filter, then little compression) is the fastest and the smallest for noisy pictures."""
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
-    if not encoded:
-        raise ValueError(f"OpenCV cannot encode {image.shape=} {image.dtype=} as PNG")
-    return data.tobytes()
 
 
 def _remove_temporary(folder: Path) -> None:

@@ -6,12 +6,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
-
 from rig.cameras.settings import CameraSettings
 from rig.devices import Camera
 from rig.errors import LostError, RigError
+from scenes.pictures import encode_png
 
 KEPT = 4
 """Pictures kept for repeated requests; a client asks for one after the other."""
@@ -99,10 +97,7 @@ class CameraService:
 
     def _take(self) -> Picture:
         shot = self._camera.capture()
-        encoded, data = cv2.imencode(".png", np.ascontiguousarray(shot.image))
-        if not encoded:
-            raise RigError(f"the camera gave a picture of {shot.image.shape=} {shot.image.dtype=}, which cannot be written as PNG")
-        png = data.tobytes()
+        png = encode_png(shot.image)
         return Picture(png=png, sha256=hashlib.sha256(png).hexdigest(), exposure_s=shot.exposure_s, gain=shot.gain)
 
     def _refuse_closed(self) -> None:

@@ -10,12 +10,12 @@ import pytest
 
 from rig import session as session_module
 from rig.rig_file import ArmPart, RigFile
-from rig.session import Session, encode_png, file_of, take_up
+from rig.session import Session, file_of, take_up
 from scenes import plan
 from scenes.dataset import Frame, load_dataset, read_image, save_dataset
 from scenes.errors import UserError
 from scenes.model import Camera, CapturePlan, Ring, Scene
-from scenes.pictures import decode_grey
+from scenes.pictures import decode_grey, encode_png
 
 SCENE = Scene(camera=Camera().resized((64, 48)), plan=CapturePlan(rings=(Ring(views=4),)))
 VIEWS = plan.views(SCENE)
