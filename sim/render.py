@@ -152,7 +152,21 @@ class Renderer:
         return image, coverage
 
     def _on_lens(self, ray: mi.UInt32, side: int) -> mi.Point2f:
-        """Give every lattice ray of a pixel its place on the lens: the R2 sequence, in an order unlike the lattice's."""
-        place = (np.arange(side * side) * 7) % (side * side) + 0.5
-        u, v = (mi.Float((place * step % 1.0).astype(np.float32)) for step in (0.7548776662, 0.5698402910))
-        return mi.Point2f(dr.gather(mi.Float, u, ray), dr.gather(mi.Float, v, ray))
+        """Give every lattice ray of a pixel its place on the lens."""
+        u, v = ((cell + 0.5) / side for cell in lens_cells(side))
+        return mi.Point2f(*(dr.gather(mi.Float, mi.Float(place.astype(np.float32)), ray) for place in (u, v)))
+
+
+def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cell of the lens (column, row; each side^2) through which each ray of a pixel's lattice goes, row by row.
+
+    Every cell is used once, so that the lens as a whole is centred, and the places in the pixel and on the lens form an orthogonal array of
+    strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so that defocus neither shifts nor sharpens
+    an edge.
+    Sides 2, 6, 8 ... have no such array as simple; there a trace of correlation is left.
+    """
+    i, j = np.arange(side * side) % side, np.arange(side * side) // side
+    if side == 4:  # i + a j and i + (a + 1) j in the field of four elements, where a j is:
+        a_j = np.array([0, 2, 3, 1])[j]
+        return i ^ a_j, i ^ a_j ^ j
+    return (i + j) % side, (i + 2 * j) % side
