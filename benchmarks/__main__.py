@@ -4,13 +4,15 @@ import argparse
 import json
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from benchmarks import cases, gate
 from benchmarks.metric import Metric
+from benchmarks.run import Run
+from benchmarks.targets import TARGETS
 from scenes import atomic
 from scenes.errors import UserError
 
@@ -25,6 +27,8 @@ def say(text: str) -> None:
 
 def about(given: argparse.Namespace) -> dict[str, Any]:
     """Return what the numbers were measured with."""
+    from benchmarks import sources
+
     packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
     versions = {}
     for package in packages:
@@ -35,6 +39,7 @@ def about(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "command": f"{given.what}{' --quick' if given.quick else ''}",
         "device": given.device,
+        "reconstruction": sources.digest(("recon.pipeline",))[:12],
         "python": platform.python_version(),
         **versions,
     }
@@ -46,9 +51,9 @@ def results_table(metrics: Sequence[Metric]) -> str:
     lines = [f"{'metric':<{width}}  {'value':>12} unit  target"]
     for metric in metrics:
         target = ""
-        if metric.key in cases.TARGETS:
-            limit, text = cases.TARGETS[metric.key]
-            target = f"{text}: {'reached' if abs(metric.value) <= limit else 'NOT REACHED'}"
+        if metric.key in TARGETS:
+            wanted = TARGETS[metric.key]
+            target = f"{wanted.text}: {'reached' if wanted.reached(metric.value) else 'NOT REACHED'}"
         lines.append(f"{metric.key:<{width}}  {metric.value:>12.5g} {metric.unit:<4}  {target}".rstrip())
     return "\n".join(lines)
 
@@ -59,26 +64,95 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m benchmarks",
         description="Measure how well and how fast the twin and the reconstruction do, beside the numbers that were committed.",
     )
-    made.add_argument(
-        "what",
-        choices=["accuracy", "speed", "rig"],
-        help="accuracy: render, reconstruct, score; speed: wall times and memory; rig: faults, kills, kinematics, lens, a scan of the twin",
+    what = made.add_subparsers(dest="what", metavar="WHAT", required=True)
+    texts = {
+        "accuracy": "the ladder: render (or take from the cache), reconstruct, score; a stopped run goes on where it stopped",
+        "speed": "wall times and memory",
+        "rig": "faults, kills, kinematics, lens, a scan of the twin",
+    }
+    for name, text in texts.items():
+        one = what.add_parser(name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+        one.add_argument("--quick", action="store_true", help="the small set that runs with every change (accuracy: under five minutes)")
+        one.add_argument("--gate", action="store_true", help="end with code 1 where a number is worse than the baseline or missing")
+        one.add_argument("--update-baseline", action="store_true", help="record this run as the baseline, to be committed")
+        one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+        one.add_argument(
+            "-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)"
+        )
+        if name == "accuracy":
+            _add_selection(one)
+    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures: what a change did, case by case")
+    compared.add_argument("before", type=Path, metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
+    compared.add_argument("after", type=Path, metavar="B.json", help="the same after it; cases that only one of them has are left out")
+    compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
+    adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
+    adopted.add_argument(
+        "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
     )
-    made.add_argument("--quick", action="store_true", help="the small set that runs with every change (accuracy: under five minutes)")
-    made.add_argument("--gate", action="store_true", help="end with code 1 where a number is worse than the baseline or missing")
-    made.add_argument("--update-baseline", action="store_true", help="record this run as the baseline, to be committed")
-    made.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    made.add_argument("--only", metavar="TEXT", help="only the accuracy cases whose name holds TEXT; not with --gate or --update-baseline")
-    made.add_argument("--list", action="store_true", help="name the accuracy cases and end")
-    made.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
+    adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     return made
+
+
+def _add_selection(one: argparse.ArgumentParser) -> None:
+    one.epilog = (
+        "a part of the ladder, for example (it gives part of the table, and goes with neither --gate nor --update-baseline):\n"
+        "  python -m benchmarks accuracy --scenes 'radish_day0*,fallen_plant' --profiles clean,bench --methods coverage -o before.json\n"
+        "two runs are compared case by case:\n  python -m benchmarks compare before.json after.json"
+    )
+    one.add_argument(
+        "--scenes", type=_words, metavar="PATTERN,...", help="only the ladder's scenes whose name fits, such as 'radish_day0*'"
+    )
+    one.add_argument("--profiles", type=_words_of(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
+    one.add_argument(
+        "--seeds",
+        type=_seeds,
+        metavar="S,...",
+        help="seeds of disturbances and plants, or a named set: "
+        + ", ".join(f"{name} ({', '.join(map(str, seeds))})" for name, seeds in cases.SEED_SETS.items())
+        + "; default: first. The second set is for the end: never look at it while something is developed",
+    )
+    one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
+    one.add_argument("--list", action="store_true", help="name the cases and end")
+    one.add_argument("--afresh", action="store_true", help="measure again what an earlier run with the same code measured")
+
+
+def _words(text: str) -> tuple[str, ...]:
+    words = tuple(word for word in text.split(",") if word)
+    if not words:
+        raise argparse.ArgumentTypeError("is empty")
+    return words
+
+
+def _words_of(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
+    def words(text: str) -> tuple[str, ...]:
+        found = _words(text)
+        unknown = [word for word in found if word not in allowed]
+        if unknown:
+            raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of {', '.join(allowed)}")
+        return found
+
+    return words
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    if text in cases.SEED_SETS:
+        return cases.SEED_SETS[text]
+    try:
+        found = tuple(dict.fromkeys(int(word) for word in _words(text)))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither whole numbers nor one of {', '.join(cases.SEED_SETS)}") from None
+    if min(found) < 0:
+        raise argparse.ArgumentTypeError(f"{min(found)} is negative")
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmarks; returns the exit code."""
     given = parser().parse_args(arguments)
     try:
-        return _run(given)
+        if given.what == "compare":
+            return _compare(given)
+        return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
@@ -87,38 +161,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _run(given: argparse.Namespace) -> int:
-    chosen = [case for case in cases.ladder(quick=given.quick) if given.only is None or given.only in case.name]
-    if given.list:
-        say("\n".join(case.name for case in chosen))
-        return 0
-    if given.only is not None and (given.gate or given.update_baseline):
-        raise UserError("--only leaves numbers out, so it goes with neither --gate nor --update-baseline.")
-    if not chosen:
-        raise UserError(f"--only {given.only!r} fits no case; --list names them.")
-    baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
-    # A missing baseline is known before an hour of measuring, not after it.
-    baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
+def _compare(given: argparse.Namespace) -> int:
+    from benchmarks import paired
 
-    from benchmarks import accuracy, cache, rig, speed  # these import the renderer
+    say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
+    return 0
+
+
+def _adopt(given: argparse.Namespace) -> int:
+    """Adopt each folder; those that do not fit are named and the rest go on."""
+    from benchmarks.adopt import adopt
     from rhizotwin import engine
 
     engine.start(given.device)
-    measure = {
-        "accuracy": lambda: accuracy.measure(chosen, say=say),
-        "rig": lambda: rig.measure(quick=given.quick, say=say),
-        "speed": lambda: speed.measure(quick=given.quick, device=given.device, say=say),
-    }
-    run = measure[given.what]()
+    refused = 0
+    for number, folder in enumerate(given.folders, start=1):
+        try:
+            say(f"[{number}/{len(given.folders)}] {folder} -> {adopt(folder)}")
+        except UserError as error:
+            refused += 1
+            say(f"[{number}/{len(given.folders)}] REFUSED: {error}")
+    return 1 if refused else 0
+
+
+def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
+    """Return the cases to run, and whether they are a part that can neither gate nor become the baseline."""
+    selection = {name: getattr(given, name) for name in ("scenes", "profiles", "seeds", "methods") if getattr(given, name) is not None}
+    if given.quick and selection:
+        raise UserError(f"--quick is a set of its own; leave out --{next(iter(selection))} or --quick.")
+    return (cases.quick(), False) if given.quick else (cases.ladder(**selection), bool(selection))
+
+
+def _run(given: argparse.Namespace) -> int:
+    chosen: list[cases.Case] = []
+    if given.what == "accuracy":
+        chosen, is_part = _chosen(given)
+        if given.list:
+            say("\n".join(case.name for case in chosen))
+            return 0
+        if is_part and (given.gate or given.update_baseline):
+            raise UserError("a part of the ladder leaves numbers out, so it goes with neither --gate nor --update-baseline.")
+    baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
+    # A missing baseline is known before an hour of measuring, not after it.
+    baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
+    run = _measured(given, chosen)
     say("\n" + results_table(run.metrics))
 
     described = about(given)
-    output = given.output or cache.folder() / "results" / f"{baseline_path.stem.removeprefix('baseline_')}.json"
-    output.parent.mkdir(parents=True, exist_ok=True)
+    output = given.output or _results() / f"{baseline_path.stem.removeprefix('baseline_')}.json"
     values = {m.key: {"value": m.value if m.measured else None, "unit": m.unit} for m in run.metrics}
     stored = json.loads(json.dumps({"about": described, "metrics": values, "crashed": run.crashed, "details": run.details}, default=str))
     atomic.write_json(output, stored)
     say(f"\nevery number: {output}")
+    if given.what == "accuracy" and not given.quick:
+        _write_ladder(run, output)
 
     if given.update_baseline:
         if run.crashed:
@@ -131,6 +227,46 @@ def _run(given: argparse.Namespace) -> int:
         say("\n" + gate.table(findings))
         return 0 if gate.passes(findings) else 1
     return 1 if run.crashed else 0
+
+
+def _results() -> Path:
+    from benchmarks import cache
+
+    return cache.folder() / "results"
+
+
+def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
+    if given.what == "accuracy":
+        from benchmarks import accuracy, table
+
+        run = accuracy.measure(chosen, device=given.device, say=say, afresh=given.afresh)
+        if not given.quick:
+            run.metrics += [line.metric() for line in table.lines(run.details.values())]
+        return run
+    if given.what == "speed":
+        from benchmarks import speed
+
+        return speed.measure(quick=given.quick, device=given.device, say=say)
+    from benchmarks import rig
+    from rhizotwin import engine
+
+    engine.start(given.device)
+    return rig.measure(quick=given.quick, say=say)
+
+
+def _write_ladder(run: Run, output: Path) -> None:
+    """Write the ladder's table and figure beside the numbers, and show the groups."""
+    from benchmarks import figure, table
+
+    records = list(run.details.values())
+    text = table.markdown(table.lines(records), records)
+    say("\n" + text.partition("\n\n")[0])
+    written = [output.with_suffix(".md"), output.with_suffix(".csv")]
+    atomic.write_text(written[0], text)
+    atomic.write_text(written[1], table.comma_separated(records))
+    if figure.draw(records, output.with_suffix(".png")):
+        written.append(output.with_suffix(".png"))
+    say("\ntable and figure: " + ", ".join(str(path) for path in written))
 
 
 if __name__ == "__main__":

@@ -1,124 +1,188 @@
-"""The accuracy ladder: render (or take from the cache), reconstruct, score."""
+"""The accuracy ladder: render (or take from the cache), reconstruct, score; each in a process of its own, finished cases kept."""
 
-import shutil
-import tempfile
+import json
+import statistics
 import time
-import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cache, projection
-from benchmarks.cases import Case, Pictures
-from benchmarks.metric import Metric
-from benchmarks.thesis import reconstruct_thesis
-from recon.pipeline import reconstruct
-from recon.score import Score, score
-from scenes.files import scene_to_dict
-from sim.simulate import simulate
+from benchmarks import cache, datasets, sources, worker
+from benchmarks.cases import Case
+from benchmarks.metric import Direction, Metric
+from benchmarks.run import Run, Say
+from scenes import atomic
+from scenes.provenance import versions
 
-Say = Callable[[str], None]
+_SOURCES = {"coverage": ("recon.pipeline", "recon.score"), "thesis": ("benchmarks.thesis", "recon.score")}
+"""Modules that decide what becomes of a dataset, by method."""
+_VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 
-
-@dataclass
-class Run:
-    """What a benchmark run measured."""
-
-    metrics: list[Metric] = field(default_factory=list)
-    crashed: dict[str, str] = field(default_factory=dict)
-    """Traceback by case."""
-    details: dict[str, Any] = field(default_factory=dict)
-    """Everything else worth keeping, by case."""
+Record = dict[str, Any]
+"""One scored case as JSON values: what it was, what it took, and the score."""
 
 
-def dataset_settings(pictures: Pictures) -> dict[str, Any]:
-    """Return all that decides what a dataset looks like, besides the sources, as JSON values."""
-    import mitsuba as mi
+def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False) -> Run:
+    """Run the cases one after the other; a case that fails is recorded and the rest go on.
 
-    return {
-        "scene": scene_to_dict(pictures.scene_to_render()),
-        "profile": pictures.profile,
-        "seed": pictures.seed,
-        "fidelity": "backlit",
-        "mitsuba": mi.__version__,
-    }
-
-
-def dataset(pictures: Pictures, *, sources: str) -> Path:
-    """Return the folder of a rendered dataset, rendering it where the cache lacks it (and resuming where it was cut off)."""
-    folder = cache.folder() / "datasets" / cache.key(dataset_settings(pictures), sources=sources)
-    if folder.is_dir():
-        return folder
-    unfinished = folder.with_suffix(".part")
-    simulate(pictures.scene_to_render(), unfinished, profile_name=pictures.profile, seed=pictures.seed, fidelity="backlit", progress=False)
-    unfinished.rename(folder)
-    return folder
-
-
-def measure(cases: Sequence[Case], *, say: Say) -> Run:
-    """Run the cases one after the other; a case that fails is recorded and the rest go on."""
-    run = Run(metrics=projection.measure())
-    sources = cache.source_digest()
+    Parameters
+    ----------
+    afresh : measure also what an earlier run with the same sources, settings and versions measured.
+    """
+    measured = worker.start(["projection"], device=device)["metrics"]
+    run = Run(metrics=[Metric(**metric) for metric in measured])
+    clock = _TimeLeft(cases)
     for number, case in enumerate(cases, start=1):
+        head = f"[{number}/{len(cases)}] {case.name}"
         began = time.perf_counter()
+        record = None if afresh else kept(case, device=device)
         try:
-            folder = dataset(case.pictures, sources=sources)
-            rendered = time.perf_counter()
-            found = reconstruct_and_score(case, folder)
-        except Exception:  # noqa: BLE001 - whatever it is, the gate must hear of it
-            run.crashed[case.name] = traceback.format_exc()
-            say(f"[{number}/{len(cases)}] {case.name}: CRASHED\n{run.crashed[case.name]}")
+            fresh = record is None
+            record = record or _measured(case, device=device)
+        except RuntimeError as error:
+            run.crashed[case.name] = str(error)
+            clock.finished(case, time.perf_counter() - began)
+            say(f"{head}: CRASHED; {clock.left()}\n{error}")
             continue
-        run.metrics += metrics(case.name, found)
-        run.details[case.name] = {
-            **found.to_dict(),
-            "render_s": rendered - began,
-            "reconstruct_and_score_s": time.perf_counter() - rendered,
-        }
-        say(
-            f"[{number}/{len(cases)}] {case.name}: volume {100.0 * found.volume_error:+.2f} %, "
-            f"IoU {found.voxels.iou:.3f} ({time.perf_counter() - began:.0f} s)"
-        )
+        run.metrics += metrics(case, record)
+        run.details[case.name] = record
+        clock.finished(case, time.perf_counter() - began if fresh else None)
+        say(f"{head}: {summary(record)}{'' if fresh else ', kept'}; {clock.left()}")
     return run
 
 
-def reconstruct_and_score(case: Case, dataset_folder: Path) -> Score:
-    """Reconstruct into a temporary folder and return the score."""
-    working = Path(tempfile.mkdtemp(prefix="rhizotwin-benchmark-"))
+def kept(case: Case, *, device: str) -> Record | None:
+    """Return what an earlier run measured of a case, with sources, settings and versions as they are now; None where none did."""
+    path = _kept_path(case, device=device)
+    if not path.is_file():
+        return None
     try:
-        if case.method == "thesis":
-            reconstruct_thesis(dataset_folder, working / "result", voxel_mm=case.voxel_mm)
-        else:
-            reconstruct(dataset_folder, working / "result", voxel_mm=case.voxel_mm, progress=False)
-        return score(working / "result", dataset_folder)
-    finally:
-        shutil.rmtree(working, ignore_errors=True)
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:  # a damaged file is as good as none: the case is measured again
+        return None
+    return record if isinstance(record, dict) and {"case", "score", "wall_s", "peak_memory_mib"} <= record.keys() else None
 
 
-def metrics(case_name: str, found: Score) -> list[Metric]:
+def _kept_path(case: Case, *, device: str) -> Path:
+    settings = {
+        "dataset": datasets.place(case.pictures).name,
+        "truth": sources.digest(sources.TRUTH),
+        "method": case.method,
+        "voxel_mm": case.voxel_mm,
+        "device": device,
+        "versions": versions(_VERSIONED),
+    }
+    return cache.folder() / "scores" / f"{cache.key(settings, sources=sources.digest(_SOURCES[case.method]))}.json"
+
+
+def _measured(case: Case, *, device: str) -> Record:
+    """Render a case's pictures where they are missing, reconstruct and score them, and keep the result."""
+    rendering = None
+    if not datasets.is_ready(case.pictures):
+        rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]
+    folder = datasets.place(case.pictures)
+    found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}"], device=device)
+    record = {"case": described(case), "render_s": rendering, **found}
+    atomic.write_json(_kept_path(case, device=device), record)
+    return record
+
+
+def described(case: Case) -> dict[str, Any]:
+    """Return what a case is, as JSON values."""
+    pictures = case.pictures
+    return {
+        "name": case.name,
+        "scene": pictures.scene,
+        "profile": pictures.profile,
+        "seed": pictures.seed,
+        "rings": pictures.rings,
+        "views": pictures.views,
+        "image_wh": list(pictures.image_wh),
+        "method": case.method,
+        "voxel_mm": case.voxel_mm,
+        "is_plant": pictures.is_plant,
+        "age_days": getattr(pictures.scene_to_render().specimen, "age_days", None),
+    }
+
+
+def summary(record: Record) -> str:
+    """Return one line that says how a case went."""
+    found, roots = record["score"], record["score"].get("roots")
+    text = f"volume {percent(found['volume_error'])}, interval {'holds' if found['interval_holds_truth'] else 'misses'}"
+    if roots:
+        text += f", length {percent(roots['length_error'])}, tips {roots['tip_precision']:.2f} / {roots['tip_recall']:.2f}"
+    return f"{text}, {record['wall_s']:.0f} s, {record['peak_memory_mib'] / 1024.0:.1f} GiB"
+
+
+def percent(fraction: float | None) -> str:
+    """Return a signed fraction as text."""
+    return "none" if fraction is None else f"{100.0 * fraction:+.2f} %"
+
+
+def metrics(case: Case, record: Record) -> list[Metric]:
     """Return the gated numbers of one score; a stage that gave none yields NaN, which fails the gate."""
-    missing = float("nan")
-    poses, masks = found.poses, found.masks
-    # (name, value, unit, direction, rel_tol, abs_tol): the arithmetic repeats to about 1e-5 on one machine, and other machines'
+    found = record["score"]
+    # (where, unit, direction, rel_tol, abs_tol): the arithmetic repeats to about 1e-5 on one machine, and other machines'
     # vector units move thresholds a little; a real change of method moves these numbers by far more.
-    rows: list[tuple[str, float, str, Any, float, float]] = [
-        ("volume_error", found.volume_error, "1", "zero", 0.0, 0.002),
-        ("extents_error_max", found.extents_error_max, "1", "down", 0.0, 0.002),
-        ("recall", found.voxels.recall, "1", "up", 0.0, 0.004),
-        ("precision", found.voxels.precision, "1", "up", 0.0, 0.004),
-        ("iou", found.voxels.iou, "1", "up", 0.0, 0.004),
-        ("surface_median_mm", found.surface.median_mm, "mm", "down", 0.05, 0.002),
-        ("surface_p95_mm", found.surface.p95_mm, "mm", "down", 0.1, 0.01),
-        ("views_used", float(poses.used) if poses else missing, "1", "up", 0.0, 0.0),
-        ("pose_median_mm", poses.median_mm if poses else missing, "mm", "down", 0.1, 0.002),
-        ("pose_median_deg", poses.median_deg if poses else missing, "deg", "down", 0.1, 0.0005),
-        ("mask_area_error", masks.area_error if masks else missing, "1", "zero", 0.0, 0.003),
-        ("mask_iou", masks.iou if masks else missing, "1", "up", 0.0, 0.004),
-        ("hull_recall", found.hull.recall, "1", "up", 0.0, 0.004),
-        ("hull_volume_error", found.hull.volume_error, "1", "zero", 0.0, 0.004),
-    ]
+    rows: dict[str, tuple[str, str, Direction, float, float]] = {
+        "volume_error": ("volume_error", "1", "zero", 0.0, 0.002),
+        "extents_error_max": ("extents_error_max", "1", "down", 0.0, 0.002),
+        "recall": ("recall", "1", "up", 0.0, 0.004),
+        "precision": ("precision", "1", "up", 0.0, 0.004),
+        "iou": ("iou", "1", "up", 0.0, 0.004),
+        "surface_median_mm": ("surface.median_mm", "mm", "down", 0.05, 0.002),
+        "surface_p95_mm": ("surface.p95_mm", "mm", "down", 0.1, 0.01),
+        "views_used": ("poses.used", "1", "up", 0.0, 0.0),
+        "pose_median_mm": ("poses.median_mm", "mm", "down", 0.1, 0.002),
+        "pose_median_deg": ("poses.median_deg", "deg", "down", 0.1, 0.0005),
+        "mask_area_error": ("masks.area_error", "1", "zero", 0.0, 0.003),
+        "mask_iou": ("masks.iou", "1", "up", 0.0, 0.004),
+        "hull_recall": ("hull.recall", "1", "up", 0.0, 0.004),
+        "hull_volume_error": ("hull.volume_error", "1", "zero", 0.0, 0.004),
+    }
+    if case.method == "coverage":
+        rows["interval_holds"] = ("interval_holds_truth", "1", "up", 0.0, 0.0)
+        if case.pictures.is_plant:  # a tip more or less is a few per cent of a small plant's
+            rows |= {
+                "length_error": ("roots.length_error", "1", "zero", 0.0, 0.005),
+                "line_recall": ("roots.recall", "1", "up", 0.0, 0.005),
+                "line_precision": ("roots.precision", "1", "up", 0.0, 0.005),
+                "tip_recall": ("roots.tip_recall", "1", "up", 0.0, 0.03),
+                "tip_precision": ("roots.tip_precision", "1", "up", 0.0, 0.03),
+            }
     return [
-        Metric(key=f"{case_name}/{name}", value=value, unit=unit, direction=direction, rel_tol=rel_tol, abs_tol=abs_tol)
-        for name, value, unit, direction, rel_tol, abs_tol in rows
+        Metric(key=f"{case.name}/{name}", value=_at(found, where), unit=unit, direction=direction, rel_tol=rel_tol, abs_tol=abs_tol)
+        for name, (where, unit, direction, rel_tol, abs_tol) in rows.items()
     ]
+
+
+def _at(found: Mapping[str, Any], where: str) -> float:
+    """Return a number of a score by its path; NaN where a part of the path is missing."""
+    value: Any = found
+    for name in where.split("."):
+        value = None if value is None else value.get(name)
+    return float("nan") if value is None else float(value)
+
+
+class _TimeLeft:
+    """Guesses how long the cases that are left take, by those of the same method that this run measured."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        self._waiting = list(cases)
+        self._seconds: dict[str, list[float]] = {}
+
+    def finished(self, case: Case, seconds: float | None) -> None:
+        """Count a case; None for one that took no time because it was kept."""
+        self._waiting.remove(case)
+        if seconds is not None:
+            self._seconds.setdefault(case.method, []).append(seconds)
+
+    def left(self) -> str:
+        """Return the time left as words."""
+        everything = [seconds for measured in self._seconds.values() for seconds in measured]
+        if not self._waiting:
+            return "done"
+        if not everything:
+            return f"{len(self._waiting)} left"
+        seconds = sum(statistics.mean(self._seconds.get(case.method, everything)) for case in self._waiting)
+        return f"about {seconds / 60.0:.0f} min left"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from benchmarks.cases import TARGETS
 from benchmarks.metric import Metric
+from benchmarks.targets import TARGETS
 from scenes import atomic
 from scenes.errors import UserError
 
@@ -81,8 +81,8 @@ def _judge(metric: Metric, baseline: Baseline, *, repeated: bool) -> Finding:
         verdict, note = "UNKNOWN", f"not in {baseline.path.name}; --update-baseline records it"
     elif not math.isfinite(before) or baseline.units[metric.key] != metric.unit:
         verdict, note = "UNKNOWN", f"{baseline.path.name} holds {before} in {baseline.units[metric.key]}"
-    elif metric.key in TARGETS and abs(metric.value) > TARGETS[metric.key][0]:
-        verdict, note = "MISSED", f"must reach {TARGETS[metric.key][1]}"
+    elif metric.key in TARGETS and not TARGETS[metric.key].reached(metric.value):
+        verdict, note = "MISSED", f"must reach {TARGETS[metric.key].text}"
     else:
         worse, tolerance = metric.worse_by(before), metric.tolerance(before)
         verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks import rig_faults, rig_kills
-from benchmarks.accuracy import Run
 from benchmarks.metric import Metric
+from benchmarks.run import Run, Say
 from recon.pipeline import reconstruct
 from recon.score import score
 from rig import calibration, inverse, kinematics
@@ -30,8 +30,6 @@ from scenes.board import CharucoBoard
 from scenes.dataset import Dataset
 from scenes.model import CapturePlan, Ring
 from sim.board import simulate_board
-
-Say = Callable[[str], None]
 
 TARGETS_START_DEG = (0.0, 30.0, 30.0, 30.0, 0.0)
 """The one pose that Newton's method begins from, whatever it is to reach."""

@@ -1,19 +1,12 @@
 """How long the jobs take and how much memory they need, each in a process of its own."""
 
-import json
 import statistics
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from benchmarks import accuracy, cache
-from benchmarks.accuracy import Run
+from benchmarks import datasets, worker
 from benchmarks.cases import Pictures
 from benchmarks.metric import Metric
+from benchmarks.run import Run, Say
 
 TIME_TOLERANCE = 0.5
 """A shared machine's wall times move by tens of per cent from run to run."""
@@ -21,11 +14,13 @@ TIME_TOLERANCE = 0.5
 RECONSTRUCTED = Pictures(scene="printed_8ml")
 
 
-def measure(*, quick: bool, device: str, say: Callable[[str], None]) -> Run:
+def measure(*, quick: bool, device: str, say: Say) -> Run:
     """Time one rendered view and whole reconstructions; a job that fails is recorded and the rest go on."""
     run = Run()
     repeats = 1 if quick else 3
-    dataset_folder = accuracy.dataset(RECONSTRUCTED, sources=cache.source_digest())
+    if not datasets.is_ready(RECONSTRUCTED):
+        worker.start(["dataset", worker.pictures_as_text(RECONSTRUCTED)], device=device)
+    dataset_folder = datasets.place(RECONSTRUCTED)
     jobs: list[tuple[str, list[str]]] = [("render/backlit/800x600", ["render", "backlit"])]
     if not quick:
         jobs.append(("render/path/800x600", ["render", "path"]))
@@ -33,7 +28,7 @@ def measure(*, quick: bool, device: str, say: Callable[[str], None]) -> Run:
         jobs.append((f"reconstruct/40x800x600/{voxel_mm:g}", ["reconstruct", str(dataset_folder), str(voxel_mm)]))
     for name, arguments in jobs:
         try:
-            repeated = [worker(arguments, device=device) for _ in range(repeats)]
+            repeated = [worker.start(arguments, device=device) for _ in range(repeats)]
         except RuntimeError as error:
             run.crashed[name] = str(error)
             say(f"{name}: CRASHED\n{error}")
@@ -42,24 +37,6 @@ def measure(*, quick: bool, device: str, say: Callable[[str], None]) -> Run:
         run.metrics += metrics(name, repeated)
         say(f"{name}: " + ", ".join(f"{m.key.removeprefix(name + '/')} {m.value:.4g} {m.unit}" for m in metrics(name, repeated)))
     return run
-
-
-def worker(arguments: list[str], *, device: str) -> dict[str, Any]:
-    """Run one job in a new process; returns its numbers and the process's wall time ``wall`` (start and imports included)."""
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
-        began = time.perf_counter()
-        done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.worker", "--device", device, "--working", working, *arguments],
-            cwd=Path(__file__).resolve().parent.parent,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        wall = time.perf_counter() - began
-    if done.returncode != 0:
-        raise RuntimeError(f"`{' '.join(arguments)}` ended with code {done.returncode}\n{done.stderr[-4000:]}")
-    found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
-    return {"wall": wall, **found}
 
 
 def metrics(name: str, repeated: list[dict[str, Any]]) -> list[Metric]:

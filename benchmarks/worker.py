@@ -1,17 +1,61 @@
-"""One timed job, run by `benchmarks.speed` in a process of its own; the last line of output is its numbers as JSON."""
+"""One job of the benchmarks in a process of its own, so that its memory is its own; the last line of output is its numbers as JSON."""
 
 import argparse
 import json
+import os
+import subprocess
 import sys
+import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
+
+from benchmarks.cases import METHODS, Pictures
+
+ROOT = Path(__file__).resolve().parent.parent
+LAST_WORDS = 4000
+"""Characters of a failed job's errors that are handed on."""
+
+
+def start(arguments: Sequence[str], *, device: str) -> dict[str, Any]:
+    """Run one job in a new process; returns its numbers and the process's wall time ``wall`` (start and imports included).
+
+    Raises
+    ------
+    RuntimeError
+        Where the job failed, with the end of what it said.
+    """
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
+        began = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks.worker", "--device", device, "--working", working, *arguments],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        wall = time.perf_counter() - began
+    if done.returncode != 0:
+        raise RuntimeError(f"`{' '.join(arguments)}` ended with code {done.returncode}\n{done.stderr[-LAST_WORDS:]}")
+    found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    return {"wall": wall, **found}
+
+
+def pictures_as_text(pictures: Pictures) -> str:
+    """Return pictures as one argument of a job."""
+    return json.dumps(asdict(pictures))
+
+
+def pictures_of(text: str) -> Pictures:
+    """Return the pictures that an argument describes."""
+    plain = json.loads(text)
+    return Pictures(**{**plain, "image_wh": tuple(plain["image_wh"])})
 
 
 def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
     """Return the seconds of the first view (scene and kernels made) and of each one more, of `printed_8ml` at 800x600."""
-    from benchmarks.cases import Pictures
     from scenes.model import CapturePlan
     from sim.simulate import simulate
 
@@ -34,26 +78,82 @@ def reconstruct(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[st
     return {"stages": read_summary(working / "result")["timings_s"]}
 
 
-def main() -> int:
-    """Run the job that the arguments name."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--working", type=Path, required=True)
-    jobs = parser.add_subparsers(dest="job", required=True)
+def dataset(pictures: Pictures) -> dict[str, Any]:
+    """Put a dataset into the cache."""
+    from benchmarks import datasets
+
+    return {"folder": str(datasets.make(pictures))}
+
+
+def score(dataset_folder: Path, method: str, voxel_mm: float, working: Path) -> dict[str, Any]:
+    """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's."""
+    from benchmarks.thesis import reconstruct_thesis
+    from recon import pipeline
+    from recon import score as scoring
+    from scenes.provenance import peak_memory_mib
+
+    began, busy = time.perf_counter(), time.process_time()
+    if method == "thesis":
+        reconstruct_thesis(dataset_folder, working / "result", voxel_mm=voxel_mm)
+    else:
+        pipeline.reconstruct(dataset_folder, working / "result", voxel_mm=voxel_mm, progress=False)
+    taken = {
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": time.process_time() - busy,
+        "peak_memory_mib": peak_memory_mib(),
+        "load": os.getloadavg()[0],
+    }
+    found = scoring.score(working / "result", dataset_folder).to_dict()
+    if found["masks"]:
+        del found["masks"]["per_view"]
+    return {**taken, "score": found}
+
+
+def projection() -> dict[str, Any]:
+    """Return the numbers of `benchmarks.projection`."""
+    from benchmarks import projection as against_tracing
+
+    return {"metrics": [asdict(metric) for metric in against_tracing.measure()]}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the jobs' command line."""
+    made = argparse.ArgumentParser(description=__doc__)
+    made.add_argument("--device", default="auto")
+    made.add_argument("--working", type=Path, required=True)
+    jobs = made.add_subparsers(dest="job", required=True)
     rendering = jobs.add_parser("render")
     rendering.add_argument("fidelity", choices=["backlit", "path"])
     reconstructing = jobs.add_parser("reconstruct")
     reconstructing.add_argument("dataset", type=Path)
     reconstructing.add_argument("voxel_mm", type=float)
-    given = parser.parse_args()
+    making = jobs.add_parser("dataset")
+    making.add_argument("pictures", type=pictures_of)
+    scoring = jobs.add_parser("score")
+    scoring.add_argument("dataset", type=Path)
+    scoring.add_argument("method", choices=METHODS)
+    scoring.add_argument("voxel_mm", type=float)
+    jobs.add_parser("projection")
+    return made
+
+
+def main() -> int:
+    """Run the job that the arguments name."""
+    given = parser().parse_args()
 
     from rhizotwin import engine
     from scenes.provenance import peak_memory_mib
 
     engine.start(given.device)
-    found = render(given.fidelity, given.working) if given.job == "render" else reconstruct(given.dataset, given.voxel_mm, given.working)
-    found["peak_memory"] = peak_memory_mib()
-    sys.stdout.write("\n" + json.dumps(found) + "\n")
+    work = {
+        "render": lambda: render(given.fidelity, given.working),
+        "reconstruct": lambda: reconstruct(given.dataset, given.voxel_mm, given.working),
+        "dataset": lambda: dataset(given.pictures),
+        "score": lambda: score(given.dataset, given.method, given.voxel_mm, given.working),
+        "projection": projection,
+    }
+    found = work[given.job]()
+    sys.stdout.write("\n" + json.dumps({"peak_memory": peak_memory_mib(), **found}) + "\n")
     return 0
 
 

@@ -2,103 +2,164 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import accuracy, cases, gate, speed
+from benchmarks import accuracy, cases, datasets, gate, speed, worker
 from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
+from benchmarks.run import Run
+from benchmarks.targets import TARGETS
+from scenes.errors import UserError
+from scenes.model import Ring
 
-CASES = [Case(pictures=Pictures(scene="sphere_20mm")), Case(pictures=Pictures(scene="sphere_20mm"), method="thesis")]
+PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
+CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]
 
 
-def test_case_names_are_unique_and_targets_name_measured_things():
-    for quick in (True, False):
-        names = [case.name for case in cases.ladder(quick=quick)]
+def test_case_names_are_unique():
+    for chosen in (cases.quick(), cases.ladder(seeds=(0, 1))):
+        names = [case.name for case in chosen]
         assert len(set(names)) == len(names)
-    full = {case.name for case in cases.ladder(quick=False)}
-    for key in cases.TARGETS:
-        assert key.startswith(("render/", "reconstruct/", "projection/", "rig/")) or key.rpartition("/")[0] in full
 
 
-@pytest.mark.parametrize("case", cases.ladder(quick=False) + cases.ladder(quick=True), ids=lambda case: case.name)
+def test_targets_name_measured_things():
+    full = {case.name for case in cases.ladder()}
+    for key in TARGETS:
+        assert key.startswith(("render/", "reconstruct/", "projection/", "rig/", "ladder/")) or key.rpartition("/")[0] in full
+
+
+@pytest.mark.parametrize("case", cases.ladder(methods=("coverage",)) + cases.quick(), ids=lambda case: case.name)
 def test_every_case_is_in_the_library(case):
     scene = case.pictures.scene_to_render()
     assert scene.camera.image_wh == case.pictures.image_wh
-    assert sum(ring.views for ring in scene.plan.rings) == case.pictures.views
+    assert [ring.views for ring in scene.plan.rings] == [case.pictures.views] * case.pictures.rings
 
 
-def test_a_crashed_case_is_recorded_and_the_rest_go_on(monkeypatch, scan_score, tmp_path):
-    def reconstruct_and_score(case, _folder):
-        if case.method == "thesis":
-            raise ZeroDivisionError("no views")
-        return scan_score
+def test_the_ladder_is_what_was_promised():
+    found = {(case.pictures.scene, case.pictures.profile) for case in cases.ladder()}
+    radishes = {scene for scene, _ in found if scene.startswith("radish_")}
+    assert len(radishes) == 18
+    assert {(scene, profile) for scene in radishes for profile in cases.PROFILES} <= found
+    assert ("fallen_plant", "harsh") not in found
+    assert len(cases.ladder()) == 2 * len(found)
+    assert {case.pictures.rings for case in cases.ladder(scenes=("printed_8ml", "sphere*"))} == {1}
+    assert {case.pictures.rings for case in cases.ladder(scenes=("radish*", "fallen*"))} == {2}
 
-    monkeypatch.setattr(accuracy, "dataset", lambda _pictures, *, sources: tmp_path / sources)
-    monkeypatch.setattr(accuracy, "reconstruct_and_score", reconstruct_and_score)
-    said: list[str] = []
-    run = accuracy.measure(CASES[::-1], say=said.append)
-    assert list(run.crashed) == [CASES[1].name]
-    assert "ZeroDivisionError: no views" in run.crashed[CASES[1].name]
-    assert {metric.key.rpartition("/")[0] for metric in run.metrics} == {CASES[0].name, "projection"}
-    assert any("CRASHED" in line for line in said)
-    json.dumps(run.details)
+
+def test_the_second_ring_looks_from_above_at_the_scenes_distance():
+    low, high = PLANT.scene_to_render().plan.rings
+    assert low == replace(Ring(), views=3)
+    assert high == Ring(views=3, height_mm=10.0, tilt_deg=8.0, first_deg=4.5, distance_mm=low.distance_mm)
+
+
+def test_a_seed_is_another_plant_but_the_same_print():
+    first, second = (Pictures(scene="radish_day05a", seed=seed).scene_to_render().specimen for seed in (0, 101))
+    assert first.seed == 501
+    assert second == replace(first, seed=501 + 101 * cases.PLANT_SEEDS_APART)
+    assert len({Pictures(scene="printed_8ml", seed=seed).scene_to_render().specimen for seed in (0, 101)}) == 1
+    assert not set(cases.SEED_SETS["first"]) & set(cases.SEED_SETS["second"])
+
+
+def test_clean_prints_are_not_repeated_for_each_seed():
+    chosen = cases.ladder(scenes=("printed_8ml",), seeds=(3, 4), methods=("coverage",))
+    assert [(case.pictures.profile, case.pictures.seed) for case in chosen] == [
+        ("clean", 3),
+        ("bench", 3),
+        ("harsh", 3),
+        ("bench", 4),
+        ("harsh", 4),
+    ]
 
 
 @pytest.fixture
-def scan_score():
-    from recon.score import Score
-    from recon.score_shape import HullScore, SurfaceScore, VoxelScore
+def fake_worker(monkeypatch, tmp_path, record_of):
+    """Answer jobs at once; returns the list of those that were asked for."""
+    asked: list[list[str]] = []
 
-    return Score(
-        scene="ball",
-        voxel_mm=0.27,
-        volume_mm3=99.0,
-        volume_true_mm3=100.0,
-        volume_error=-0.01,
-        volume_interval_mm3=(95.0, 105.0),
-        interval_holds_truth=True,
-        extents_mm=(1.0, 1.0, 1.0),
-        extents_true_mm=(1.0, 1.0, 1.0),
-        extents_error=(0.0, 0.0, 0.0),
-        extents_error_max=0.0,
-        voxels=VoxelScore(recall=0.9, precision=0.8, iou=0.7, recall_weighted=0.9, precision_weighted=0.8, iou_weighted=0.7),
-        surface=SurfaceScore(
-            median_mm=0.1,
-            p95_mm=0.2,
-            result_to_truth_median_mm=0.1,
-            result_to_truth_p95_mm=0.2,
-            truth_to_result_median_mm=0.1,
-            truth_to_result_p95_mm=0.2,
-        ),
-        poses=None,
-        masks=None,
-        hull=HullScore(recall=1.0, volume_mm3=110.0, volume_error=0.1, kept_recall=1.0, leaf_count_volume_mm3=98.0),
-        roots=None,
-        blind_mm3=0.0,
-        timings_s={},
-        peak_memory_mib=None,
-        warnings=(),
-    )
+    def start(arguments, *, device):
+        assert device == "cpu"
+        asked.append(arguments)
+        if arguments[0] == "projection":
+            return {"metrics": []}
+        if arguments[0] == "score" and arguments[2] == "thesis":
+            raise RuntimeError("ended with code 1\nZeroDivisionError: no views")
+        return {"wall": 1.0} | {name: value for name, value in record_of(CASES[0]).items() if name not in ("case", "render_s")}
+
+    monkeypatch.setattr(worker, "start", start)
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
+    return asked
 
 
-def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(scan_score, tmp_path):
-    measured = {metric.key: metric for metric in accuracy.metrics("ball", scan_score)}
-    assert measured["ball/volume_error"].value == -0.01
-    assert math.isnan(measured["ball/pose_median_mm"].value)
-    (tmp_path / "b.json").write_text(
-        json.dumps({"schema_version": 1, "metrics": {k: {"value": 0.0, "unit": m.unit} for k, m in measured.items()}})
-    )
-    found = {f.key: f.verdict for f in gate.compare(list(measured.values()), gate.read_baseline(tmp_path / "b.json"))}
-    assert found["ball/pose_median_mm"] == "NOT A NUMBER"
+@pytest.mark.usefixtures("fake_worker")
+def test_a_crashed_case_is_recorded_and_the_rest_go_on():
+    said: list[str] = []
+    run = accuracy.measure(CASES[::-1], device="cpu", say=said.append)
+    assert list(run.crashed) == [CASES[1].name]
+    assert "ZeroDivisionError: no views" in run.crashed[CASES[1].name]
+    assert {metric.key.rpartition("/")[0] for metric in run.metrics} == {CASES[0].name}
+    assert "CRASHED" in said[0]
+    assert "min left" in said[0]
+    assert said[1].endswith("done")
+    json.dumps(run.details)
+
+
+def test_what_was_measured_is_kept_until_something_changes(fake_worker, monkeypatch):
+    first = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score", "dataset", "score"]
+    fake_worker.clear()
+    again = accuracy.measure(CASES, device="cpu", say=lambda _line: None)
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"]  # the crashed one only
+    assert again.metrics == first.metrics
+    fake_worker.clear()
+    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None, afresh=True)
+    monkeypatch.setattr(accuracy.sources, "digest", lambda *_names, **_given: "changed")
+    accuracy.measure(CASES[:1], device="cpu", say=lambda _line: None)
+    assert [job[0] for job in fake_worker] == ["projection", "dataset", "score"] * 2
+
+
+def test_kept_pictures_get_their_truth_anew_where_its_sources_changed(monkeypatch, tmp_path):
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
+    folder = datasets.place(PLANT)
+    assert not datasets.is_ready(PLANT)
+    folder.mkdir(parents=True)
+    datasets.sign(folder)
+    assert datasets.is_ready(PLANT)
+    assert datasets.make(PLANT) == folder
+    folder.with_suffix(".truth").write_text("older\n")
+    assert not datasets.is_ready(PLANT)
+    with pytest.raises(UserError, match=r"truth\.json"):  # it tried; the folder of this test is empty
+        datasets.make(PLANT)
+
+
+def test_pictures_survive_the_way_to_the_worker():
+    assert worker.pictures_of(worker.pictures_as_text(PLANT)) == PLANT
+
+
+def test_a_stage_that_gave_nothing_is_not_a_number_and_fails(record_of, tmp_path):
+    record = record_of(CASES[0])
+    measured = {metric.key.rpartition("/")[2]: metric for metric in accuracy.metrics(CASES[0], record)}
+    assert measured["volume_error"].value == 0.01
+    assert measured["interval_holds"].value == 1.0
+    assert measured["length_error"].value == -0.02
+    assert measured["pose_median_mm"].value == 0.03
+    record["score"]["poses"] = record["score"]["roots"] = None  # a plant in which no roots were found
+    lost = {metric.key.rpartition("/")[2]: metric for metric in accuracy.metrics(CASES[0], record)}
+    assert math.isnan(lost["pose_median_mm"].value)
+    assert math.isnan(lost["length_error"].value)
+    values = {metric.key: {"value": 0.0, "unit": metric.unit} for metric in lost.values()}
+    (tmp_path / "b.json").write_text(json.dumps({"schema_version": 1, "metrics": values}))
+    found = {f.key: f.verdict for f in gate.compare(list(lost.values()), gate.read_baseline(tmp_path / "b.json"))}
+    assert found[lost["length_error"].key] == "NOT A NUMBER"
 
 
 @pytest.fixture
 def fake_speed(monkeypatch, tmp_path):
     """Let the command line run with numbers that the test chooses."""
     measured = [Metric(key="job/wall", value=2.0, unit="s", direction="down", rel_tol=0.5)]
-    run = accuracy.Run(metrics=measured)
+    run = Run(metrics=measured)
     monkeypatch.setattr(speed, "measure", lambda **_given: run)
     monkeypatch.setattr(command, "HERE", tmp_path)
     monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path / "cache"))
@@ -124,22 +185,52 @@ def test_update_then_gate_then_fail(fake_speed, capsys, tmp_path):
 
 def test_part_of_the_cases_can_neither_gate_nor_become_the_baseline(capsys):
     for flag in ("--gate", "--update-baseline"):
-        assert command.main(["accuracy", "--only", "sphere", flag]) == 2
-    assert "--only" in capsys.readouterr().err
+        for part in (["--scenes", "sphere*"], ["--profiles", "clean"], ["--seeds", "second"], ["--methods", "thesis"]):
+            assert command.main(["accuracy", *part, flag]) == 2
+            assert "part of the ladder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--scenes", "nothing*"], "no case of the ladder"),
+        (["--scenes", "fallen_plant", "--profiles", "harsh"], "no case of the ladder"),
+        (["--quick", "--seeds", "1"], "--quick is a set of its own"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_selection_of_nothing_is_refused(words, said, capsys):
+    assert command.main(["accuracy", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--profiles", "dirty"], ["--seeds", "third"], ["--seeds", "1,-2"], ["--methods", "magic"]])
+def test_mistyped_selections_are_refused(words):
+    with pytest.raises(SystemExit):
+        command.main(["accuracy", *words])
+
+
+def test_a_selection_is_listed(capsys):
+    words = ["--scenes", "radish_day0*", "--profiles", "clean,bench", "--seeds", "0,1", "--methods", "coverage", "--list"]
+    assert command.main(["accuracy", *words]) == 0
+    names = capsys.readouterr().out.split()
+    assert len(names) == 12
+    assert names[0] == "radish_day05a/clean/2x40x800x600/0.27/coverage"
+    assert names[-1] == "radish_day05c/bench/2x40x800x600/seed1/0.27/coverage"
 
 
 def test_a_failing_job_is_reported_with_its_output(monkeypatch, tmp_path):
-    monkeypatch.setattr(accuracy, "dataset", lambda _pictures, **_given: tmp_path / "none")
-    monkeypatch.setattr(speed, "worker", _broken_worker)
+    def broken(arguments, *, device):
+        raise RuntimeError(f"{arguments} on {device} ended with code 3")
+
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
+    monkeypatch.setattr(datasets, "is_ready", lambda _pictures: True)
+    monkeypatch.setattr(worker, "start", broken)
     run = speed.measure(quick=True, device="cpu", say=lambda _line: None)
     assert set(run.crashed) == {"render/backlit/800x600", "reconstruct/40x800x600/0.27"}
     assert "code 3" in next(iter(run.crashed.values()))
 
 
-def _broken_worker(arguments, *, device):
-    raise RuntimeError(f"{arguments} on {device} ended with code 3")
-
-
 def test_a_worker_that_cannot_do_its_job_raises(tmp_path):
     with pytest.raises(RuntimeError, match="ended with code"):
-        speed.worker(["reconstruct", str(tmp_path), "0.27"], device="cpu")
+        worker.start(["reconstruct", str(tmp_path), "0.27"], device="cpu")

@@ -1,54 +1,108 @@
-"""The key of a rendered dataset: the same for the same content, another for any change of what made it."""
+"""The keys of what is kept: the same for the same content, another for any change of what made it."""
 
 import shutil
 from pathlib import Path
 
 import pytest
 
-from benchmarks import cache
+from benchmarks import cache, sources
 
 SETTINGS = {"scene": {"name": "ball", "views": 4}, "seed": 0}
 
 
+@pytest.fixture(scope="module")
+def our_sources(tmp_path_factory) -> Path:
+    """Return a copy of the sources that tests may change."""
+    root = tmp_path_factory.mktemp("sources")
+    for package in sources.PACKAGES:
+        shutil.copytree(sources.ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return root
+
+
+def pictures_digest(root: Path) -> str:
+    return sources.digest(sources.PICTURES, root=root, without=sources.TRUTH_ONLY)
+
+
+@pytest.fixture(scope="module")
+def unchanged(our_sources) -> str:
+    return pictures_digest(our_sources)
+
+
 @pytest.fixture
-def sources(tmp_path: Path) -> Path:
+def appended(our_sources):
+    """Append to a source file for the length of one test."""
+    before: dict[Path, bytes | None] = {}
+
+    def append(name: str, text: str) -> None:
+        path = our_sources / name
+        before[path] = path.read_bytes() if path.is_file() else None
+        path.write_bytes((before[path] or b"") + text.encode())
+
+    yield append
+    for path, content in before.items():
+        path.unlink() if content is None else path.write_bytes(content)
+
+
+CHANGED = 'CHANGED = "otherwise"\n'
+
+
+@pytest.mark.parametrize(
+    "name", ["sim/solids.py", "sim/render.py", "sim/__init__.py", "scenes/model.py", "scenes/plan.py", "sim/table.dat"]
+)
+def test_what_decides_the_pictures_changes_their_key(our_sources, unchanged, appended, name):
+    appended(name, CHANGED)
+    assert pictures_digest(our_sources) != unchanged
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("scenes/traits.py", CHANGED),
+        ("sim/truth.py", CHANGED),
+        ("sim/board.py", CHANGED),  # pictures of the lens's board
+        ("recon/pipeline.py", CHANGED),
+        ("scenes/library/sphere_20mm.toml", "# another scene\n"),
+        ("sim/solids.py", "# a comment\n"),
+        ("sim/solids.py", '"""Words."""\n'),
+    ],
+    ids=lambda value: value.strip(),
+)
+def test_what_does_not_decide_the_pictures_keeps_their_key(our_sources, unchanged, appended, name, text):
+    appended(name, text)
+    assert pictures_digest(our_sources) == unchanged
+
+
+def test_traits_are_in_the_digest_of_the_truth(our_sources, appended):
+    before = sources.digest(sources.TRUTH, root=our_sources)
+    appended("scenes/traits.py", CHANGED)
+    assert sources.digest(sources.TRUTH, root=our_sources) != before
+
+
+def test_a_closure_follows_every_kind_of_import(tmp_path):
     for name, text in {
-        "sim/render.py": "a = 1\n",
-        "sim/deep/er.py": "",
-        "scenes/model.py": "b = 2\n",
-        "scenes/library/ball.toml": "x = 1\n",
+        "sim/__init__.py": "",
+        "sim/a.py": "import sim.b\nfrom sim import c\n\n\ndef late():\n    from .d import e\n",
+        "sim/b.py": "import numpy\nfrom scenes.f import g as h\n",
+        "sim/c.py": "from sim import a\n",
+        "sim/d.py": "",
+        "sim/left_out.py": "",
+        "scenes/__init__.py": "",
+        "scenes/f.py": "",
     }.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    return tmp_path
+    everything = ["scenes", "scenes.f", "sim", "sim.a", "sim.b", "sim.c", "sim.d"]
+    assert sources.closure(["sim.a"], root=tmp_path) == everything
+    assert sources.closure(["sim.a"], root=tmp_path, without=frozenset({"sim.b"})) == ["sim", "sim.a", "sim.c", "sim.d"]
+    with pytest.raises(FileNotFoundError, match=r"sim\.z"):
+        sources.closure(["sim.z"], root=tmp_path)
 
 
-def test_the_digest_is_of_content_not_of_place_or_time(sources, tmp_path):
-    copy = tmp_path / "elsewhere"
-    for package in cache.SOURCES:
-        shutil.copytree(sources / package, copy / package)
-    (copy / "sim" / "__pycache__").mkdir()
-    (copy / "sim" / "__pycache__" / "render.pyc").write_bytes(b"1")
-    assert cache.source_digest(copy) == cache.source_digest(sources)
-
-
-@pytest.mark.parametrize("name", ["sim/render.py", "sim/deep/er.py", "scenes/model.py", "scenes/library/ball.toml", "sim/new.py"])
-def test_a_changed_or_new_source_changes_the_digest(sources, name):
-    before = cache.source_digest(sources)
-    with (sources / name).open("a") as stream:
-        stream.write("# changed\n")
-    assert cache.source_digest(sources) != before
-
-
-def test_a_renamed_source_changes_the_digest(sources):
-    before = cache.source_digest(sources)
-    (sources / "sim" / "render.py").rename(sources / "sim" / "renderer.py")
-    assert cache.source_digest(sources) != before
-
-
-def test_no_sources_are_no_digest(tmp_path):
-    with pytest.raises(FileNotFoundError, match="sim"):
-        cache.source_digest(tmp_path)
+def test_the_renderer_and_the_plant_are_in_the_closure_and_the_reconstruction_is_not():
+    found = set(sources.closure(sources.PICTURES, without=sources.TRUTH_ONLY))
+    assert {"sim.simulate", "sim.render", "sim.solids", "sim.growth", "sim.dirt", "scenes.model"} <= found
+    assert not {name for name in found if name.startswith("recon")}
+    assert not found & sources.TRUTH_ONLY
 
 
 def test_the_key_depends_on_settings_and_sources_only():

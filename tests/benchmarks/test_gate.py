@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import gate
 from benchmarks.metric import Metric
+from benchmarks.targets import TARGETS
 from scenes.errors import UserError
 
 ERROR = Metric(key="ball/volume_error", value=-0.010, unit="1", direction="zero", abs_tol=0.002)
@@ -114,9 +115,15 @@ def test_a_baseline_that_cannot_be_read_is_named(tmp_path, content):
 
 
 def test_a_missed_target_shuts_the_gate_whatever_the_baseline() -> None:
-    key = "printed_8ml/clean/40x800x600/0.27/coverage/volume_error"
-    metric = Metric(key=key, value=0.03, unit="1", direction="zero", abs_tol=0.01)
+    key = "ladder/printed_8ml/clean/volume_worst"
+    metric = Metric(key=key, value=0.03, unit="1", direction="down", abs_tol=0.01)
     baseline = gate.Baseline(path=Path("baseline.json"), values={key: 0.03}, units={key: "1"})
     findings = gate.compare([metric], baseline, crashed={})
     assert [finding.verdict for finding in findings] == ["MISSED"]
     assert not gate.passes(findings)
+
+
+def test_a_share_must_be_large_and_an_error_small() -> None:
+    share, error = TARGETS["ladder/all/clean/interval_holds"], TARGETS["ladder/plants/clean/length_mean"]
+    assert [share.reached(value) for value in (0.84, 0.85, 1.0, math.nan)] == [False, True, True, False]
+    assert [error.reached(value) for value in (0.03, -0.03, 0.031, math.nan)] == [True, True, False, False]

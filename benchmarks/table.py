@@ -1,0 +1,250 @@
+"""The ladder's table: groups of scenes by profile, against what must be reached."""
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.metric import Direction, Metric
+from benchmarks.targets import TARGETS
+
+Record = Mapping[str, Any]
+
+PLANT_GROUP = "plants"
+DAY30 = "radish_day30"
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """One number of a group of runs."""
+
+    name: str
+    of: Callable[[Sequence[Record]], float]
+    unit: str
+    direction: Direction
+    tolerance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One number of the table."""
+
+    key: str
+    group: str
+    profile: str
+    quantity: str
+    value: float
+    """NaN where a run gave none."""
+    unit: str
+    direction: Direction
+    tolerance: float
+    runs: int
+    thesis: float | None
+    """The same number of the thesis's method on the same pictures; None where it was not run or has no such number."""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the goal is reached; empty where there is none."""
+        target = TARGETS.get(self.key)
+        return "" if target is None else "yes" if target.reached(self.value) else "NO"
+
+    @property
+    def goal(self) -> str:
+        """What must be reached, as text."""
+        return TARGETS[self.key].text if self.key in TARGETS else ""
+
+    def metric(self) -> Metric:
+        """Return the number as the gate takes it."""
+        return Metric(key=self.key, value=self.value, unit=self.unit, direction=self.direction, abs_tol=self.tolerance)
+
+
+def lines(records: Iterable[Record]) -> list[Line]:
+    """Return every number of the table that the runs allow, group by group; runs of the thesis's method stand beside ours."""
+    everything = list(records)
+    ours = [record for record in everything if record["case"]["method"] == "coverage"]
+    theirs = {_pictures(record): record for record in everything if record["case"]["method"] == "thesis"}
+    found = []
+    for group, (holds, quantities) in _GROUPS.items():
+        for profile in ("clean", "bench", "harsh"):
+            inside = [record for record in ours if record["case"]["profile"] == profile and holds(record)]
+            beside = [theirs[_pictures(record)] for record in inside if _pictures(record) in theirs]
+            found += [_line(group, profile, quantity, inside, beside) for quantity in quantities if inside]
+    return found
+
+
+def _line(group: str, profile: str, quantity: _Quantity, inside: Sequence[Record], beside: Sequence[Record]) -> Line:
+    comparable = quantity.name.startswith("volume") and len(beside) == len(inside)
+    return Line(
+        key=f"ladder/{group}/{profile}/{quantity.name}",
+        group=group,
+        profile=profile,
+        quantity=quantity.name,
+        value=quantity.of(inside),
+        unit=quantity.unit,
+        direction=quantity.direction,
+        tolerance=quantity.tolerance,
+        runs=len(inside),
+        thesis=quantity.of(beside) if comparable else None,
+    )
+
+
+def _pictures(record: Record) -> tuple[Any, ...]:
+    case = record["case"]
+    return case["scene"], case["profile"], case["seed"], case["rings"], case["views"], *case["image_wh"]
+
+
+def _scene_in(*days: int) -> Callable[[Record], bool]:
+    return lambda record: record["case"]["scene"].startswith(tuple(f"radish_day{day:02d}" for day in days))
+
+
+def _named(name: str) -> Callable[[Record], bool]:
+    return lambda record: bool(record["case"]["scene"] == name)
+
+
+def _of(record: Record, *path: str) -> float:
+    value: Any = record
+    for name in path:
+        value = None if value is None else value.get(name)
+    return math.nan if value is None else float(value)
+
+
+def _sizes(*path: str) -> Callable[[Sequence[Record]], list[float]]:
+    return lambda records: [abs(_of(record, *path)) for record in records]
+
+
+def _over(
+    combine: Callable[[list[float]], float], values: Callable[[Sequence[Record]], list[float]]
+) -> Callable[[Sequence[Record]], float]:
+    """Return a quantity of many runs; one that is missing makes it NaN, as `max` and `median` would not."""
+
+    def quantity(records: Sequence[Record]) -> float:
+        found = values(records)
+        return math.nan if any(math.isnan(value) for value in found) else combine(found)
+
+    return quantity
+
+
+_VOLUME = _sizes("score", "volume_error")
+_MEDIAN = _Quantity("volume_median", _over(statistics.median, _VOLUME), "1", "down", 0.003)
+_WORST = _Quantity("volume_worst", _over(max, _VOLUME), "1", "down", 0.005)
+_HOLDS = _Quantity("interval_holds", _over(statistics.mean, _sizes("score", "interval_holds_truth")), "1", "up", 0.0)
+_LENGTH = _Quantity("length_mean", _over(statistics.mean, _sizes("score", "roots", "length_error")), "1", "down", 0.003)
+_PRECISION = _Quantity("tip_precision", _over(statistics.mean, _sizes("score", "roots", "tip_precision")), "1", "up", 0.01)
+_RECALL = _Quantity("tip_recall", _over(statistics.mean, _sizes("score", "roots", "tip_recall")), "1", "up", 0.01)
+_WALL = _Quantity("wall_worst", _over(max, _sizes("wall_s")), "s", "down", 90.0)
+_MEMORY = _Quantity("memory_worst", _over(max, _sizes("peak_memory_mib")), "MiB", "down", 600.0)
+
+_GROUPS: dict[str, tuple[Callable[[Record], bool], tuple[_Quantity, ...]]] = {
+    "sphere_20mm": (_named("sphere_20mm"), (_WORST,)),
+    "printed_8ml": (_named("printed_8ml"), (_WORST,)),
+    "radish_day05-15": (_scene_in(5, 10, 15), (_MEDIAN, _WORST, _LENGTH, _PRECISION, _RECALL, _HOLDS)),
+    "radish_day20-30": (_scene_in(20, 25, 30), (_MEDIAN, _WORST, _LENGTH, _PRECISION, _RECALL, _HOLDS)),
+    "fallen_plant": (_named("fallen_plant"), (_WORST, _LENGTH, _PRECISION, _RECALL)),
+    PLANT_GROUP: (lambda record: bool(record["case"]["is_plant"]), (_LENGTH, _PRECISION, _RECALL)),
+    "all": (lambda record: bool(record["score"]), (_HOLDS,)),
+    DAY30: (_scene_in(30), (_WALL, _MEMORY)),
+}
+
+_TITLES = {
+    "volume_median": "volume error, median",
+    "volume_worst": "volume error, worst",
+    "length_mean": "length error, mean",
+    "tip_precision": "tips, precision",
+    "tip_recall": "tips, recall",
+    "interval_holds": "runs whose interval holds the truth",
+    "wall_worst": "reconstruction, longest",
+    "memory_worst": "reconstruction, most memory",
+}
+
+
+def _text(line: Line, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if math.isnan(value):
+        return "none"
+    if line.quantity in ("wall_worst",):
+        return f"{value:.0f} s"
+    if line.unit == "MiB":
+        return f"{value / 1024.0:.1f} GiB"
+    return f"{value:.2f}" if line.direction == "up" else f"{100.0 * value:.1f} %"
+
+
+def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:
+    """Return the table of groups, and one row for each run, as Markdown."""
+    rows = [
+        "| scenes | profile | number | runs | reached | goal | | thesis's method |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for line in found:
+        head = f"| {line.group} | {line.profile} | {_TITLES[line.quantity]} | {line.runs} "
+        rows.append(f"{head}| {_text(line, line.value)} | {line.goal} | {line.verdict} | {_text(line, line.thesis)} |")
+    theirs = {_pictures(record): record for record in records if record["case"]["method"] == "thesis"}
+    rows += [
+        "",
+        "| scene | profile | seed | volume | interval | length | lines: recall / precision | tips: precision / recall | time | memory "
+        "| thesis: volume |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for record in records:
+        if record["case"]["method"] == "coverage":
+            rows.append(_run_row(record, theirs.get(_pictures(record))))
+    return "\n".join(rows) + "\n"
+
+
+def _run_row(record: Record, other: Record | None) -> str:
+    case, score = record["case"], record["score"]
+    roots = score.get("roots") or {}
+    true_mm3 = score["volume_true_mm3"]
+    interval = " to ".join(f"{100.0 * (limit / true_mm3 - 1.0):+.0f}" for limit in score["volume_interval_mm3"]) + " %"
+    cells = [
+        f"`{case['scene']}`",
+        case["profile"],
+        str(case["seed"]),
+        _signed(score["volume_error"]),
+        interval if score["interval_holds_truth"] else f"**{interval}**",
+        _signed(roots.get("length_error")),
+        f"{roots['recall']:.3f} / {roots['precision']:.3f}" if roots else "-",
+        f"{roots['tip_precision']:.2f} / {roots['tip_recall']:.2f}" if roots else "-",
+        f"{record['wall_s']:.0f} s",
+        f"{record['peak_memory_mib'] / 1024.0:.1f} GiB",
+        "-" if other is None else _signed(other["score"]["volume_error"], digits=0),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _signed(fraction: float | None, *, digits: int = 1) -> str:
+    return "-" if fraction is None else f"{100.0 * fraction:+.{digits}f} %"
+
+
+def comma_separated(records: Sequence[Record]) -> str:
+    """Return one row for each run, of both methods, as CSV with units in the header."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    case_fields = ("scene", "profile", "seed", "method", "rings", "views", "age_days")
+    score_fields = ("volume_true_mm3", "volume_mm3", "volume_error", "interval_holds_truth", "recall", "precision", "iou")
+    root_fields = ("length_true_mm", "length_mm", "length_error", "recall", "precision", "tips_true", "tips", "tip_precision", "tip_recall")
+    taken_fields = ("wall_s", "cpu_s", "peak_memory_mib", "load")
+    names = [
+        *case_fields,
+        *score_fields,
+        "interval_low_mm3",
+        "interval_high_mm3",
+        *(f"roots_{name}" for name in root_fields),
+        *taken_fields,
+    ]
+    writer.writerow(names)
+    for record in records:
+        roots = record["score"].get("roots") or {}
+        writer.writerow(
+            [
+                *(record["case"].get(name) for name in case_fields),
+                *(record["score"].get(name) for name in score_fields),
+                *record["score"]["volume_interval_mm3"],
+                *(roots.get(name) for name in root_fields),
+                *(record.get(name) for name in taken_fields),
+            ]
+        )
+    return text.getvalue()
