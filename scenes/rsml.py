@@ -79,7 +79,9 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
 def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None) -> None:
     """Write roots as one plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
 
-    Numbers are written exactly. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
+    Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property ``parent-node``, the index of
+    its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots have 0 there, because both want a number for every
+    root. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
 
     Parameters
     ----------
@@ -98,42 +100,49 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
         When the file cannot be written.
     """
     path = Path(path)
-    document = ET.Element("rsml", {"xmlns:po": "http://www.plantontology.org/xml-dtd/po.dtd"})
+    document = ET.Element("rsml")
     metadata = ET.SubElement(document, "metadata")
     when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
     entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
     for name, text in {**entries, "file-key": path.stem}.items():
         ET.SubElement(metadata, name).text = text
-    definition = ET.SubElement(ET.SubElement(metadata, "property-definitions"), "property-definition")
-    for name, text in {"label": "diameter", "type": "real", "unit": "mm"}.items():
-        ET.SubElement(definition, name).text = text
-    plant = ET.SubElement(ET.SubElement(document, "scene"), "plant", {"ID": "1", "label": "plant"})
-    elements = [_element(index, root) for index, root in enumerate(roots)]
-    for index, root in enumerate(roots):
-        if root.parent == -1:
-            plant.append(elements[index])
-        elif 0 <= root.parent < len(roots):
-            elements[root.parent].append(elements[index])
-        else:
-            raise ValueError(f"root {index} has parent {root.parent}, but there are {len(roots)} roots")
+    definitions = ET.SubElement(metadata, "property-definitions")
+    for label, kind, unit in (("diameter", "real", "mm"), ("parent-node", "integer", "")):
+        definition = ET.SubElement(definitions, "property-definition")
+        for name, text in {"label": label, "type": kind, "unit": unit}.items():
+            ET.SubElement(definition, name).text = text
+    plant = ET.SubElement(ET.SubElement(document, "scene"), "plant", {"id": "1", "label": "plant"})
+    lost = [index for index, root in enumerate(roots) if not -1 <= root.parent < len(roots)]
+    if lost:
+        raise ValueError(f"root {lost[0]} has parent {roots[lost[0]].parent}, but there are {len(roots)} roots")
+    elements = [_element(index, root, roots[root.parent] if root.parent >= 0 else None) for index, root in enumerate(roots)]
+    for element, root in zip(elements, roots, strict=True):
+        (plant if root.parent < 0 else elements[root.parent]).append(element)
     if sum(1 for _ in plant.iter("root")) != len(roots):
         raise ValueError("the parents of some roots form a circle")
     ET.indent(document, " ")
     write_bytes(path, ET.tostring(document, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
-def _element(index: int, root: Root) -> ET.Element:
+def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
     """Return the XML element of one root, without its laterals."""
     if root.points_mm.ndim != 2 or root.points_mm.shape[1] != 3 or root.diameters_mm.shape != root.points_mm.shape[:1]:
         raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but expected (N, 3) and (N,)")
-    element = ET.Element("root", {"ID": f"1.{index + 1}", "label": root.label})
+    element = ET.Element("root", {"id": f"1.{index + 1}", "label": root.label})
+    node = 0 if parent is None else int(np.argmin(np.sum((parent.points_mm - root.points_mm[0]) ** 2, axis=1)))
+    ET.SubElement(ET.SubElement(element, "properties"), "parent-node", {"value": str(node)})
     polyline = ET.SubElement(ET.SubElement(element, "geometry"), "polyline")
-    for x, y, z in root.points_mm:
-        ET.SubElement(polyline, "point", {"x": repr(float(x)), "y": repr(float(y)), "z": repr(float(z))})
+    for point in root.points_mm:
+        ET.SubElement(polyline, "point", dict(zip("xyz", map(_decimal, point), strict=True)))
     function = ET.SubElement(ET.SubElement(element, "functions"), "function", {"name": "diameter", "domain": "polyline"})
     for diameter in root.diameters_mm:
-        ET.SubElement(function, "sample", {"value": repr(float(diameter))})
+        ET.SubElement(function, "sample", {"value": _decimal(diameter)})
     return element
+
+
+def _decimal(value: np.floating) -> str:
+    """Return the shortest text without an exponent that reads back as the same number."""
+    return np.format_float_positional(value, trim="0")
 
 
 class _Reader:

@@ -313,7 +313,7 @@ def test_written_file_has_the_schemas_form(tmp_path: Path) -> None:
     assert [metadata.findtext(tag) for tag in order[:5]] == ["1", "mm", "1", "2024-01-02T00:00:00+00:00", "rhizotwin"]
     outer = document.find("scene/plant/root")
     assert outer is not None
-    assert [child.tag for child in outer] == ["geometry", "functions", "root"]
+    assert [child.tag for child in outer] == ["properties", "geometry", "functions", "root"]
     assert len(outer.findall("geometry/polyline/point")) == 2
     function = outer.find("functions/function")
     assert function is not None
