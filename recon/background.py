@@ -1,10 +1,13 @@
 """The empty backlight of a ring, from the turn itself, and where the pictures say something about the water."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recon import cameras, refraction
+from recon.refraction import Array, Optics
 from scenes.model import Scene
 
 Image = NDArray[np.float32]
@@ -12,35 +15,49 @@ Mask = NDArray[np.bool_]
 
 _DIM = 0.25
 """A background darker than this fraction of the ring's typical one says nothing (flanks, shadows)."""
-_SKIRT_MARGIN_MM = 0.5
+_MARGIN_MM = 0.1
+"""Beside what is opaque: the cameras' and the canister's errors."""
 _STEP = 4
+_LEAST_SHARE = 0.5
+"""Of the views, that must look into the water at a pixel for its background to be known."""
+_BLOCK_ROWS = 24
+_THREADS = 2
 
 
-def water_mask(view: cameras.View, optics: refraction.Optics, scene: Scene) -> Mask:
-    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water.
+def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
+    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water, and out of it to the backlight.
 
-    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of 0.5 mm
-    at the skirt, the grid or water surface and the floor. Lines of sight are followed for one pixel in four each way.
+    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of half a pixel
+    and `_MARGIN_MM` at what is opaque: the skirt before and behind the canister, the grid or water surface, and the base, as far out as the
+    outer wall. How far a line of sight stays clear of these is computed for one pixel in four each way and interpolated.
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
     directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
     w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-    w = np.where(np.abs(w) < 0.98 * optics.w_limit, w, np.nan)
-    z_cam = float(view.centre_mm[2])
-    line = refraction.trace(optics, view.rho_mm, z_cam, w, p_z)
-    r_skirt, b = scene.net_pot.outer_radius_mm, w * optics.outer_radius_mm
+    inside = np.where(np.abs(w) < 0.98 * optics.w_limit, 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, np.clip(w, -0.98, 0.98), p_z)).reshape(u.shape).astype(np.float32)
+    wide = (clear.shape[1] * _STEP, clear.shape[0] * _STEP)
+    known = cv2.resize(np.isfinite(clear).astype(np.uint8), wide, interpolation=cv2.INTER_NEAREST) > 0
+    fine = cv2.resize(np.nan_to_num(clear, nan=-1.0), wide, interpolation=cv2.INTER_LINEAR)
+    half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
+    return (known & (fine > _MARGIN_MM + half_px_mm))[:height, :width]
+
+
+def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_z: Array) -> Array:
+    """Return how far (in height) rays with these invariants stay clear of everything opaque; NaN where they miss the water."""
+    r_skirt, r_o, r_i, z_cam = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, float(view.centre_mm[2])
     with np.errstate(invalid="ignore"):
-        to_skirt = np.sqrt(view.rho_mm**2 - b**2) - np.sqrt(r_skirt**2 - b**2)
-        skirt_z = z_cam + p_z / np.sqrt(1.0 - p_z**2) * to_skirt
-        far_z = line.entry_z_mm + line.slope * 2.0 * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
-        inside = (
-            (skirt_z < scene.net_pot.skirt_bottom_mm - _SKIRT_MARGIN_MM)
-            & (np.maximum(line.entry_z_mm, far_z) < optics.water_z_mm - _SKIRT_MARGIN_MM)
-            & (np.minimum(line.entry_z_mm, far_z) > optics.floor_z_mm + _SKIRT_MARGIN_MM)
-        )
-    blocks = inside.reshape(u.shape).repeat(_STEP, axis=0).repeat(_STEP, axis=1)
-    return blocks[:height, :width]
+        line = refraction.trace(optics, view.rho_mm, z_cam, np.where(np.abs(w) < optics.w_limit, w, np.nan), p_z)
+        in_air, in_wall = p_z / np.sqrt(1.0 - p_z**2), p_z / np.sqrt(optics.n_wall**2 - p_z**2)
+        b_wall = w * r_o * np.sqrt(1.0 - p_z**2) / np.sqrt(optics.n_wall**2 - p_z**2)
+        through_air = np.sqrt(r_skirt**2 - (w * r_o) ** 2) - np.sqrt(r_o**2 - (w * r_o) ** 2)
+        through_wall = np.sqrt(r_o**2 - b_wall**2) - np.sqrt(r_i**2 - b_wall**2)
+        far_z = line.entry_z_mm + line.slope * 2.0 * np.sqrt(r_i**2 - line.b_mm**2)
+        far_outer_z = far_z + in_wall * through_wall
+        highest = np.maximum(line.outer_z_mm - in_air * through_air, far_outer_z + in_air * through_air)
+        clear = np.minimum(scene.net_pot.skirt_bottom_mm - highest, optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
+        return np.minimum(clear, np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm)
 
 
 def estimate(stack: Image, inside: Mask) -> Image:
@@ -53,26 +70,37 @@ def estimate(stack: Image, inside: Mask) -> Image:
     Parameters
     ----------
     stack : (V, H, W) linear grey, any scale.
-    inside : (H, W) pixels to be filled; others are 0 in the result.
+    inside : (H, W), or (V, H, W) where the canister wobbles: pixels to be filled; others are 0 in the result.
 
     Returns
     -------
-    (H, W) background in the scale of the stack.
+    (H, W) background in the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
     """
-    rows = np.flatnonzero(inside.any(axis=1))
+    views = len(stack)
+    often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
+    rows = np.flatnonzero(often.any(axis=1))
     background = np.zeros(stack.shape[1:], np.float32)
     if not len(rows):
         return background
-    part = stack[:, rows[0] : rows[-1] + 1]
-    rank = min(len(part) - 1, int(0.8 * len(part)))
-    upper = np.partition(part, rank, axis=0)[rank]
-    near = np.abs(part - upper) <= 0.04 * upper
-    mean = np.where(near, part, 0.0).sum(axis=0) / np.maximum(near.sum(axis=0), 1)
-    background[rows[0] : rows[-1] + 1] = mean
-    background[~inside] = 0.0
-    smooth = _smooth_surface(background, inside)
+
+    def upper_mean(begin: int) -> None:
+        part = stack[:, begin : begin + _BLOCK_ROWS]
+        if inside.ndim == 3:
+            part = np.where(inside[:, begin : begin + _BLOCK_ROWS], part, 0.0)
+        # sorted from the brightest: what lies outside comes last, and the quintile is that of the views that look into the water
+        number = views if inside.ndim == 2 else inside[:, begin : begin + _BLOCK_ROWS].sum(axis=0)
+        rank = np.broadcast_to(views - 1 - np.asarray(0.2 * number, np.int64), part.shape[1:])
+        ranks = np.unique(rank)
+        upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
+        near = np.abs(part - upper) <= 0.04 * upper
+        background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(near.sum(axis=0), 1)
+
+    with ThreadPoolExecutor(max_workers=_THREADS) as pool:
+        list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
+    background[~often] = 0.0
+    smooth = _smooth_surface(background, often)
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
-    covered = inside & (background < 0.96 * smooth)
+    covered = often & (background < 0.96 * smooth)
     return np.where(covered, smooth, background).astype(np.float32)
 
 

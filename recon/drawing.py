@@ -80,9 +80,8 @@ def _backgrounds(run: Run, views: dict[int, View], inside: dict[int, NDArray[np.
     for ring in sorted({run.frames[k].ring for k in views}):
         members = [k for k in views if run.frames[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still(run, [views[k] for k in members]):
-            common = np.logical_or.reduce([inside[k] for k in members])
             stack = np.stack([run.images[k] for k in members]).astype(np.float32)
-            empty.update(dict.fromkeys(members, background.estimate(stack, common)))
+            empty.update(dict.fromkeys(members, background.estimate(stack, np.stack([inside[k] for k in members]))))
         else:
             single = run.each(lambda k: background.estimate_single(run.images[k].astype(np.float32), inside[k]), "background", members)
             empty.update(dict(zip(members, single, strict=True)))

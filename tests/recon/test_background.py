@@ -1,5 +1,7 @@
 """The empty backlight, estimated from pictures in which something always stands before part of the panel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,28 @@ def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
     edge = 400.0 * np.tan(np.arcsin(76.2 / 400.0)) * scene.camera.focal_px[0] / 400.0
     assert columns[-1] - 199.5 == pytest.approx(0.98 * edge, abs=6)
     np.testing.assert_array_equal(mask[:, ::-1], mask)
+
+
+def test_a_camera_that_looks_down_does_not_see_the_backlight_through_the_base() -> None:
+    """The wall stands on the base, which is opaque out to the outer wall: below its line there is no backlight to be covered."""
+    scene = Scene(camera=Camera().resized((400, 300)))
+    optics = refraction.Optics.of(scene)
+    ring = scene.plan.rings[0]
+    scene = replace(scene, plan=replace(scene.plan, rings=(replace(ring, height_mm=10.0, tilt_deg=8.0),)))
+    view = cameras.View(camera=scene.camera, cam_from_canister=plan.views(scene)[0].cam_from_rig)
+    bottom = np.flatnonzero(background.water_mask(view, optics, scene)[:, 200])[-1]
+    line, _ = cameras.water_lines(view, optics, np.array([[200.0, bottom], [200.0, bottom + 2.0]]))
+    far_z = line.entry_z_mm + 2.0 * line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
+    assert far_z[0] + line.slope[0] * (optics.outer_radius_mm - optics.inner_radius_mm) * 0.8 > optics.floor_z_mm
+    assert far_z[1] + line.slope[1] * (optics.outer_radius_mm - optics.inner_radius_mm) < optics.floor_z_mm + 0.5, "and no more is lost"
+
+
+def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_past_it() -> None:
+    stack, empty = turned(0, 0.0)
+    inside = np.ones(stack.shape, bool)
+    inside[:9, :10] = False  # the skirt hides the upper rows in nine of twenty views
+    inside[:16, :4] = False  # and the uppermost in most
+    stack[~inside] = 100.0
+    found = background.estimate(stack, inside)
+    assert (found[:4] == 0).all()
+    assert np.abs(found / empty - 1)[4:].max() < 1e-3
