@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from recon import projection
 from recon.projection import ViewBank
-from recon.silhouettes import UNSEEN_PX, UPSAMPLING
+from recon.silhouettes import UNSEEN_PX, UPSAMPLING, Window
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -42,19 +42,36 @@ class DistanceMaps:
     """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
 
     values: Any
-    """mi.Float, (V, 2 H, 2 W) flattened."""
+    """mi.Float, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said."""
     image_wh: tuple[int, int]
+    window: Window
 
     @staticmethod
-    def of(maps: NDArray[np.float32]) -> DistanceMaps:
-        """Put maps (V, 2 H, 2 W) on the device."""
-        return DistanceMaps(mi.Float(maps.ravel()), (maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING))
+    def of(maps: NDArray[np.float32], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
+        """Put maps (V, 2 h, 2 w) on the device.
+
+        Parameters
+        ----------
+        image_wh, window : of the pictures, and the part of them that the maps are of; all of it where not given.
+        """
+        size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
+        return DistanceMaps(mi.Float(maps.ravel()), image_wh or size_px, window or Window((0, 0), size_px))
+
+    @property
+    def samples_wh(self) -> tuple[int, int]:
+        """Return the samples of a map."""
+        return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
+
+    def sample(self, px: Any) -> Any:
+        """Return where pixels (mi.Vector2f) lie on a map, whose samples are at integers: mi.Vector2f."""
+        low = self.window.low_px
+        return mi.Vector2f((px.x - low[0] + 0.5) * UPSAMPLING - 0.5, (px.y - low[1] + 0.5) * UPSAMPLING - 0.5)
 
     def at(self, view: Any, px: Any, active: Any) -> Any:
         """Interpolate bilinearly at pixels (mi.Vector2f)."""
-        width, height = self.image_wh[0] * UPSAMPLING, self.image_wh[1] * UPSAMPLING
-        u = dr.clip((px.x + 0.5) * UPSAMPLING - 0.5, 0.0, width - 1.001)
-        v = dr.clip((px.y + 0.5) * UPSAMPLING - 0.5, 0.0, height - 1.001)
+        (width, height), place = self.samples_wh, self.sample(px)
+        u = dr.clip(place.x, 0.0, width - 1.001)
+        v = dr.clip(place.y, 0.0, height - 1.001)
         u_0, v_0 = mi.UInt32(u), mi.UInt32(v)
         fu, fv = u - mi.Float(u_0), v - mi.Float(v_0)
         at = (view * height + v_0) * width + u_0

@@ -23,7 +23,6 @@ from skimage import morphology
 from recon import carve, projection
 from recon.carve import DistanceMaps, Leaves
 from recon.projection import ViewBank
-from recon.silhouettes import UPSAMPLING
 from recon.surface import paint, to_voxels
 
 Array = NDArray[np.float64]
@@ -240,7 +239,7 @@ class _Listed:
 
 def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> Mask:
     """Tell which of the doubted finest nodes (N, 3) silhouettes need that the trimmed shape does not explain: (N,)."""
-    width, height = maps.image_wh[0] * UPSAMPLING, maps.image_wh[1] * UPSAMPLING
+    width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
     solid = _points(trimmed, 2 * even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
     doubtful = _points(trimmed, doubted, 1)
@@ -248,14 +247,14 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
     values = np.array(maps.values).reshape(bank.count, height, width)
     for view in range(bank.count):
         covered = dr.zeros(mi.UInt8, width * height)
-        u, v, seen = _sample(bank, view, solid, width, height)
+        u, v, seen = _sample(bank, maps, view, solid)
         dr.scatter(covered, mi.UInt8(1), v * width + u, seen)
         picture = cv2.dilate(np.array(covered).reshape(height, width), np.ones((3, 3), np.uint8))
         unexplained = (values[view] > _DEEP_PX) & (values[view] < carve.TELLS_PX) & (picture == 0)
         if not unexplained.any():
             continue
         lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((5, 5), np.uint8)).ravel())
-        u, v, seen = _sample(bank, view, doubtful, width, height)
+        u, v, seen = _sample(bank, maps, view, doubtful)
         votes += mi.UInt32(dr.gather(mi.UInt8, lacking, v * width + u, seen))
         dr.eval(votes)
     return np.array(votes) >= _AGREEING_VIEWS
@@ -276,10 +275,10 @@ def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Any:
     return mi.Point3f(centres.T.astype(np.float32))
 
 
-def _sample(bank: ViewBank, view: int, points: Any, width: int, height: int) -> tuple[Any, Any, Any]:
+def _sample(bank: ViewBank, maps: DistanceMaps, view: int, points: Any) -> tuple[Any, Any, Any]:
     """Return the column and row of points on a view's distance map, and whether the view sees them."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
-    u = (p.px.x + 0.5) * UPSAMPLING
-    v = (p.px.y + 0.5) * UPSAMPLING
+    (width, height), place = maps.samples_wh, maps.sample(p.px)
+    u, v = place.x + 0.5, place.y + 0.5
     seen = p.seen & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     return mi.UInt32(dr.select(seen, u, 0)), mi.UInt32(dr.select(seen, v, 0)), seen

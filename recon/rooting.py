@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from recon.density import Cells
 from recon.evidence import CORE_PX, Evidence
 from recon.parsimony import Balls
 from recon.run import Run
+from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_picture import Pull
 from recon.tubes import SPACING_MM, Tubes
 from scenes.rsml import Root
@@ -125,8 +127,7 @@ def _scale(seen: Evidence, water: Water) -> float:
 
 def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tuple[Cells, Cells]:
     """Carve where roots may be, and where thick organs are for certain."""
-    outlines = run.each(lambda k: evidence.generous_outline(seen.silhouettes[k]), "search", list(range(seen.bank.count)))
-    generous = DistanceMaps.of(np.stack(outlines))
+    generous = _outlines(run, seen, evidence.generous_outline, "search")
     low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
     while True:
         grid = Grid.over(low, high, size_mm)
@@ -134,9 +135,16 @@ def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tup
         if len(cells.index) <= _MOST_CELLS:
             break
         size_mm *= 1.26
-    outlines = run.each(lambda k: evidence.core_outline(seen.silhouettes[k]), "core", list(range(seen.bank.count)))
-    core = density.even_cells(_carve(seen, DistanceMaps.of(np.stack(outlines)), grid, water))
+    del generous
+    core = density.even_cells(_carve(seen, _outlines(run, seen, evidence.core_outline, "core"), grid, water))
     return cells, core
+
+
+def _outlines(run: Run, seen: Evidence, outline: Callable[[Silhouette], Image], name: str) -> DistanceMaps:
+    """Draw outlines in all views."""
+    window = Window.around(seen.silhouettes)
+    drawn = run.each(lambda k: outline(seen.silhouettes[k].cut(window)), name, list(range(seen.bank.count)))
+    return DistanceMaps.of(np.stack(drawn), seen.image_wh, window)
 
 
 def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carve.Leaves:

@@ -13,7 +13,7 @@ from recon.refraction import Optics
 from recon.result import Shape, Triple, Voxels
 from recon.rooting import Water
 from recon.run import Run
-from recon.silhouettes import UPSAMPLING, Silhouette
+from recon.silhouettes import UPSAMPLING, Silhouette, Window
 from scenes.errors import UserError
 
 FINEST_MM = 0.14
@@ -67,9 +67,11 @@ def carve_hull(
     """
     order = [list(views)[place] for place in _spread(len(views))]
     with run.stage("outlines"):
-        outlines = _outlines(run, [drawn[k] for k in order])
+        window = Window.around([drawn[k] for k in order])
+        outlines = _outlines(run, [drawn[k].cut(window) for k in order])
     with run.stage("carve"):
-        maps = carve.DistanceMaps.of(outlines)
+        maps = carve.DistanceMaps.of(outlines, run.dataset.scene.camera.image_wh, window)
+        del outlines
         bank = projection.ViewBank.of([views[k] for k in order], optics)
         scene, radius = run.dataset.scene, optics.inner_radius_mm
         top, bottom = min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm
@@ -178,7 +180,7 @@ def _spread(count: int) -> list[int]:
 
 def _outlines(run: Run, drawn: list[Silhouette]) -> NDArray[np.float32]:
     """Return the distance maps (V, 2 H, 2 W) of silhouettes."""
-    width, height = run.dataset.scene.camera.image_wh
+    height, width = drawn[0].coverage.shape
     maps = np.empty((len(drawn), UPSAMPLING * height, UPSAMPLING * width), np.float32)
 
     def one(place: int) -> None:

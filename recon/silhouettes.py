@@ -4,6 +4,9 @@ Two ways: ``coverage`` measures the covered fraction of each pixel against the e
 thinner than a pixel keep their width; ``thesis`` is the binary way of the thesis (T3.4.2).
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +23,8 @@ UPSAMPLING = 2
 UNSEEN_PX = 1e7
 """Value of a distance map where its picture says nothing."""
 _BLUR_PX = 0.7
+_SILENT_PX = 4
+"""Blur, interpolation and widening reach less far than this."""
 _FLOOR = 0.1
 """Coverage below this is never root."""
 
@@ -32,6 +37,34 @@ class Silhouette:
     """(H, W), 0 to 1: fraction of the pixel covered by root."""
     seen: Mask
     """(H, W): the picture says something about the water here."""
+
+    def cut(self, window: Window) -> Silhouette:
+        """Return the part in a window."""
+        (left, top), (width, height) = window.low_px, window.size_px
+        part = np.s_[top : top + height, left : left + width]
+        return Silhouette(self.coverage[part], self.seen[part])
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels, the same in all pictures."""
+
+    low_px: tuple[int, int]
+    """First column and row."""
+    size_px: tuple[int, int]
+    """Columns and rows."""
+
+    @staticmethod
+    def around(silhouettes: Sequence[Silhouette]) -> Window:
+        """Return the window that holds what any of the pictures tells, with a margin of silence or the picture's border about it."""
+        told = np.logical_or.reduce([silhouette.seen for silhouette in silhouettes])
+        low, size = [], []
+        for axis in (0, 1):  # columns, then rows
+            some = np.flatnonzero(told.any(axis=axis))
+            first, last = (some[0], some[-1]) if len(some) else (0, 0)
+            low.append(max(0, int(first) - _SILENT_PX))
+            size.append(min(told.shape[1 - axis], int(last) + 1 + _SILENT_PX) - low[-1])
+        return Window((low[0], low[1]), (size[0], size[1]))
 
 
 def measure(image: Image, background: Image, seen: Mask) -> Silhouette:
@@ -127,18 +160,20 @@ def level_distance(value: Image) -> Image:
     inside = value > 0
     if inside.all() or not inside.any():
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
-    inverse_2 = np.zeros(value.shape, np.float32)
-    for axis in (0, 1):
-        nearest = np.full(value.shape, np.inf, np.float32)
-        for here, there in ((np.s_[:-1], np.s_[1:]), (np.s_[1:], np.s_[:-1])):
-            one = here if axis == 0 else (np.s_[:], here)
-            other = there if axis == 0 else (np.s_[:], there)
-            crossing = inside[one] != inside[other]
-            fraction = np.full(crossing.shape, np.inf, np.float32)
-            a, b = value[one][crossing], value[other][crossing]
-            fraction[crossing] = np.abs(a) / np.maximum(np.abs(a) + np.abs(b), 1e-9)
-            nearest[one] = np.minimum(nearest[one], fraction)
-        inverse_2 += 1.0 / np.maximum(nearest, 1e-3) ** 2
+    inverse_2 = np.zeros(value.size, np.float32)
+    size = np.abs(value).ravel()
+    for axis, step in ((0, value.shape[1]), (1, 1)):
+        crossing = np.diff(inside, axis=axis)
+        row, column = np.nonzero(crossing)
+        first = row * value.shape[1] + column
+        total = np.maximum(size[first] + size[first + step], 1e-9)
+        nearest = np.full(value.size, np.inf, np.float32)
+        nearest[first] = size[first] / total
+        nearest[first + step] = np.minimum(nearest[first + step], size[first + step] / total)
+        some = np.concatenate([first, first + step])
+        # samples that are crossed on both sides come twice, with one and the same value
+        inverse_2[some] += 1.0 / np.maximum(nearest[some], 1e-3) ** 2
+    inverse_2 = np.reshape(inverse_2, value.shape)
     beside = inverse_2 > 0
     near = np.where(beside, 1.0 / np.sqrt(np.maximum(inverse_2, 1e-9)), 0.0).astype(np.float32)
     signed = np.where(inside, near, -near)

@@ -1,5 +1,6 @@
 """Trimming the hull: tubes get their own cross-section back, what is no tube keeps its hull."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -109,6 +110,6 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
 def test_no_ball_stands_where_hardly_any_view_sees() -> None:
     """Above the net pot's grid every picture is silent, so nothing bounds a ball there: it must not swallow the hull."""
     bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
-    silent = carve.DistanceMaps(type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)), maps.image_wh)
+    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)))
     balls = parsimony.grow_balls(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
     assert len(balls.radius_mm) == 0
