@@ -21,12 +21,15 @@ LEAST_VIEWS = 3
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 
 
-def reconstruct(dataset_folder: Path, result_folder: Path, *, voxel_mm: float = 0.27, progress: bool = True) -> result.Result:
+def reconstruct(
+    dataset_folder: Path, result_folder: Path, *, voxel_mm: float = 0.27, mass_g: float | None = None, progress: bool = True
+) -> result.Result:
     """Reconstruct a dataset and write a result folder.
 
     Parameters
     ----------
     voxel_mm : edge of the voxels that are written; measuring inside them is finer (`recon.shaping.FINEST_MM`).
+    mass_g : mass of the roots, if they were weighed; for the traits only.
 
     Raises
     ------
@@ -39,7 +42,8 @@ def reconstruct(dataset_folder: Path, result_folder: Path, *, voxel_mm: float = 
     optics = Optics.of(run.dataset.scene)
     drawn = drawing.draw(run, views, optics)
     shape = shaping.build(run, drawn, views, optics, voxel_mm=voxel_mm)
-    return finish(run, found, rig, drawn, shape, Path(result_folder), settings={"voxel_mm": voxel_mm, "slack_px": shaping.SLACK_PX})
+    settings = {"voxel_mm": voxel_mm, "slack_px": shaping.SLACK_PX}
+    return finish(run, found, rig, drawn, shape, Path(result_folder), settings=settings, mass_g=mass_g)
 
 
 def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -> tuple[list[result.ViewResult], dict[str, Any]]:
@@ -167,6 +171,7 @@ def finish(
     result_folder: Path,
     *,
     settings: dict[str, Any],
+    mass_g: float | None = None,
 ) -> result.Result:
     """Put a result together and write its folder."""
     filled = list(found)
@@ -177,6 +182,7 @@ def finish(
         dataset_sha256=sha256_of(run.dataset.folder / "dataset.json"),
         scene=run.dataset.scene.name,
         shape=shape,
+        mass_g=mass_g,
         views=tuple(filled),
         rig=rig,
         warnings=tuple(run.warnings),

@@ -1,10 +1,11 @@
 """The result of a reconstruction, and writing it as a folder.
 
-RESULT/  result.json   numbers, views, rig, warnings, timings, settings and versions
+RESULT/  result.json   numbers, traits, views, rig, warnings, timings, settings and versions
 shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the untrimmed hull as
 hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
 shape.ply     surface, canister frame, mm
 roots.rsml    centre lines and diameters of the roots, where some were found
+traits.csv, traits.json   traits with units and definitions
 silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
 seen/NAME.png          8 bit: 255 where the picture says something about the water
 """
@@ -19,10 +20,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from recon import result_traits
 from recon.result_files import SCHEMA_VERSION, picture_path
 from recon.silhouettes import Silhouette
 from scenes import atomic, rsml
 from scenes.rsml import Root
+from scenes.schema import to_plain
+from scenes.traits import Traits
 
 Triple = tuple[float, float, float]
 
@@ -98,6 +102,8 @@ class Result:
     """Of the dataset's manifest, which holds the hashes of its pictures."""
     scene: str
     shape: Shape
+    mass_g: float | None = None
+    """Of the roots, where they were weighed."""
     views: tuple[ViewResult, ...]
     rig: dict[str, Any]
     """Cameras, seat and errors that all views together gave; empty where the poses were given."""
@@ -109,8 +115,21 @@ class Result:
     silhouettes: dict[str, Silhouette] = field(repr=False)
     """By the frame's file."""
 
+    def traits(self) -> Traits:
+        """Measure the traits."""
+        shape = self.shape
+        return result_traits.of_shape(
+            np.asarray(shape.mesh.vertices, np.float64),
+            np.asarray(shape.mesh.faces, np.int64),
+            shape.roots,
+            volume_mm3=shape.volume_mm3,
+            finest_mm=shape.finest_mm,
+            mass_g=self.mass_g,
+            extents_mm=(shape.extents_min_mm, shape.extents_max_mm),
+        )
+
     def summary(self) -> dict[str, Any]:
-        """Return the content of ``result.json``."""
+        """Return the content of ``result.json``, without the traits."""
         shape = self.shape
         return {
             "schema_version": SCHEMA_VERSION,
@@ -125,6 +144,7 @@ class Result:
             "blind_mm3": shape.blind_mm3,
             "length_mm": shape.length_mm,
             "tips": len(shape.roots),
+            "mass_g": self.mass_g,
             "extents_min_mm": shape.extents_min_mm,
             "extents_max_mm": shape.extents_max_mm,
             "views": [asdict(view) for view in self.views],
@@ -161,5 +181,8 @@ def write(result: Result, folder: Path) -> None:
     for file, silhouette in result.silhouettes.items():
         atomic.write_image(picture_path(folder / "silhouettes", file), np.round(silhouette.coverage * 65535.0).astype(np.uint16))
         atomic.write_image(picture_path(folder / "seen", file), silhouette.seen.astype(np.uint8) * 255)
+    traits = result.traits()
+    for name, text in result_traits.as_text(traits, result.summary(), mass_g=result.mass_g).items():
+        atomic.write_text(folder / name, text)
     result.timings_s["write"] = time.perf_counter() - begin
-    atomic.write_json(folder / "result.json", result.summary())
+    atomic.write_json(folder / "result.json", result.summary() | {"traits": to_plain(traits)})

@@ -4,6 +4,7 @@
              shape.npz     occupied leaves of the shape and of the hull it was trimmed from
              shape.ply     surface, canister frame, mm
              roots.rsml    centre lines and diameters of the roots, where some were found
+             traits.csv, traits.json   traits with units and definitions
              silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
              seen/NAME.png          8 bit: 255 where the picture says something about the water
 

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from recon import result_files
+from recon import result_files, result_traits, score_traits
 from recon.score_roots import RootScore, compare_roots
 from recon.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from recon.score_traits import TraitScore, compare_traits
 from recon.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 from scenes import rsml
 from scenes.dataset import load_dataset
 from scenes.errors import UserError
+from scenes.traits import Traits, measure_traits
 from scenes.truth import load_truth
 
 Triple = tuple[float, float, float]
@@ -46,6 +48,8 @@ class Score:
     hull: HullScore
     roots: RootScore | None
     """None where the truth or the result has no roots."""
+    traits: dict[str, TraitScore]
+    """By the names of `scenes.trait_table`."""
     blind_mm3: float
     """Volume of the water that too few views could see."""
     timings_s: dict[str, float]
@@ -61,7 +65,7 @@ class Score:
 
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""
-        rows = [*self._shape_rows(), *self._stage_rows()]
+        rows = [*self._shape_rows(), ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
         width = max(len(row[0]) for row in rows) + 2
         title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
         lines = [title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)]
@@ -197,8 +201,18 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
         masks=compare_masks(summary["views"], result_folder, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
         roots=compare_roots(rsml.read_rsml(found_roots), rsml.read_rsml(true_roots)) if both else None,
+        traits=compare_traits(result_traits.read(result_folder), _true_traits(true_roots, solid, truth.volume_mm3)),
         blind_mm3=float(summary["blind_mm3"]),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
         peak_memory_mib=summary.get("peak_memory_mib"),
         warnings=tuple(summary["warnings"]),
     )
+
+
+def _true_traits(skeleton: Path, solid: result_files.Mesh, volume_mm3: float) -> Traits:
+    """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
+    corners = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
+    a, b, c = corners
+    surface_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+    roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
+    return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)

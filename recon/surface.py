@@ -84,7 +84,7 @@ def surface(
             continue
         v, f, _, _ = measure.marching_cubes(block, level=0.5, allow_degenerate=False)
         vertices.append(v.astype(np.float64) + corner)
-        faces.append(f.astype(np.int64) + count)
+        faces.append(f[:, ::-1].astype(np.int64) + count)  # counter-clockwise from outside
         count += len(v)
     mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     mesh.merge_vertices(digits_vertex=5)

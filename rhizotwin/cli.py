@@ -8,21 +8,33 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeAlias, TypeVar
 
+from rhizotwin.arguments import (
+    VOXEL_LIMITS_MM,
+    Commands,
+    Parser,
+    add_command,
+    add_device,
+    add_output,
+    diameter_mm,
+    height_mm,
+    image_wh,
+    list_of,
+    mass_g,
+    percent,
+    samples,
+    seed,
+    seeds,
+    views,
+    voxel_mm,
+)
 from scenes.errors import UserError
-
-T = TypeVar("T")
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 DEFAULT_VOXEL_MM = 0.27
-VOXEL_LIMITS_MM = (0.01, 10.0)
-DIAMETER_LIMITS_MM = (0.01, 50.0)
-PIXEL_LIMITS = (16, 20000)
-MAX_VIEWS = 10000
 DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 AFTER_STOP = {
     "simulate": "the same command takes it up again",
@@ -38,14 +50,6 @@ ONE_STOP_S = 1.0
 """Ctrl-C pressed again within this time is the same press: it must not disturb the tidying up."""
 ASK_AGAIN_S = 0.05
 """Ctrl-C while a library is loading waits for it: after this time it is looked again."""
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise the complaint for `main` to print."""
-        raise UserError(f"{message}; see {self.prog} --help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -146,24 +150,16 @@ def build_parser() -> Parser:
     _add_export(commands)
     _add_plan(commands)
     _add_demo(commands)
-    from rhizotwin import print_cli, rig_cli  # they take their helpers from here
+    from rhizotwin import print_cli, rig_cli, traits_cli
 
+    traits_cli.add(commands)
     print_cli.add(commands)
     rig_cli.add(commands)
     return parser
 
 
-Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
-
-
-def _add(commands: Commands, name: str, short: str, *, description: str, epilog: str) -> Parser:
-    return commands.add_parser(
-        name, help=short, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-
-
 def _add_scenes(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "scenes",
         "list the scenes and disturbance profiles that come with the program",
@@ -179,7 +175,7 @@ def _add_scenes(commands: Commands) -> None:
 
 
 def _add_simulate(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "simulate",
         "render a scene to a dataset, with its truth",
@@ -192,7 +188,7 @@ def _add_simulate(commands: Commands) -> None:
         "  rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5",
     )
     parser.add_argument("scene", metavar="SCENE", help="a name from 'rhizotwin scenes', or a scene file (TOML)")
-    _add_output(parser, "DATASET", "folder to make the dataset in: new, empty, or left by the same command when it was stopped")
+    add_output(parser, "DATASET", "folder to make the dataset in: new, empty, or left by the same command when it was stopped")
     parser.add_argument(
         "--profile",
         metavar="clean|bench|harsh",
@@ -211,10 +207,10 @@ def _add_simulate(commands: Commands) -> None:
         help="unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such as '0.1 mm'",
     )
     parser.add_argument(
-        "--specimen-diameter-mm", type=_diameter_mm, metavar="D", help="diameter of the roots for which an RSML file gives none"
+        "--specimen-diameter-mm", type=diameter_mm, metavar="D", help="diameter of the roots for which an RSML file gives none"
     )
-    parser.add_argument("--views", type=_views, metavar="N", help="pictures in every ring; default: the scene's")
-    parser.add_argument("--image-wh", type=_image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
+    parser.add_argument("--views", type=views, metavar="N", help="pictures in every ring; default: the scene's")
+    parser.add_argument("--image-wh", type=image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
     parser.add_argument(
         "--fidelity",
         choices=("backlit", "path"),
@@ -222,38 +218,44 @@ def _add_simulate(commands: Commands) -> None:
         help="backlit: fast, without noise of its own; path: full path tracing with all reflections, slower; default: %(default)s",
     )
     parser.add_argument(
-        "--samples", type=_samples, metavar="N", help="light paths a pixel: more is slower and smoother; default: as the fidelity needs"
+        "--samples", type=samples, metavar="N", help="light paths a pixel: more is slower and smoother; default: as the fidelity needs"
     )
     parser.add_argument(
-        "--seed", type=_seed, default=0, metavar="S", help="of every error and noise that is drawn: 0, 1, 2, ...; default: %(default)s"
+        "--seed", type=seed, default=0, metavar="S", help="of every error and noise that is drawn: 0, 1, 2, ...; default: %(default)s"
     )
-    _add_device(parser)
+    add_device(parser)
 
 
 def _add_reconstruct(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "reconstruct",
         "find the root's shape and volume in a dataset's pictures",
         description="Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from\n"
         "both. The truth of a simulated dataset is only drawn beside the result, never used.",
-        epilog="examples:\n  rhizotwin reconstruct my_dataset -o my_result\n  rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1",
+        epilog="examples:\n"
+        "  rhizotwin reconstruct my_dataset -o my_result\n"
+        "  rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1\n"
+        "  rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18",
     )
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder made by 'rhizotwin simulate' or 'rhizotwin import'")
-    _add_output(parser, "RESULT", "folder to write the result to: new, empty, or an earlier result, which is replaced")
+    add_output(parser, "RESULT", "folder to write the result to: new, empty, or an earlier result, which is replaced")
     parser.add_argument(
         "--voxel-mm",
-        type=_voxel_mm,
+        type=voxel_mm,
         default=DEFAULT_VOXEL_MM,
         metavar="MM",
         help=f"edge of the smallest voxels, {VOXEL_LIMITS_MM[0]:g} to {VOXEL_LIMITS_MM[1]:g} mm; "
         "smaller is slower and finer; default: %(default)s",
     )
-    _add_device(parser)
+    parser.add_argument(
+        "--mass-g", type=mass_g, metavar="G", help="mass of the roots, if weighed: gives specific root length and tissue density"
+    )
+    add_device(parser)
 
 
 def _add_import(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "import",
         "make a dataset of a folder of pictures taken elsewhere",
@@ -266,7 +268,7 @@ def _add_import(commands: Commands) -> None:
     )
     parser.add_argument("pictures", type=Path, metavar="PICTURES", help="folder of pictures")
     parser.add_argument("--scene", required=True, metavar="SCENE", help="a scene file (TOML) or a name from 'rhizotwin scenes'")
-    _add_output(parser, "DATASET", "folder to make the dataset in: new or empty")
+    add_output(parser, "DATASET", "folder to make the dataset in: new or empty")
     parser.add_argument(
         "--cameras",
         type=Path,
@@ -282,12 +284,12 @@ def _add_import(commands: Commands) -> None:
 
 
 def _add_score(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "score",
         "compare a result with the truth of a simulated dataset",
         description="Compare a result with the truth: volume, extents, voxels, surface distances, and poses and silhouettes stage\n"
-        "by stage. Errors are signed fractions: found / true - 1.",
+        "by stage, and every trait. Errors are signed fractions: found / true - 1; of angles, differences in degrees.",
         epilog="examples:\n  rhizotwin score my_result my_dataset\n  rhizotwin score my_result my_dataset --json > score.json",
     )
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder made by 'rhizotwin reconstruct'")
@@ -296,23 +298,37 @@ def _add_score(commands: Commands) -> None:
 
 
 def _add_export(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "export",
         "write a result in the files of other programs",
-        description="Write a result's surface (.ply, .stl in mm; .glb in metres, y up), its voxels (.nrrd: 0 to 255 is the share of\n"
-        "root, mm), or its cameras (.json: nerfstudio's transforms.json; a name without suffix: a folder with COLMAP's text model).\n"
-        "Cameras are those in air: the roots are seen through the wall and the water, which straight rays do not follow.",
-        epilog="examples:\n  rhizotwin export my_result -o root.stl\n  rhizotwin export my_result -o root.nrrd\n"
+        description="Write a result for another program; the name's suffix says what:\n"
+        "  .ply .stl   the surface, mm, z up (3D printing, MeshLab)\n"
+        "  .glb        the surface, metres, y up as glTF asks (viewers, Blender)\n"
+        "  .nrrd       voxels, 0 to 255 is the share of root, mm (3D Slicer, ImageJ)\n"
+        "  .rsml       the roots' centre lines and diameters, mm, z up (CPlantBox, archiDART, OpenAlea)\n"
+        "  .csv        the traits with units and definitions (spreadsheets, R)\n"
+        "  .json       the cameras as nerfstudio's transforms.json, mm\n"
+        "  no suffix   a folder with the cameras as COLMAP's text model, mm\n"
+        "With --roots a mesh is the roots as tubes, coloured by order or diameter, instead of the surface; STL has no colours.\n\n"
+        "Cameras are those in air, and the pictures were taken through a round wall and water, which magnify the roots by about a\n"
+        "third and bend them. Programs that follow straight rays (photogrammetry, NeRF, Gaussian splatting) get wrong shapes of the\n"
+        "roots from them, whatever the lens model; they are right for what is outside the canister.",
+        epilog="examples:\n"
+        "  rhizotwin export my_result -o root.stl\n"
+        "  rhizotwin export my_result -o root.nrrd\n"
+        "  rhizotwin export my_result -o roots.rsml\n"
+        "  rhizotwin export my_result --roots diameter -o roots.glb\n"
         "  rhizotwin export my_result --dataset my_dataset -o transforms.json",
     )
     parser.add_argument("result", type=Path, metavar="RESULT", help="folder made by 'rhizotwin reconstruct'")
-    _add_output(parser, "FILE", "what to write; its suffix says in which form")
+    add_output(parser, "FILE", "what to write; its suffix says in which form")
     parser.add_argument("--dataset", type=Path, metavar="DATASET", help="the dataset that the result was made from; cameras need its lens")
+    parser.add_argument("--roots", choices=("order", "diameter"), help="write the roots as tubes in colours of this, for a mesh")
 
 
 def _add_plan(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "plan",
         "try capture plans on the twin before building or scanning",
@@ -324,35 +340,35 @@ def _add_plan(commands: Commands) -> None:
         "  rhizotwin plan my_scene.toml -o my_plan --image-wh 800x600,1600x1200 --profile bench --seeds 3",
     )
     parser.add_argument("scene", metavar="SCENE", help="a scene file (TOML) or a name from 'rhizotwin scenes'")
-    _add_output(parser, "FOLDER", "folder for the table, the figure and the scores: new, or of an earlier plan")
+    add_output(parser, "FOLDER", "folder for the table, the figure and the scores: new, or of an earlier plan")
     parser.add_argument(
-        "--views", type=_list_of(_views), default=(20, 40, 41), metavar="N,N,...", help="views in a ring to try; default: 20,40,41"
+        "--views", type=list_of(views), default=(20, 40, 41), metavar="N,N,...", help="views in a ring to try; default: 20,40,41"
     )
     parser.add_argument(
         "--heights",
-        type=_list_of(_height_mm),
+        type=list_of(height_mm),
         action="append",
         metavar="=MM,MM,...",
         help="heights of the camera over the canister's rim, one a ring, all looking at the same point; once for each set to try; default: "
         "the scene's first ring, and it with a second one 60 mm lower",
     )
-    parser.add_argument("--image-wh", type=_list_of(_image_wh), metavar="WxH,WxH,...", help="picture sizes to try; default: the scene's")
+    parser.add_argument("--image-wh", type=list_of(image_wh), metavar="WxH,WxH,...", help="picture sizes to try; default: the scene's")
     parser.add_argument(
         "--profile", default="bench", metavar="NAME", help="what the rig gets wrong: clean, bench, harsh or a file; default: %(default)s"
     )
-    parser.add_argument("--seeds", type=_seeds, default=1, metavar="N", help="runs of each plan with other errors; default: %(default)s")
+    parser.add_argument("--seeds", type=seeds, default=1, metavar="N", help="runs of each plan with other errors; default: %(default)s")
     parser.add_argument(
         "--within",
-        type=_percent,
+        type=percent,
         default=5.0,
         metavar="PERCENT",
         help="name the cheapest plan whose volume stays within this; default: %(default)s",
     )
-    _add_device(parser)
+    add_device(parser)
 
 
 def _add_demo(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "demo",
         "all three steps on a small printed root: a few minutes",
@@ -368,93 +384,4 @@ def _add_demo(commands: Commands) -> None:
         help="folder for everything; a finished demo in it is replaced, a stopped one taken up; default: %(default)s",
     )
     parser.add_argument("--profile", default="clean", metavar="clean|bench|harsh", help="what the rig gets wrong; default: %(default)s")
-    _add_device(parser)
-
-
-def _add_output(parser: Parser, name: str, text: str) -> None:
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=name, help=text)
-
-
-def _add_device(parser: Parser) -> None:
-    parser.add_argument(
-        "--device",
-        choices=("auto", "cpu", "cuda"),
-        default="auto",
-        help="what computes: cpu, cuda (an NVIDIA card), auto (the card if there is one); default: %(default)s",
-    )
-
-
-def _whole(text: str, low: int, high: int, what: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is out of range, {what}")
-    return value
-
-
-def _views(text: str) -> int:
-    return _whole(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
-
-
-def _samples(text: str) -> int:
-    return _whole(text, 1, 1 << 16, f"give 1 to {1 << 16}")
-
-
-def _seeds(text: str) -> int:
-    return _whole(text, 1, 1000, "give 1 to 1000")
-
-
-def _height_mm(text: str) -> float:
-    return _between(text, (-2000.0, 2000.0), "mm")
-
-
-def _percent(text: str) -> float:
-    return _between(text, (0.01, 1000.0), "%")
-
-
-def _list_of(one: Callable[[str], T]) -> Callable[[str], tuple[T, ...]]:
-    """Return a reader of a list with commas."""
-
-    def read(text: str) -> tuple[T, ...]:
-        return tuple(dict.fromkeys(one(part) for part in text.split(",")))
-
-    return read
-
-
-def _seed(text: str) -> int:
-    return _whole(text, 0, 2**63 - 1, "give 0 or a positive whole number")
-
-
-def _image_wh(text: str) -> tuple[int, int]:
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a picture size, write it as 800x600")
-    low, high = PIXEL_LIMITS
-    if not all(low <= side <= high for side in (int(width), int(height))):
-        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low} to {high} pixels a side")
-    return int(width), int(height)
-
-
-def _voxel_mm(text: str) -> float:
-    return _millimetres(text, VOXEL_LIMITS_MM)
-
-
-def _diameter_mm(text: str) -> float:
-    return _millimetres(text, DIAMETER_LIMITS_MM)
-
-
-def _millimetres(text: str, limits: tuple[float, float]) -> float:
-    return _between(text, limits, "mm", "millimetres")
-
-
-def _between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of {units or unit}") from None
-    low, high = limits
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} {unit}")
-    return value
+    add_device(parser)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rhizotwin import print_commands, rig_commands
+from rhizotwin import print_commands, rig_commands, traits_commands
 from scenes import files
 from scenes.checks import check_scene
 from scenes.errors import UserError
@@ -15,7 +15,10 @@ from scenes.specimens import MeshSpecimen, RsmlSpecimen
 from scenes.truth import load_truth
 
 RSML_SUFFIXES = (".rsml", ".xml")
-RESULT_NAMES = ("result.json", "shape.npz", "shape.ply", "roots.rsml", "silhouettes", "seen", "pictures", "report.html", "score.json")
+RESULT_NAMES = (
+    *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
+    *("silhouettes", "seen", "pictures", "report.html", "score.json"),
+)
 """What a result folder may hold and still be replaced by a new result."""
 
 
@@ -28,6 +31,7 @@ def run(options: argparse.Namespace) -> None:
         "import": import_,
         "score": score,
         "export": export,
+        "traits": traits_commands.traits,
         "plan": plan,
         "demo": demo,
         "markers": print_commands.markers,
@@ -88,7 +92,7 @@ def simulate(options: argparse.Namespace) -> None:
 def reconstruct(options: argparse.Namespace) -> None:
     """Reconstruct a dataset to a result with its pictures."""
     _start(options)
-    written = reconstruct_whole(options.dataset, options.output, voxel_mm=options.voxel_mm)
+    written = reconstruct_whole(options.dataset, options.output, voxel_mm=options.voxel_mm, mass_g=options.mass_g)
     summary = json.loads((options.output / "result.json").read_text(encoding="utf-8"))
     low, high = summary["volume_interval_mm3"]
     used = sum(view["used"] for view in summary["views"])
@@ -124,7 +128,7 @@ def export(options: argparse.Namespace) -> None:
     """Write a result in the form of another program."""
     from rhizotwin import exports
 
-    print(exports.describe(exports.export(options.result, options.output, dataset_folder=options.dataset)))
+    print(exports.describe(exports.export(options.result, options.output, dataset_folder=options.dataset, roots=options.roots)))
 
 
 def plan(options: argparse.Namespace) -> None:
@@ -189,7 +193,7 @@ def change_scene(
     return scene
 
 
-def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[Path]:
+def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: float | None = None) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
 
     Raises
@@ -215,7 +219,7 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float) -> list[P
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     with new_folder(output, replace=True) as building:
-        find_shape(dataset, building, voxel_mm=voxel_mm)
+        find_shape(dataset, building, voxel_mm=voxel_mm, mass_g=mass_g)
         written = report.write_pictures(building, dataset, truth_mesh=truth_mesh)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

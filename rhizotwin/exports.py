@@ -1,4 +1,4 @@
-"""A result in the files of other programs: meshes, voxels, and cameras in the forms of nerfstudio and COLMAP.
+"""A result in the files of other programs: meshes, voxels, roots, traits, and cameras in the forms of nerfstudio and COLMAP.
 
 The cameras are the true ones, in air. Programs that follow straight rays from them see the root through the canister's wall and the water
 as if it were magnified and bent: their pictures can be undistorted by no lens model. Cameras serve to look at the rig, the strip and the
@@ -16,32 +16,48 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recon import result_files
+from recon import result_files, result_traits
 from recon.surface import paint
+from rhizotwin import root_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
-from scenes import atomic, frames
+from scenes import atomic, frames, rsml, trait_table
 from scenes.dataset import load_dataset
 from scenes.errors import UserError
 from scenes.model import Camera
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
+MESHES = (".ply", ".stl", ".glb")
 MOST_VOXELS = 1_500_000_000
 """Bytes that a dense block may take."""
 
 
-def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = None) -> list[Path]:
-    """Write a result in the form that the output's name asks for: .ply, .stl, .glb, .nrrd, .json (nerfstudio) or a folder (COLMAP).
+def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = None, roots: str | None = None) -> list[Path]:
+    """Write a result in the form that the output's name asks for.
+
+    Parameters
+    ----------
+    output : .ply, .stl, .glb (surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (nerfstudio's cameras) or a folder
+        (COLMAP's cameras).
+    roots : "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
 
     Raises
     ------
     UserError
-        For a damaged result, an unknown suffix, a file that is there already, or cameras without the dataset (which has the lens).
+        For a damaged result, an unknown suffix, a file that is there already, roots where none were found, or cameras without the dataset
+        (which has the lens).
     """
-    writers: dict[str, Callable[[Path, Path], list[Path]]] = {".ply": _mesh, ".stl": _mesh, ".glb": _mesh, ".nrrd": _voxels}
     suffix = output.suffix.lower()
+    writers: dict[str, Callable[[Path, Path], list[Path]]] = {
+        **dict.fromkeys(MESHES, _mesh if roots is None else lambda folder, file: _tubes(folder, file, roots)),
+        ".nrrd": _voxels,
+        ".rsml": _rsml,
+        ".csv": _traits,
+    }
     if suffix not in (*writers, ".json", ""):
         known = ", ".join(writers)
         raise UserError(f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)")
+    if roots is not None and suffix not in MESHES:
+        raise UserError(f"{output}: --roots is for meshes; give {', '.join(MESHES)}, or leave it out")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise UserError(f"{output} exists already; choose another name")
     summary = result_files.read_summary(result_folder)
@@ -57,14 +73,41 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
-    """Write the surface: PLY and STL in mm with z up, GLB in metres with y up as its standard asks."""
+    """Write the surface."""
     mesh = result_files.read_mesh(result_folder / "shape.ply")
-    vertices = mesh.vertices_mm
+    return _write_mesh(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False), output)
+
+
+def _tubes(result_folder: Path, output: Path, colour: str) -> list[Path]:
+    """Write the roots as coloured tubes."""
+    return _write_mesh(root_mesh.tubes(rsml.read_rsml(_roots_of(result_folder)), colour=colour), output)
+
+
+def _write_mesh(solid: trimesh.Trimesh, output: Path) -> list[Path]:
+    """Write a mesh: PLY and STL in mm with z up, GLB in metres with y up as its standard asks."""
     if output.suffix.lower() == ".glb":
-        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / 1000.0
-    solid = trimesh.Trimesh(vertices, mesh.faces, process=False)
+        x, y, z = np.asarray(solid.vertices).T
+        solid.vertices = np.stack([x, z, -y], axis=1) / 1000.0
     atomic.write_bytes(output, bytes(solid.export(file_type=output.suffix.lower()[1:])))
     return [output]
+
+
+def _rsml(result_folder: Path, output: Path) -> list[Path]:
+    """Write the centre lines under another name, with that name as the file's key."""
+    rsml.write_rsml(output, rsml.read_rsml(_roots_of(result_folder)))
+    return [output]
+
+
+def _traits(result_folder: Path, output: Path) -> list[Path]:
+    atomic.write_text(output, trait_table.to_csv(result_traits.read(result_folder)))
+    return [output]
+
+
+def _roots_of(result_folder: Path) -> Path:
+    file = result_folder / "roots.rsml"
+    if not file.is_file():
+        raise UserError(f"{result_folder} has no centre lines: no thin roots were found in it, as in prints and solid bodies")
+    return file
 
 
 def _voxels(result_folder: Path, output: Path) -> list[Path]:

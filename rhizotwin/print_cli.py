@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rhizotwin.cli import Commands, Parser, _add, _add_device, _add_output, _image_wh, _millimetres, _seed, _whole
+from rhizotwin.arguments import Commands, Parser, add_command, add_device, add_output, image_wh, millimetres, seed, whole
 
 PAGES = ("a4", "a3", "letter")
 PAGE_LIMITS_MM = (50.0, 5000.0)
@@ -18,7 +18,7 @@ PrintedRuler = tuple[float, float]
 def add(commands: Commands) -> None:
     """Add ``markers`` and ``calibrate`` to the command line."""
     _add_markers(commands)
-    parser = _add(
+    parser = add_command(
         commands,
         "calibrate",
         "print a calibration board, and find the camera's lens from pictures of it",
@@ -36,7 +36,7 @@ def add(commands: Commands) -> None:
 
 
 def _add_markers(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "markers",
         "write the marker strip of a scene for the printer, at true scale",
@@ -48,11 +48,11 @@ def _add_markers(commands: Commands) -> None:
         "  rhizotwin markers my_scene.toml -o strip.pdf --printed-ruler-mm 99.6x99.8",
     )
     parser.add_argument("scene", metavar="SCENE", help="a name from 'rhizotwin scenes', or a scene file (TOML)")
-    _add_output(parser, "FILE", "file to write, .pdf or .svg; must not exist yet")
+    add_output(parser, "FILE", "file to write, .pdf or .svg; must not exist yet")
     _add_page(parser)
     parser.add_argument(
         "--paper-mm",
-        type=lambda text: _millimetres(text, PAPER_LIMITS_MM),
+        type=lambda text: millimetres(text, PAPER_LIMITS_MM),
         default=0.1,
         metavar="MM",
         help="thickness of what is printed on: net_pot.outer_radius_mm is the radius over it; default: %(default)s",
@@ -60,7 +60,7 @@ def _add_markers(commands: Commands) -> None:
 
 
 def _add_board(steps: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         steps,
         "board",
         "write the calibration board for the printer, at true scale",
@@ -70,13 +70,13 @@ def _add_board(steps: Commands) -> None:
         "  rhizotwin calibrate board -o board.pdf\n"
         "  rhizotwin calibrate board -o board.svg --page a3 --squares 9x7 --square-mm 35",
     )
-    _add_output(parser, "FILE", "file to write, .pdf or .svg; must not exist yet")
+    add_output(parser, "FILE", "file to write, .pdf or .svg; must not exist yet")
     _add_page(parser)
     _add_squares(parser)
 
 
 def _add_camera(steps: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         steps,
         "camera",
         "fit the lens to pictures of the calibration board",
@@ -88,7 +88,7 @@ def _add_camera(steps: Commands) -> None:
         "  rhizotwin calibrate camera my_board_pictures --squares 7x5 --square-mm 30 -o my_lens --scene my_scene.toml",
     )
     parser.add_argument("pictures", type=Path, metavar="PICTURES", help="folder of pictures (PNG, JPG, TIFF) of the board, of one size")
-    _add_output(parser, "FOLDER", "folder to write to: new or empty")
+    add_output(parser, "FOLDER", "folder to write to: new or empty")
     parser.add_argument(
         "--board",
         type=Path,
@@ -104,7 +104,7 @@ def _add_camera(steps: Commands) -> None:
 
 
 def _add_simulate(steps: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         steps,
         "simulate",
         "render pictures of the calibration board with a scene's camera",
@@ -115,18 +115,18 @@ def _add_simulate(steps: Commands) -> None:
         "  rhizotwin calibrate camera my_board_pictures -o my_lens",
     )
     parser.add_argument("scene", metavar="SCENE", help="a name from 'rhizotwin scenes', or a scene file (TOML)")
-    _add_output(parser, "PICTURES", "folder to write to: new or empty")
+    add_output(parser, "PICTURES", "folder to write to: new or empty")
     parser.add_argument(
         "--profile", metavar="clean|bench|harsh", help="distortion, blur and noise of the camera, or a file; default: the scene's own"
     )
     parser.add_argument(
-        "--pictures", type=lambda text: _whole(text, *PICTURES_LIMITS, "give {} to {}".format(*PICTURES_LIMITS)), default=20, metavar="N",
+        "--pictures", type=lambda text: whole(text, *PICTURES_LIMITS, "give {} to {}".format(*PICTURES_LIMITS)), default=20, metavar="N",
         help="how many; default: %(default)s",
     )  # fmt: skip
-    parser.add_argument("--image-wh", type=_image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="of poses and noise: 0, 1, 2, ...; default: %(default)s")
+    parser.add_argument("--image-wh", type=image_wh, metavar="WxH", help="picture size in pixels, such as 800x600; default: the scene's")
+    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="of poses and noise: 0, 1, 2, ...; default: %(default)s")
     _add_squares(parser)
-    _add_device(parser)
+    add_device(parser)
 
 
 def _add_page(parser: Parser) -> None:
@@ -176,7 +176,7 @@ def _pair_mm(text: str, limits: tuple[float, float]) -> tuple[float, float]:
     """Return two lengths written as 297x210; ValueError where it is not that."""
     first, second = text.lower().split("x")
     float(first), float(second)
-    return _millimetres(first, limits), _millimetres(second, limits)
+    return millimetres(first, limits), millimetres(second, limits)
 
 
 def _squares(text: str) -> tuple[int, int]:
@@ -190,4 +190,4 @@ def _squares(text: str) -> tuple[int, int]:
 
 
 def _square_mm(text: str) -> float:
-    return _millimetres(text, SQUARE_LIMITS_MM)
+    return millimetres(text, SQUARE_LIMITS_MM)

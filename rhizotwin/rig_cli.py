@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rhizotwin.cli import Commands, Parser, _add, _add_device, _add_output, _seed, _whole
+from rhizotwin.arguments import Commands, Parser, add_command, add_device, add_output, seed, whole
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
 SPEED_LIMITS = (0.01, 1000.0)
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def _add_scan(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "scan",
         "take the pictures of a plan on a rig, or on its emulated twin",
@@ -48,7 +48,7 @@ def _add_scan(commands: Commands) -> None:
         metavar="PLAN",
         help="take the rings from here instead of the scene: a file with [[plan.rings]], or a scene's name",
     )
-    _add_output(parser, "DATASET", "folder to make the dataset in: new or empty; with --resume one that a stopped scan left")
+    add_output(parser, "DATASET", "folder to make the dataset in: new or empty; with --resume one that a stopped scan left")
     parser.add_argument("--resume", action="store_true", help="finish a stopped scan: what it took is kept and not taken again")
     parser.add_argument(
         "--table-angle",
@@ -58,13 +58,13 @@ def _add_scan(commands: Commands) -> None:
     )
     parser.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines); it grows")
     parser.add_argument("--profile", default="bench", metavar="clean|bench|harsh", help=PROFILE_HELP)
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help=SEED_HELP)
+    parser.add_argument("--seed", type=seed, default=0, metavar="S", help=SEED_HELP)
     _add_fidelity(parser, "render")
-    _add_device(parser)
+    add_device(parser)
 
 
 def _add_twin(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "twin",
         "run the emulated rig alone, on ports that any serial program can open",
@@ -78,7 +78,7 @@ def _add_twin(commands: Commands) -> None:
     parser.add_argument(
         "--scene", default="printed_8ml", metavar="SCENE", help="a scene file, or a name from 'rhizotwin scenes'; default: %(default)s"
     )
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="of every error that is drawn; default: %(default)s")
+    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="of every error that is drawn; default: %(default)s")
     parser.add_argument(
         "--profile", default="bench", metavar="clean|bench|harsh", help="what the rig gets wrong, or a file; default: %(default)s"
     )
@@ -98,11 +98,11 @@ def _add_twin(commands: Commands) -> None:
         help="something that goes wrong, such as 'reset', or 'reply_late table amount=3 at_s=20'; may be given several times",
     )
     parser.add_argument("--camera-port", type=_port, default=0, metavar="N", help="of the camera's HTTP server; default: a free one")
-    _add_device(parser)
+    add_device(parser)
 
 
 def _add_rig(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "rig",
         "help on the bench: look at every device, move them by hand, write a rig file",
@@ -114,7 +114,7 @@ def _add_rig(commands: Commands) -> None:
         "  rhizotwin rig jog twin",
     )
     steps = parser.add_subparsers(dest="step", metavar="STEP", required=True)
-    check = _add(
+    check = add_command(
         steps,
         "check",
         "look at every device: one line each, what is well or what is wrong",
@@ -122,7 +122,7 @@ def _add_rig(commands: Commands) -> None:
         "anything is wrong.",
         epilog="examples:\n  rhizotwin rig check my_rig.toml --scene my_scene.toml\n  rhizotwin rig check twin",
     )
-    jog = _add(
+    jog = add_command(
         steps,
         "jog",
         "move every device by typed lines",
@@ -139,19 +139,19 @@ def _add_rig(commands: Commands) -> None:
         )
         step.add_argument("--record", type=Path, metavar="FILE", help="keep every byte on the wire in this file (JSON lines); it grows")
         step.add_argument("--profile", default="bench", metavar="clean|bench|harsh", help=PROFILE_HELP)
-        step.add_argument("--seed", type=_seed, default=0, metavar="S", help=SEED_HELP)
-    example = _add(
+        step.add_argument("--seed", type=seed, default=0, metavar="S", help=SEED_HELP)
+    example = add_command(
         steps,
         "example",
         "write a complete rig file with comments, to be changed",
         description="Write a rig file with every key, its default and what it means.",
         epilog="examples:\n  rhizotwin rig example -o my_rig.toml",
     )
-    _add_output(example, "FILE", "file to write (TOML); must not exist yet")
+    add_output(example, "FILE", "file to write (TOML); must not exist yet")
 
 
 def _add_served_camera(commands: Commands) -> None:
-    parser = _add(
+    parser = add_command(
         commands,
         "camera",
         "serve this computer's camera to another one",
@@ -183,7 +183,7 @@ def _speed(text: str) -> float:
 
 
 def _port(text: str) -> int:
-    return _whole(text, 1, 65535, "give 1 to 65535")
+    return whole(text, 1, 65535, "give 1 to 65535")
 
 
 def _number(text: str, limits: tuple[float, float], unit: str) -> float:

@@ -1,6 +1,8 @@
 """Traits of a root system from its centre lines and its solid, by the field's definitions; the truth and the result use the same code.
 
-Definitions follow GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1) where it has one, carried from pictures to space.
+Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), carried from pictures to space as Rangarajan et al. 2021
+(Plant Phenomics 2021:6953197, table 1) do; DynamicRoots (Symonova et al. 2015, PLoS ONE 10:e0127657) for branches and their angles.
+`scenes.trait_table` says each definition in words.
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,11 @@ from scenes.rsml import Root
 Array = NDArray[np.float64]
 
 SLICE_MM = 1.0
-"""Distance of the horizontal planes that count roots for the bushiness."""
+"""Distance of the horizontal planes that count roots."""
+MOST_PERCENT = 84.0
+"""The largest number of roots is this percentile of the planes' counts (GiA Roots): one whorl of laterals does not decide it."""
+UPPER_SHARE = 1.0 / 3.0
+"""The lower part of a root system begins at this share of its depth (GiA Roots)."""
 EMERGENCE_MM = 5.0
 """Length of lateral over which its angle to the parent is taken."""
 DEPTH_BIN_MM = 10.0
@@ -24,17 +30,20 @@ DIAMETER_BIN_MM = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Traits:
-    """What is measured of a root system. Depth is counted downward from the highest point of the roots."""
+    """What is measured of a root system. Depth is counted downward from the highest point of the solid.
 
-    total_length_mm: float
+    What needs centre lines is None, and histograms are empty, where there are none.
+    """
+
+    total_length_mm: float | None
     volume_mm3: float
     surface_mm2: float
     """Of the solid's outside."""
-    mean_diameter_mm: float
+    mean_diameter_mm: float | None
     """Mean over the length."""
-    median_diameter_mm: float
+    median_diameter_mm: float | None
     """Half of the length is thinner."""
-    max_diameter_mm: float
+    max_diameter_mm: float | None
     depth_mm: float
     """Vertical extent."""
     width_mm: float
@@ -42,11 +51,16 @@ class Traits:
     convex_hull_mm3: float
     solidity: float
     """Volume over the volume of the convex hull."""
-    bushiness: float
-    """Largest number of roots that a horizontal plane meets, over the median of the planes that meet any."""
-    roots: int
-    tips: int
-    branch_points: int
+    max_root_count: float | None
+    """84th percentile of the numbers of roots that horizontal planes meet."""
+    median_root_count: float | None
+    bushiness: float | None
+    """``max_root_count`` over ``median_root_count``."""
+    lower_length_share: float | None
+    """Share of the length in the lower two thirds of the depth."""
+    roots: int | None
+    tips: int | None
+    branch_points: int | None
     """Points where laterals leave; several at one place count once."""
     length_by_order_mm: tuple[float, ...]
     """Taproots first."""
@@ -54,7 +68,7 @@ class Traits:
     """In bins of 10 mm from the top."""
     length_by_diameter_mm: tuple[float, ...]
     """In bins of 0.1 mm from 0."""
-    angle_to_gravity_deg: float
+    angle_to_gravity_deg: float | None
     """Mean over the length of the angle between root, toward its tip, and straight down."""
     angle_to_parent_deg: float | None
     """Mean over the laterals of the angle between their first 5 mm and the parent there; None without laterals."""
@@ -82,7 +96,7 @@ def measure_traits(
 
     Parameters
     ----------
-    roots : parents before children, points from base to tip, canister frame (z up).
+    roots : parents before children, points from base to tip, canister frame (z up); none where no centre lines are known.
     vertices_mm : (V, 3) points of the solid's surface.
     volume_mm3, surface_mm2 : of the solid, overlaps of roots counted once.
     mass_g : mass of the roots, if it was weighed.
@@ -90,41 +104,43 @@ def measure_traits(
     Raises
     ------
     ValueError
-        Without any root of some length, or with a mass that is not positive.
+        Without a point of the solid, or with a mass that is not positive.
     """
-    pieces = _segments(roots)
-    total_mm = float(pieces.length.sum())
-    if total_mm <= 0.0:
-        raise ValueError("there is no root with a length to measure")
+    if not len(vertices_mm):
+        raise ValueError("the solid has no points to measure")
     if mass_g is not None and not mass_g > 0.0:
         raise ValueError(f"{mass_g=} must be positive")
     hull_mm3, width_mm = _hull(vertices_mm)
     top_mm, bottom_mm = float(vertices_mm[:, 2].max()), float(vertices_mm[:, 2].min())
-    cosine = np.clip(-pieces.step[:, 2] / np.maximum(pieces.length, 1e-12), -1.0, 1.0)
-    by_diameter = np.argsort(pieces.diameter)
-    half = int(np.searchsorted(np.cumsum(pieces.length[by_diameter]), 0.5 * total_mm))
+    pieces = _segments(roots)
+    total_mm = float(pieces.length.sum())
+    known = total_mm > 0.0
+    most, median = _root_counts(pieces) if known else (None, None)
     angles = _emergence_deg(roots)
     return Traits(
-        total_length_mm=total_mm,
+        total_length_mm=total_mm if known else None,
         volume_mm3=volume_mm3,
         surface_mm2=surface_mm2,
-        mean_diameter_mm=float(pieces.diameter @ pieces.length) / total_mm,
-        median_diameter_mm=float(pieces.diameter[by_diameter[half]]),
-        max_diameter_mm=float(max(root.diameters_mm.max() for root in roots)),
+        mean_diameter_mm=float(pieces.diameter @ pieces.length) / total_mm if known else None,
+        median_diameter_mm=_median_diameter(pieces) if known else None,
+        max_diameter_mm=float(max(root.diameters_mm.max() for root in roots)) if known else None,
         depth_mm=top_mm - bottom_mm,
         width_mm=width_mm,
         convex_hull_mm3=hull_mm3,
         solidity=volume_mm3 / hull_mm3 if hull_mm3 > 0.0 else 1.0,
-        bushiness=_bushiness(pieces),
-        roots=len(roots),
-        tips=len(roots),
-        branch_points=_branch_points(roots),
-        length_by_order_mm=_binned(pieces.order, pieces.length),
-        length_by_depth_mm=_by_depth(pieces, top_mm),
-        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM).astype(np.int64), pieces.length),
-        angle_to_gravity_deg=float(np.rad2deg(np.arccos(cosine)) @ pieces.length) / total_mm,
+        max_root_count=most,
+        median_root_count=median,
+        bushiness=most / median if most is not None and median else None,
+        lower_length_share=_below(pieces, top_mm - UPPER_SHARE * (top_mm - bottom_mm)) / total_mm if known else None,
+        roots=len(roots) if known else None,
+        tips=len(roots) if known else None,
+        branch_points=_branch_points(roots) if known else None,
+        length_by_order_mm=_binned(pieces.order, pieces.length) if known else (),
+        length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
+        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM).astype(np.int64), pieces.length) if known else (),
+        angle_to_gravity_deg=_gravity_deg(pieces) if known else None,
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
-        specific_root_length_m_per_g=None if mass_g is None else total_mm / 1000.0 / mass_g,
+        specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,
         tissue_density_g_per_ml=None if mass_g is None else mass_g / (volume_mm3 / 1000.0),
     )
 
@@ -153,18 +169,34 @@ def _segments(roots: Sequence[Root]) -> _Segments:
     )
 
 
+def _median_diameter(pieces: _Segments) -> float:
+    thin_first = np.argsort(pieces.diameter)
+    below = np.cumsum(pieces.length[thin_first])
+    return float(pieces.diameter[thin_first[int(np.searchsorted(below, 0.5 * below[-1]))]])
+
+
+def _gravity_deg(pieces: _Segments) -> float:
+    cosine = np.clip(-pieces.step[:, 2] / np.maximum(pieces.length, 1e-12), -1.0, 1.0)
+    return float(np.rad2deg(np.arccos(cosine)) @ pieces.length / pieces.length.sum())
+
+
 def _binned(index: NDArray[np.int64], length: Array) -> tuple[float, ...]:
     return tuple(float(value) for value in np.bincount(np.maximum(index, 0), weights=length))
 
 
+def _below(pieces: _Segments, z_mm: float) -> float:
+    """Return the length below a height; pieces across it are divided, level ones at it are below."""
+    other = pieces.start[:, 2] + pieces.step[:, 2]
+    low, high = np.minimum(pieces.start[:, 2], other), np.maximum(pieces.start[:, 2], other)
+    return float(pieces.length @ (1.0 - np.clip((high - z_mm) / np.maximum(high - low, 1e-9), 0.0, 1.0)))
+
+
 def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
-    """Return the length in each bin of depth; pieces across the border of two bins are divided."""
-    a, b = top_mm - pieces.start[:, 2], top_mm - pieces.start[:, 2] - pieces.step[:, 2]
-    high, low = np.minimum(a, b), np.maximum(a, b)
-    edges = DEPTH_BIN_MM * np.arange(1, max(1, int(np.ceil(float(low.max()) / DEPTH_BIN_MM - 1e-9))))
-    slope = np.maximum(low - high, 1e-9)
-    above = [float(pieces.length @ np.clip((edge - high) / slope, 0.0, 1.0)) for edge in edges]
-    return tuple(float(value) for value in np.diff([0.0, *above, float(pieces.length.sum())]))
+    """Return the length in each bin of depth."""
+    lowest = float(np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2]).min())
+    count = max(1, int(np.ceil((top_mm - lowest) / DEPTH_BIN_MM - 1e-9)))
+    below = [_below(pieces, top_mm - DEPTH_BIN_MM * k) for k in range(1, count)]
+    return tuple(float(value) for value in -np.diff([float(pieces.length.sum()), *below, 0.0]))
 
 
 def _hull(points_mm: Array) -> tuple[float, float]:
@@ -180,8 +212,11 @@ def _hull(points_mm: Array) -> tuple[float, float]:
     return volume, widest**0.5
 
 
-def _bushiness(pieces: _Segments) -> float:
-    """Count the centre lines that cross each horizontal plane."""
+def _root_counts(pieces: _Segments) -> tuple[float, float]:
+    """Count the centre lines that cross each horizontal plane, and return the largest (84th percentile) and the median number.
+
+    Planes that meet none do not count; at least one root is met.
+    """
     low = np.minimum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
     high = np.maximum(pieces.start[:, 2], pieces.start[:, 2] + pieces.step[:, 2])
     base = float(low.min()) + SLICE_MM / 2.0
@@ -192,7 +227,7 @@ def _bushiness(pieces: _Segments) -> float:
     change = np.bincount(first, minlength=planes + 1) - np.bincount(last, minlength=planes + 1)
     count = np.cumsum(change)[:planes]
     met = count[count > 0]
-    return float(met.max() / np.median(met)) if len(met) else 1.0
+    return (float(np.percentile(met, MOST_PERCENT)), float(np.median(met))) if len(met) else (1.0, 1.0)
 
 
 def _branch_points(roots: Sequence[Root]) -> int:

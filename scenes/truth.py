@@ -41,7 +41,7 @@ class Truth:
     canister_from_strip: tuple[tuple[float, ...], ...]
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
-    """Fields of `scenes.traits.Traits` where the specimen has a skeleton, otherwise volume_mm3 and surface_mm2."""
+    """Fields of `scenes.traits.Traits`; None where they need centre lines and the specimen has none."""
     drawn: dict[str, Any] = field(default_factory=dict)
     """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 

@@ -36,7 +36,7 @@ class SpecimenSolid:
     roots: tuple[Root, ...] = ()
     """Centrelines with final diameters; empty for spheres and meshes."""
     traits: dict[str, Any] = field(default_factory=dict)
-    """volume_mm3 and surface_mm2; with roots every field of `scenes.traits.Traits`."""
+    """Every field of `scenes.traits.Traits`."""
     notes: tuple[str, ...] = ()
     """What was repaired or is odd about the specimen, a sentence each, for the user."""
 
@@ -104,9 +104,7 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     if hidden_mm > TOUCH_MM:
         notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and never seen.")
     volume_mm3, surface_mm2 = float(solid.volume()), float(solid.surface_area())
-    traits: dict[str, Any] = {"volume_mm3": volume_mm3, "surface_mm2": surface_mm2}
-    if roots:
-        traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
+    traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
     return SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes))
 
 

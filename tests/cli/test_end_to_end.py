@@ -62,6 +62,7 @@ def test_exports_open_elsewhere_and_say_the_same(dataset: Path, tmp_path: Path, 
         assert cli.main(words) == 2  # never over a file that is there
     volume = json.loads((result / "result.json").read_text())["volume_mm3"]
     surface = trimesh.load_mesh(result / "shape.ply")
+    assert surface.volume == pytest.approx(volume, rel=0.02)  # and not inside out
     for name, unit in (("root.stl", 1.0), ("root.ply", 1.0), ("root.glb", 1000.0)):
         mesh = trimesh.load_mesh(tmp_path / name)
         assert mesh.volume * unit**3 == pytest.approx(surface.volume, rel=1e-3)

@@ -42,10 +42,45 @@ def test_a_tree_of_three_roots():
     assert found.tissue_density_g_per_ml == pytest.approx(1.0)
 
 
-def test_bushiness_is_the_largest_over_the_median_count():
+def test_bushiness_is_the_84th_percentile_over_the_median_count():
     stems = [line([x, 0.0, 0.0], [x, 0.0, -10.0], 1.0) for x in range(3)] + [line([9.0, 0.0, 0.0], [9.0, 0.0, -40.0], 1.0)]
     found = measure_traits(stems, RNG.normal(size=(30, 3)), volume_mm3=1.0, surface_mm2=1.0)
-    assert found.bushiness == pytest.approx(4.0 / 1.0)
+    assert (found.max_root_count, found.median_root_count, found.bushiness) == (4.0, 1.0, 4.0)  # a quarter of the planes meets four
+    short = [line([x, 0.0, 0.0], [x, 0.0, -5.0], 1.0) for x in range(3)] + [stems[3]]
+    found = measure_traits(short, RNG.normal(size=(30, 3)), volume_mm3=1.0, surface_mm2=1.0)
+    assert found.bushiness == 1.0  # an eighth does: below the 84th percentile, one whorl does not decide
+
+
+def test_a_ring_of_laterals_at_a_known_angle():
+    tap = line([0.0, 0.0, 0.0], [0.0, 0.0, -60.0], 1.0, count=61)
+    slope, reach = np.deg2rad(70.0), 20.0
+    ring = [
+        line(
+            [0.0, 0.0, -20.0],
+            [reach * np.sin(slope) * np.cos(turn), reach * np.sin(slope) * np.sin(turn), -20.0 - reach * np.cos(slope)],
+            0.3,
+            order=1,
+            parent=0,
+        )
+        for turn in np.deg2rad(np.arange(0.0, 360.0, 45.0))
+    ]
+    skin = np.concatenate([root.points_mm for root in (tap, *ring)])
+    found = measure_traits([tap, *ring], skin, volume_mm3=60.0, surface_mm2=300.0)
+    assert found.angle_to_parent_deg == pytest.approx(70.0, abs=1e-6)
+    assert found.angle_to_gravity_deg == pytest.approx(70.0 * 160.0 / 220.0, abs=1e-5)
+    assert (found.roots, found.branch_points) == (9, 1)
+    assert found.width_mm == pytest.approx(2.0 * reach * np.sin(slope))
+    assert found.lower_length_share == pytest.approx((40.0 + 160.0) / 220.0)
+    # two pyramids over the octagon through the laterals' tips: up to the tap's top and down to its tip
+    octagon = 2.0 * np.sqrt(2.0) * (reach * np.sin(slope)) ** 2
+    assert found.convex_hull_mm3 == pytest.approx(octagon * 60.0 / 3.0)
+
+
+def test_the_lower_share_divides_pieces():
+    tap = line([0.0, 0.0, 0.0], [0.0, 0.0, -30.0], 1.0, count=2)
+    found = measure_traits([tap], tap.points_mm, volume_mm3=1.0, surface_mm2=1.0)
+    assert found.lower_length_share == pytest.approx(2.0 / 3.0)
+    assert found.length_by_depth_mm == pytest.approx((10.0, 10.0, 10.0))
 
 
 def test_traits_do_not_depend_on_how_finely_roots_are_cut():
@@ -61,8 +96,17 @@ def test_volume_of_a_cone():
     assert tube_volume_mm3([cone]) == pytest.approx(np.pi * 4.0 * 30.0 / 3.0)
 
 
-def test_no_roots_and_no_mass_are_refused():
-    with pytest.raises(ValueError, match="no root"):
-        measure_traits([], BOX, volume_mm3=1.0, surface_mm2=1.0)
+def test_without_centre_lines_only_the_solid_is_measured():
+    found = measure_traits([], BOX, volume_mm3=1400.0, surface_mm2=1.0, mass_g=2.8)
+    assert (found.volume_mm3, found.solidity, found.depth_mm) == (1400.0, pytest.approx(0.5), 40.0)
+    assert found.tissue_density_g_per_ml == pytest.approx(2.0)
+    lines = (found.total_length_mm, found.tips, found.bushiness, found.angle_to_parent_deg, found.specific_root_length_m_per_g)
+    assert lines == (None,) * 5
+    assert found.length_by_depth_mm == ()
+
+
+def test_no_solid_and_no_mass_are_refused():
+    with pytest.raises(ValueError, match="no points"):
+        measure_traits([TAP], np.zeros((0, 3)), volume_mm3=1.0, surface_mm2=1.0)
     with pytest.raises(ValueError, match="mass_g"):
         measure_traits([TAP], BOX, volume_mm3=1.0, surface_mm2=1.0, mass_g=0.0)

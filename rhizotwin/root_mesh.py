@@ -1,0 +1,65 @@
+"""Roots as a mesh of tubes, coloured by order or diameter: for people to look at. Overlaps are not united."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from matplotlib import colormaps
+from numpy.typing import NDArray
+
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+AROUND = 12
+"""Corners of a tube's cross-section, whose area is the circle's."""
+THICKEST_PERCENT = 98.0
+"""Colours by diameter end here: the few points of a thick taproot do not take the scale from the laterals."""
+
+
+def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
+    """Return closed tubes along roots, canister frame, mm, with a colour a vertex.
+
+    Parameters
+    ----------
+    roots : one or more.
+    colour : "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
+    """
+    parts = [_tube(root) for root in roots]
+    counts = [len(vertices) for vertices, _ in parts]
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    faces = np.concatenate([part[1] + start for part, start in zip(parts, first, strict=True)])
+    if colour == "order":
+        shades = colormaps["tab10"](np.repeat([root.order % 10 for root in roots], counts))
+    else:
+        thickest = np.percentile(np.concatenate([root.diameters_mm for root in roots]), THICKEST_PERCENT)
+        along = [np.concatenate([np.repeat(root.diameters_mm, AROUND), root.diameters_mm[[0, -1]]]) for root in roots]
+        shades = colormaps["viridis"](np.clip(np.concatenate(along) / thickest, 0.0, 1.0))
+    vertices = np.concatenate([part[0] for part in parts])
+    return trimesh.Trimesh(vertices, faces, vertex_colors=np.round(255.0 * shades).astype(np.uint8), process=False)
+
+
+def _tube(root: Root) -> tuple[Array, NDArray[np.int64]]:
+    """Return vertices (rings from base to tip, then the middles of both ends) and triangles, counter-clockwise from outside."""
+    points = root.points_mm
+    along = np.gradient(points, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    side = np.empty_like(points)
+    side[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
+    for k in range(1, len(points)):  # carried along, so that tubes do not twist
+        side[k] = side[k - 1] - (side[k - 1] @ along[k]) * along[k]
+        side[k] /= max(float(np.linalg.norm(side[k])), 1e-12)
+    side[0] /= np.linalg.norm(side[0])
+    up = np.cross(along, side)
+    angle = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    radius = root.diameters_mm / 2.0 * np.sqrt(2.0 * np.pi / AROUND / np.sin(2.0 * np.pi / AROUND))
+    ring = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
+    vertices = (points[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
+    a = np.arange(len(points) - 1)[:, None] * AROUND + np.arange(AROUND)
+    b = np.arange(len(points) - 1)[:, None] * AROUND + (np.arange(AROUND) + 1) % AROUND
+    walls = np.concatenate([np.stack([a, b, b + AROUND], -1), np.stack([a, b + AROUND, a + AROUND], -1)]).reshape(-1, 3)
+    last, base, tip = (len(points) - 1) * AROUND, len(vertices), len(vertices) + 1
+    turn, onward = np.arange(AROUND), (np.arange(AROUND) + 1) % AROUND
+    bottom = np.stack([np.full(AROUND, base), onward, turn], axis=1)
+    top = np.stack([np.full(AROUND, tip), last + turn, last + onward], axis=1)
+    return np.concatenate([vertices, points[[0, -1]]]), np.concatenate([walls, bottom, top]).astype(np.int64)

@@ -1,0 +1,139 @@
+"""Traits as tables: what each is called, its unit, its definition in words, and rows for spreadsheets."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
+
+Number = float | int | None
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A trait that is one number."""
+
+    field: str
+    """Of `Traits`."""
+    name: str
+    """In tables; the unit stands beside it."""
+    unit: str
+    """Empty for ratios and counts."""
+    meaning: str
+
+    @property
+    def heading(self) -> str:
+        """Return name and unit for the head of a column."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """A trait that divides the length among bins."""
+
+    field: str
+    name: str
+    meaning: str
+    bin_unit: str
+    bin_width: float
+    """0: the bins are whole numbers by themselves."""
+
+    def edges(self, index: int) -> tuple[float, float]:
+        """Return where a bin begins and ends."""
+        return (index * self.bin_width, (index + 1) * self.bin_width) if self.bin_width else (index, index)
+
+
+DEFINITIONS = (
+    Definition("total_length_mm", "total_length", "mm", "length of all centre lines"),
+    Definition("volume_mm3", "volume", "mm3", "volume of the solid, overlaps counted once"),
+    Definition("surface_mm2", "surface", "mm2", "area of the outside"),
+    Definition("mean_diameter_mm", "mean_diameter", "mm", "mean over the length (GiA Roots: average root width)"),
+    Definition("median_diameter_mm", "median_diameter", "mm", "half of the length is thinner"),
+    Definition("max_diameter_mm", "max_diameter", "mm", "largest diameter of a centre line"),
+    Definition("depth_mm", "depth", "mm", "highest to lowest point (GiA Roots: network depth)"),
+    Definition("width_mm", "width", "mm", "largest horizontal distance between any two points, at whatever heights"),
+    Definition("convex_hull_mm3", "convex_hull_volume", "mm3", "volume of the convex hull"),
+    Definition("solidity", "solidity", "", "volume over the volume of the convex hull"),
+    Definition("max_root_count", "max_root_count", "", "84th percentile of the roots that horizontal planes 1 mm apart meet (GiA Roots)"),
+    Definition("median_root_count", "median_root_count", "", "median of the same (GiA Roots)"),
+    Definition("bushiness", "bushiness", "", "max_root_count over median_root_count (GiA Roots)"),
+    Definition(
+        "lower_length_share",
+        "lower_length_share",
+        "",
+        "share of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
+    ),
+    Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
+    Definition("tips", "tips", "", "number of root ends"),
+    Definition("branch_points", "branch_points", "", "places where laterals leave; several at one place count once"),
+    Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 grows straight down, 90 level"),
+    Definition("angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals, their first 5 mm against the parent there"),
+    Definition("specific_root_length_m_per_g", "specific_root_length", "m/g", "total length over the given mass"),
+    Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "given mass over the volume"),
+)
+
+HISTOGRAMS = (
+    Histogram("length_by_depth_mm", "length_by_depth", "length in each bin of depth below the highest point", "mm", DEPTH_BIN_MM),
+    Histogram("length_by_order_mm", "length_by_order", "length of the roots of each order; 0 is a taproot", "", 0.0),
+    Histogram("length_by_diameter_mm", "length_by_diameter", "length in each bin of diameter", "mm", DIAMETER_BIN_MM),
+)
+
+
+def to_csv(traits: Traits) -> str:
+    """Return one row a trait, and one row a bin of each histogram; what is not known is empty."""
+    rows: list[Sequence[Any]] = [("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "definition")]
+    rows += [(d.name, "", "", "", written(getattr(traits, d.field)), d.unit, d.meaning) for d in DEFINITIONS]
+    for h in HISTOGRAMS:
+        for index, value in enumerate(getattr(traits, h.field)):
+            low, high = h.edges(index)
+            rows.append((h.name, written(low), written(high), h.bin_unit, written(value), "mm", h.meaning))
+    return csv_text(rows)
+
+
+def to_json(traits: Traits) -> dict[str, Any]:
+    """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known."""
+    return {
+        "traits": [{"name": d.name, "value": getattr(traits, d.field), "unit": d.unit, "definition": d.meaning} for d in DEFINITIONS],
+        "histograms": [
+            {
+                "name": h.name,
+                "unit": "mm",
+                "definition": h.meaning,
+                "bin_unit": h.bin_unit,
+                "bins": [
+                    dict(zip(("from", "to", "value"), (*h.edges(index), value), strict=True))
+                    for index, value in enumerate(getattr(traits, h.field))
+                ],
+            }
+            for h in HISTOGRAMS
+        ],
+    }
+
+
+def lines(traits: Traits) -> list[str]:
+    """Return the traits that are one number as aligned lines; a dash where a number is not known."""
+    width = max(len(d.name) for d in DEFINITIONS) + 2
+    return [f"{d.name:<{width}}{shown(getattr(traits, d.field)):>12} {d.unit:<5} {d.meaning}".rstrip() for d in DEFINITIONS]
+
+
+def shown(value: Number) -> str:
+    """Return a number for people: whole, or with four digits that count; a dash for None."""
+    if value is None:
+        return "-"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.1f}" if abs(value) >= 1000.0 else f"{value:.4g}"
+
+
+def csv_text(rows: Sequence[Sequence[Any]]) -> str:
+    """Return rows as CSV with commas, quoted where needed."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
+
+
+def written(value: Number) -> str:
+    """Return a number for files, with seven digits that count; empty for None."""
+    return "" if value is None else str(value) if isinstance(value, int) else f"{value:.7g}"

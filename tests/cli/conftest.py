@@ -1,0 +1,39 @@
+"""Result folders without a reconstruction: a solid ball of 6 mm."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from scenes import atomic
+
+
+@pytest.fixture
+def ball_result(tmp_path: Path) -> Callable[..., Path]:
+    """Return a maker of result folders; its keywords change keys of result.json."""
+
+    def make(name: str, **changes: object) -> Path:
+        ball = trimesh.creation.icosphere(subdivisions=3, radius=6.0)
+        summary = {
+            "schema_version": 1,
+            "scene": "ball",
+            "dataset_sha256": "",
+            "voxel_mm": 0.25,
+            "volume_mm3": 905.0,
+            "volume_interval_mm3": [850.0, 950.0],
+            "extents_min_mm": [-6.0, -6.0, -6.0],
+            "extents_max_mm": [6.0, 6.0, 6.0],
+            "hull_mm3": 950.0,
+            "untrimmed_mm3": 0.0,
+            "blind_mm3": 0.0,
+            "views": [],
+            "warnings": [],
+            "timings_s": {},
+            "settings": {},
+        }
+        atomic.write_bytes(tmp_path / name / "shape.ply", bytes(ball.export(file_type="ply")))
+        atomic.write_json(tmp_path / name / "result.json", summary | changes)
+        return tmp_path / name
+
+    return make

@@ -1,0 +1,71 @@
+"""Roots as coloured tubes, and the exports of a result that need no reconstruction."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin import exports, root_mesh
+from scenes.errors import UserError
+from scenes.rsml import Root, read_rsml, write_rsml
+
+
+def bent(order: int, diameter_mm: float, *, parent: int = -1) -> Root:
+    turn = np.linspace(0.0, np.pi / 2.0, 60)
+    points = np.stack([20.0 * np.sin(turn), 3.0 * turn * order, -20.0 * (1.0 - np.cos(turn)) - 5.0], axis=1)
+    return Root(points_mm=points, diameters_mm=np.full(60, diameter_mm), order=order, parent=parent)
+
+
+ROOTS = [bent(0, 2.0), bent(1, 0.4, parent=0)]
+
+
+@pytest.fixture
+def result(ball_result: Callable[..., Path]) -> Path:
+    """Return what an export reads of a result with roots."""
+    folder = ball_result("result")
+    write_rsml(folder / "roots.rsml", ROOTS)
+    return folder
+
+
+def test_tubes_are_closed_outside_out_and_have_the_roots_volume() -> None:
+    mesh = root_mesh.tubes(ROOTS[:1], colour="order")
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    length = np.linalg.norm(np.diff(ROOTS[0].points_mm, axis=0), axis=1).sum()
+    assert mesh.volume == pytest.approx(np.pi * length, rel=2e-3)
+
+
+def test_colours_tell_orders_and_diameters() -> None:
+    by_order = np.asarray(root_mesh.tubes(ROOTS, colour="order").visual.vertex_colors)
+    assert len(np.unique(by_order, axis=0)) == 2
+    by_diameter = np.asarray(root_mesh.tubes(ROOTS, colour="diameter").visual.vertex_colors)
+    assert by_diameter[0].tolist() == [253, 231, 37, 255]  # viridis' last colour: the thickest
+    assert by_diameter[-1][2] > 100  # a fifth of it: blue
+
+
+@pytest.mark.parametrize(("name", "unit"), [("a.ply", 1.0), ("a.stl", 1.0), ("a.glb", 1000.0)])
+def test_tube_meshes_open_elsewhere(result: Path, tmp_path: Path, name: str, unit: float) -> None:
+    exports.export(result, tmp_path / name, roots="diameter")
+    opened = trimesh.load_mesh(tmp_path / name)
+    assert opened.volume * unit**3 == pytest.approx(root_mesh.tubes(ROOTS, colour="order").volume, rel=1e-4)
+    if not name.endswith("stl"):
+        assert len(np.unique(np.asarray(opened.visual.vertex_colors), axis=0)) == 2
+
+
+def test_centre_lines_and_traits(result: Path, tmp_path: Path) -> None:
+    exports.export(result, tmp_path / "plant_7.rsml")
+    assert "<file-key>plant_7</file-key>" in (tmp_path / "plant_7.rsml").read_text(encoding="utf-8")
+    np.testing.assert_array_equal(read_rsml(tmp_path / "plant_7.rsml")[1].points_mm, ROOTS[1].points_mm)
+    exports.export(result, tmp_path / "traits.csv")
+    assert "\ntips,,,,2," in (tmp_path / "traits.csv").read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_exported_is_said(result: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="--roots is for meshes"):
+        exports.export(result, tmp_path / "a.nrrd", roots="order")
+    (result / "roots.rsml").unlink()
+    for name, roots in (("a.rsml", None), ("a.glb", "order")):
+        with pytest.raises(UserError, match="no centre lines"):
+            exports.export(result, tmp_path / name, roots=roots)

@@ -1,0 +1,61 @@
+"""Tables of traits: every trait has its row, unit and definition, and files read back."""
+
+import csv
+import io
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from scenes.rsml import Root
+from scenes.trait_table import DEFINITIONS, HISTOGRAMS, lines, shown, to_csv, to_json
+from scenes.traits import Traits, measure_traits
+
+TAP = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -25.0]]), diameters_mm=np.array([0.35, 0.35]), order=0, parent=-1)
+BOX = np.array([[x, y, z] for x in (0.0, 2.0) for y in (0.0, 1.0) for z in (-25.0, 0.0)])
+TRAITS = measure_traits([TAP], BOX, volume_mm3=2.5, surface_mm2=27.0, mass_g=0.005)
+PRINT = measure_traits([], BOX, volume_mm3=2.5, surface_mm2=27.0)
+
+
+def test_every_trait_is_in_the_table_once():
+    named = [d.field for d in DEFINITIONS] + [h.field for h in HISTOGRAMS]
+    assert sorted(named) == sorted(field.name for field in fields(Traits))
+    assert len({d.name for d in DEFINITIONS}) == len(DEFINITIONS)
+
+
+def test_units_are_those_of_the_fields():
+    endings = {"mm": "_mm", "mm2": "_mm2", "mm3": "_mm3", "deg": "_deg", "m/g": "_m_per_g", "g/ml": "_g_per_ml"}
+    assert all(d.field.endswith(endings[d.unit]) for d in DEFINITIONS if d.unit)
+
+
+def test_csv_has_a_row_a_trait_and_a_row_a_bin():
+    rows = list(csv.DictReader(io.StringIO(to_csv(TRAITS))))
+    by_name = {row["trait"]: row for row in rows if not row["bin_to"]}
+    assert (by_name["total_length"]["value"], by_name["total_length"]["unit"]) == ("25", "mm")
+    assert float(by_name["specific_root_length"]["value"]) == pytest.approx(5.0)
+    assert by_name["angle_to_parent"]["value"] == ""
+    depth = [(row["bin_from"], row["bin_to"], row["value"]) for row in rows if row["trait"] == "length_by_depth"]
+    assert depth == [("0", "10", "10"), ("10", "20", "10"), ("20", "30", "5")]
+    diameter = [row for row in rows if row["trait"] == "length_by_diameter"]
+    assert [float(row["value"]) for row in diameter] == [0.0, 0.0, 0.0, 25.0]
+    assert (float(diameter[3]["bin_from"]), float(diameter[3]["bin_to"]), diameter[3]["bin_unit"]) == (0.3, 0.4, "mm")
+
+
+def test_json_holds_the_same_numbers():
+    stored = json.loads(json.dumps(to_json(TRAITS), allow_nan=False))
+    values = {trait["name"]: trait["value"] for trait in stored["traits"]}
+    assert (values["tips"], values["depth"], values["angle_to_parent"]) == (1, 25.0, None)
+    assert [bin_["value"] for bin_ in stored["histograms"][0]["bins"]] == pytest.approx([10.0, 10.0, 5.0])
+
+
+def test_a_shape_without_roots_has_dashes():
+    text = "\n".join(lines(PRINT))
+    assert "total_length " in text
+    assert [line.split()[1] for line in lines(PRINT)][:3] == ["-", "2.5", "27"]
+    assert next(csv.DictReader(io.StringIO(to_csv(PRINT))))["value"] == ""
+
+
+@pytest.mark.parametrize(("value", "text"), [(None, "-"), (95, "95"), (1650.944, "1650.9"), (0.29933, "0.2993"), (0.0, "0")])
+def test_numbers_for_people(value, text):
+    assert shown(value) == text
