@@ -8,9 +8,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from recon import pictures, result_files
-from scenes import atomic
+from recon import pictures, report_roots, report_tables, result_files, result_traits
+from scenes import atomic, rsml
 from scenes.dataset import Dataset, load_dataset
+from scenes.traits import Traits
 
 DPI = 130
 
@@ -20,12 +21,17 @@ h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom:
 table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; vertical-align: top; }
 th { font-weight: 600; border-bottom: 1px solid #ccc; } td.number { text-align: right; font-variant-numeric: tabular-nums; }
 .warning { background: #fff4e0; border-left: 4px solid #e0a030; padding: 4px 10px; margin: 6px 0; }
+.volume { font-size: 1.6em; margin: 0.4em 0; }
 .out td { color: #b03020; } img { max-width: 100%; } figcaption { color: #555; } figure { margin: 1em 0; }
 """
+
+ROOT_PICTURES = ("roots.png", "lengths.png")
 
 CAPTIONS = {
     "inputs.png": "Pictures above their silhouettes; what a picture says nothing about is tinted red.",
     "cameras.png": "Where the cameras stood, in the canister's frame; crosses are views that were left out.",
+    "roots.png": "The found centre lines, as thick as they are, beside the pictures taken nearest to the same sides: water magnifies.",
+    "lengths.png": "Where the length of the roots is.",
     "shape.png": "The reconstructed shape from two sides.",
     "shape_and_truth.png": "The reconstructed shape, the true one, and the distance between them, from two sides.",
 }
@@ -64,8 +70,13 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
     written.append(_save(pictures.shape_in_canister(shape, dataset.scene, title=title), result_folder, "shape.png"))
     if truth_mesh is not None:
         written.append(write_shape_and_truth(result_folder, Path(dataset_folder), truth_mesh=truth_mesh))
+    traits = result_traits.read(result_folder)
+    if (result_folder / "roots.rsml").is_file():
+        roots = rsml.read_rsml(result_folder / "roots.rsml")
+        written.append(_save(report_roots.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
+        written.append(_save(report_roots.length_plots(traits), result_folder, "lengths.png"))
     page = result_folder / "report.html"
-    atomic.write_bytes(page, _page(summary, dataset, written).encode("utf-8"))
+    atomic.write_bytes(page, _page(summary, dataset, traits, written).encode("utf-8"))
     return [*written, page]
 
 
@@ -88,36 +99,42 @@ def _save(drawn: Figure, result_folder: Path, name: str) -> Path:
     return path
 
 
-def _page(summary: dict[str, Any], dataset: Dataset, written: list[Path]) -> str:
+def _page(summary: dict[str, Any], dataset: Dataset, traits: Traits, written: list[Path]) -> str:
     """Return the page as one self-contained text."""
     warnings = "".join(f'<p class="warning">{html.escape(str(warning))}</p>' for warning in summary["warnings"])
-    figures = "".join(
-        f'<figure><img alt="{html.escape(path.name)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
-        f"<figcaption>{html.escape(CAPTIONS[path.name])}</figcaption></figure>"
-        for path in written
-    )
+    of_roots = [path for path in written if path.name in ROOT_PICTURES]
+    sections = {
+        "Volume": report_tables.volume(summary),
+        "Roots": _figures(of_roots),
+        "Traits": report_tables.traits(traits),
+        "Pictures": _figures([path for path in written if path not in of_roots]),
+        "Numbers": report_tables.table(_numbers(summary)),
+        "What the scan calibrated by itself": report_tables.calibration(summary, dataset),
+        "Views": _views(summary),
+        "How it was made": report_tables.table(_provenance(summary)),
+    }
+    body = "".join(f"<h2>{title}</h2>{text}" for title, text in sections.items() if text)
     name = html.escape(str(summary["scene"]))
     described = html.escape(dataset.scene.description)
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title><style>{STYLE}</style></head><body>'
-        f"<h1>Reconstruction of {name}</h1><p>{described}</p>{warnings}<h2>Numbers</h2>{_table(_numbers(summary))}"
-        f"<h2>Pictures</h2>{figures}<h2>Views</h2>{_views(summary)}"
-        f"<h2>How it was made</h2>{_table(_provenance(summary))}</body></html>\n"
+        f"<h1>Reconstruction of {name}</h1><p>{described}</p>{warnings}{body}</body></html>\n"
     )
 
 
-def _table(rows: list[tuple[str, str]]) -> str:
-    cells = (f"<tr><td>{html.escape(name)}</td><td>{html.escape(text)}</td></tr>" for name, text in rows)
-    return f"<table>{''.join(cells)}</table>"
+def _figures(paths: list[Path]) -> str:
+    """Return pictures with their captions, inside the page."""
+    return "".join(
+        f'<figure><img alt="{html.escape(path.name)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
+        f"<figcaption>{html.escape(CAPTIONS[path.name])}</figcaption></figure>"
+        for path in paths
+    )
 
 
 def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    low, high = summary["volume_interval_mm3"]
     extents = [b - a for a, b in zip(summary["extents_min_mm"], summary["extents_max_mm"], strict=True)]
     used = [view for view in summary["views"] if view["used"]]
     return [
-        ("Volume", f"{summary['volume_mm3']:.1f} mm³ ({summary['volume_mm3'] / 1000.0:.3f} ml)"),
-        ("Interval: shape with its outlines moved in, to untrimmed hull with them moved out", f"{low:.1f} to {high:.1f} mm³"),
         ("Extents along x, y, z of the canister", " x ".join(f"{extent:.2f}" for extent in extents) + " mm"),
         ("Hull before trimming", f"{summary['hull_mm3']:.1f} mm³"),
         ("Part of the volume that is untrimmed hull", f"{summary['untrimmed_mm3']:.1f} mm³"),

@@ -11,7 +11,9 @@ import trimesh
 
 from recon import report, shading
 from recon.result_files import Mesh
+from scenes import frames
 from scenes.errors import UserError
+from scenes.rsml import Root, write_rsml
 
 
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:
@@ -76,8 +78,52 @@ def test_all_pictures_and_a_self_contained_page(scan):
     assert "a ball &lt;6 mm&gt;" in page
     assert "view 3 is &lt;dark&gt;" in page
     assert "2 markers found, 4 are needed" in page
+    assert "a dash" in page  # the ball has no centre lines
     volume_mm3 = json.loads((made.result / "result.json").read_text())["volume_mm3"]
     assert f"{volume_mm3:.1f} mm³" in page
+
+
+def test_roots_get_pictures_and_their_page_says_what_is_known(scan):
+    made = scan(voxel_mm=1.0)
+    turn = np.linspace(0.0, 3.0, 30)
+    tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
+    lateral = Root(points_mm=np.stack([0 * turn, 3 * turn, -45.0 - turn**2], 1), diameters_mm=np.full(30, 0.3), order=1, parent=0)
+    write_rsml(made.result / "roots.rsml", [tap, lateral])
+    stood = np.eye(4)
+    stood[:2, 3] = 0.25, -0.5
+    ring = {
+        "ring": 0,
+        "placement": 1,
+        "cam_from_rig": frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=8.0).tolist(),
+        "covariance": np.diag([1e-8, 1e-8, 1e-8, 4e-4, 4e-4, 9e-4]).tolist(),
+        "own_movement_mm": 0.01,
+        "own_movement_deg": 0.002,
+    }
+    rig = {
+        "canister_from_strip": stood.tolist(),
+        "canister_from_strip_sigma": [0.001, 0.001, 0.012, 0.013],
+        "rings": [ring],
+        "n_water": 1.33412,
+        "n_water_sigma": 0.00021,
+        "reprojection_before_px": 1.25,
+        "reprojection_after_px": 0.037,
+        "canister_edges": {"count": 720, "before_mm": 0.3, "after_mm": 0.004, "radius_excess_mm": 0.0},
+    }
+    made.edit_summary(rig=rig, volume_verdict="this scan <cannot> give a volume", volume_trusted=False)
+    written = report.write_pictures(made.result, made.dataset)
+    assert {"roots.png", "lengths.png"} <= {path.name for path in written}
+    page = written[-1].read_text(encoding="utf-8")
+    for text in (
+        "this scan &lt;cannot&gt; give a volume",
+        "<td>Water: index of refraction</td><td class=number>1.33412</td><td class=number>0.00021</td>",
+        "<td>Canister in the strip: offset along y</td><td class=number>-0.5000</td><td class=number>0.0130</td>",
+        "<td class=number>1.2500</td><td class=number>0.0370</td>",
+        "placement 2: distance from the table",
+        "<td class=number>400.000</td><td class=number>0.030</td>",
+        "<td>tips</td><td class=number>2</td>",
+    ):
+        assert text in page
+    assert not re.search(r'(src|href)="(?!data:)', page)
 
 
 def test_without_silhouettes_and_truth_there_is_still_a_report(scan):
