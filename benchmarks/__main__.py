@@ -205,7 +205,9 @@ def _run(given: argparse.Namespace) -> int:
     # A missing baseline is known before an hour of measuring, not after it.
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
     run = _measured(given, chosen)
-    say("\n" + results_table(run.metrics))
+    is_long = given.what == "accuracy" and not given.quick
+    shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
+    say("\n" + results_table(shown))
 
     described = about(given)
     output = given.output or _results() / f"{baseline_path.stem.removeprefix('baseline_')}.json"
@@ -213,7 +215,7 @@ def _run(given: argparse.Namespace) -> int:
     stored = json.loads(json.dumps({"about": described, "metrics": values, "crashed": run.crashed, "details": run.details}, default=str))
     atomic.write_json(output, stored)
     say(f"\nevery number: {output}")
-    if given.what == "accuracy" and not given.quick:
+    if is_long:
         _write_ladder(run, output)
 
     if given.update_baseline:

@@ -184,7 +184,7 @@ def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:
     theirs = {_pictures(record): record for record in records if record["case"]["method"] == "thesis"}
     rows += [
         "",
-        "| scene | profile | seed | volume | interval | length | lines: recall / precision | tips: precision / recall | time | memory "
+        "| scene | profile | seed | volume | interval | length | lines: recall / precision | tips: precision / recall | time: wall / processor | memory "
         "| thesis: volume |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -208,7 +208,7 @@ def _run_row(record: Record, other: Record | None) -> str:
         _signed(roots.get("length_error")),
         f"{roots['recall']:.3f} / {roots['precision']:.3f}" if roots else "-",
         f"{roots['tip_precision']:.2f} / {roots['tip_recall']:.2f}" if roots else "-",
-        f"{record['wall_s']:.0f} s",
+        f"{record['wall_s']:.0f} / {record['cpu_s']:.0f} s",
         f"{record['peak_memory_mib'] / 1024.0:.1f} GiB",
         "-" if other is None else _signed(other["score"]["volume_error"], digits=0),
     ]

@@ -75,9 +75,10 @@ def seeds(text: str) -> int:
     return whole(text, 1, 1000, "give 1 to 1000")
 
 
-def height_mm(text: str) -> float:
-    """Read a camera's height."""
-    return between(text, (-2000.0, 2000.0), "mm")
+def height(text: str) -> tuple[float, float | None]:
+    """Read a camera's height in mm, and its tilt in degrees where there is one behind a colon."""
+    height_mm, colon, tilt_deg = text.partition(":")
+    return between(height_mm, (-2000.0, 2000.0), "mm"), between(tilt_deg, (-89.0, 89.0), "degrees") if colon else None
 
 
 def percent(text: str) -> float:

@@ -20,7 +20,7 @@ from rhizotwin.arguments import (
     add_device,
     add_output,
     diameter_mm,
-    height_mm,
+    height,
     image_wh,
     list_of,
     mass_g,
@@ -332,12 +332,20 @@ def _add_plan(commands: Commands) -> None:
         commands,
         "plan",
         "try capture plans on the twin before building or scanning",
-        description="Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and\n"
-        "picture sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png. A stopped run is taken up by the\n"
-        "same command. Each combination takes about a minute for 40 pictures of 800x600 on two cores.",
-        epilog="examples:\n  rhizotwin plan radish_day15a -o my_plan --views 20,40,41\n"
-        "  rhizotwin plan printed_8ml -o my_plan --views 21,41 --heights=-42 --heights=-100,-42 --within 3\n"
-        "  rhizotwin plan my_scene.toml -o my_plan --image-wh 800x600,1600x1200 --profile bench --seeds 3",
+        description="What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels?\n"
+        "Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and picture sizes, and say\n"
+        "what each reaches: a table, plan.csv, plan.json and a figure, plan.png, and the cheapest plan that is good enough. A stopped\n"
+        "run is taken up by the same command, and one with more views or heights adds to it. On two cores a run takes one to two minutes\n"
+        "for 40 pictures of 800x600 of a small plant, and up to five for a large one: begin with few views and small pictures.",
+        epilog="examples:\n"
+        "  a first look in a few minutes:\n"
+        "    rhizotwin plan radish_day05a -o my_plan --views 10,20 --image-wh 400x300 --profile clean\n"
+        "  odd or even, one ring or two (the second 10 mm above the rim, tilted 8 degrees down):\n"
+        "    rhizotwin plan radish_day15a -o my_plan --views 20,21,40,41 --heights=-42 --heights=-42,10:8\n"
+        "  which heights, to stay within 3 % of the volume:\n"
+        "    rhizotwin plan printed_8ml -o my_plan --views 41 --heights=-42 --heights=-100,-42 --heights=-42,10 --within 3\n"
+        "  how many pixels, for a rig of your own with three draws of its errors:\n"
+        "    rhizotwin plan my_scene.toml -o my_plan --views 40 --image-wh 800x600,1600x1200 --profile bench --seeds 3",
     )
     parser.add_argument("scene", metavar="SCENE", help="a scene file (TOML) or a name from 'rhizotwin scenes'")
     add_output(parser, "FOLDER", "folder for the table, the figure and the scores: new, or of an earlier plan")
@@ -346,11 +354,12 @@ def _add_plan(commands: Commands) -> None:
     )
     parser.add_argument(
         "--heights",
-        type=list_of(height_mm),
+        type=list_of(height),
         action="append",
-        metavar="=MM,MM,...",
-        help="heights of the camera over the canister's rim, one a ring, all looking at the same point; once for each set to try; default: "
-        "the scene's first ring, and it with a second one 60 mm lower",
+        metavar="=MM[:DEG],...",
+        help="heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon; without one it "
+        "looks where the scene's first ring looks; once for each set of rings to try; default: the scene's first ring, and it with a second "
+        "one 52 mm higher",
     )
     parser.add_argument("--image-wh", type=list_of(image_wh), metavar="WxH,WxH,...", help="picture sizes to try; default: the scene's")
     parser.add_argument(

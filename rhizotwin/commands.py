@@ -137,9 +137,11 @@ def plan(options: argparse.Namespace) -> None:
 
     scene = change_scene(files.load_scene(options.scene), profile=options.profile)
     first_mm = scene.plan.rings[0].height_mm
-    heights = options.heights or [(first_mm,), (first_mm - 60.0, first_mm)]
+    asked = [tuple(planning.Height(mm, tilt_deg) for mm, tilt_deg in rings) for rings in options.heights or []]
+    own = planning.Height(first_mm)
+    heights = asked or [(own,), (own, planning.Height(first_mm + planning.SECOND_RING_MM))]
     variants = [
-        planning.Variant(heights_mm=rings, views=views, image_wh=image_wh)
+        planning.Variant(heights=rings, views=views, image_wh=image_wh)
         for image_wh in options.image_wh or (scene.camera.image_wh,)
         for rings in dict.fromkeys(heights)
         for views in options.views

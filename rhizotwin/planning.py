@@ -1,11 +1,9 @@
 """What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels - answered by the twin.
 
 Every capture plan is simulated, reconstructed from its pictures alone and scored, as often as there are seeds; the same seeds for each, so
-that plans are compared and not chance.
+that plans are compared and not chance. The table and the figure are in `rhizotwin.plan_report`.
 """
 
-import csv
-import io
 import itertools
 import json
 import math
@@ -19,6 +17,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks import sources
+from rhizotwin import plan_report
 from scenes import files
 from scenes.atomic import write_bytes, write_json, write_text
 from scenes.checks import check_scene
@@ -30,15 +30,33 @@ VIEW_TIME_S = 2.0
 """Turning by a view, rest and exposure on the rig of the documentation: what a plan costs at the bench."""
 RING_TIME_S = 10.0
 """Placing the camera for another ring."""
+SECOND_RING_MM = 52.0
+"""A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which from -42 mm is seen
+before the dark net pot, stands before the backlight."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
+
+
+@dataclass(frozen=True, order=True)
+class Height:
+    """Where the camera of a ring stands, and how it looks."""
+
+    mm: float
+    """In the rig frame (0 is the canister's rim)."""
+    tilt_deg: float | None = None
+    """Optical axis below the horizon; None: it looks at what the scene's first ring looks at."""
+
+    @property
+    def name(self) -> str:
+        """As people type it."""
+        return f"{self.mm:g}" if self.tilt_deg is None else f"{self.mm:g}:{self.tilt_deg:g}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
     """A capture plan to try."""
 
-    heights_mm: tuple[float, ...]
-    """Of the camera, one a ring, in the rig frame (0 is the canister's rim)."""
+    heights: tuple[Height, ...]
+    """Of the camera, one a ring."""
     views: int
     """In each ring."""
     image_wh: tuple[int, int]
@@ -46,22 +64,22 @@ class Variant:
     @property
     def name(self) -> str:
         """Short name, also of its file."""
-        heights = "_".join(f"{height:g}" for height in self.heights_mm)
+        heights = "_".join(height.name.replace(":", "tilt") for height in self.heights)
         return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene with this plan: every ring at the distance of the scene's first one, looking at what that one looks at."""
+        """Return the scene with this plan: every ring at the distance of the scene's first one, the rings' views interleaved."""
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
         rings = tuple(
             Ring(
                 views=self.views,
-                height_mm=height,
+                height_mm=height.mm,
                 distance_mm=first.distance_mm,
-                tilt_deg=math.degrees(math.atan2(height - aim_mm, first.distance_mm)),
-                first_deg=first.first_deg + k * 180.0 / self.views,
+                tilt_deg=math.degrees(math.atan2(height.mm - aim_mm, first.distance_mm)) if height.tilt_deg is None else height.tilt_deg,
+                first_deg=first.first_deg + k * 360.0 / self.views / len(self.heights),
             )
-            for k, height in enumerate(self.heights_mm)
+            for k, height in enumerate(self.heights)
         )
         return replace(scene, plan=CapturePlan(rings=rings), camera=scene.camera.resized(self.image_wh))
 
@@ -76,12 +94,20 @@ class Row:
     """Median of found / true - 1."""
     volume_error_worst: float
     """The largest without its sign."""
+    volume_errors: tuple[float, ...]
+    """Of each seed."""
     interval_width: float
     """Of the stated interval, over the true volume."""
     interval_holds: float
     """Share of the runs whose interval holds the truth."""
+    length_error: float | None
+    """Median of found / true - 1; None for what has no roots, or where a run found none."""
+    length_error_worst: float | None
+    length_errors: tuple[float, ...]
     recall: float
+    """Median share of what is there that was found: of the roots' centre lines, or of the voxels of what has no roots."""
     precision: float
+    """Median share of what was found that is there."""
     capture_min: float
     """At the bench."""
     compute_s: float
@@ -111,25 +137,37 @@ def run_plans(
     UserError
         For a plan that the scene does not allow, plans of which none can be reconstructed, or a folder of something else.
     """
-    wanted = [replace(variant.of(scene)) for variant in variants]
+    wanted = [variant.of(scene) for variant in variants]
     for variant, changed in zip(variants, wanted, strict=True):
         check_scene(changed, where=f"the plan {variant.name}")
-    settings = {"scene": files.scene_to_dict(scene), "profile": profile_name, "versions": versions(_VERSIONED)}
+    settings = {
+        "scene": files.scene_to_dict(scene),
+        "profile": profile_name,
+        "versions": versions(_VERSIONED),
+        "code": sources.digest(("sim.simulate", "recon.pipeline", "recon.score")),
+    }
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant in variants}
     runs = list(itertools.product(range(seeds), zip(variants, wanted, strict=True)))
-    for seed, (variant, changed) in tqdm(runs, desc="plans", unit="run", disable=not progress, dynamic_ncols=True):
-        found[variant].append(_scored(changed, folder / "scores" / f"{variant.name}_seed{seed}.json", settings, profile_name, seed))
+    pictures = sum(variant.views * len(variant.heights) for variant in variants) * seeds
+    say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; a stopped run is taken up by the same command")
+    # The bar counts pictures: a plan of twice as many takes about twice as long.
+    with tqdm(total=pictures, desc="plans", unit="picture", disable=not progress, dynamic_ncols=True) as bar:
+        for seed, (variant, changed) in runs:
+            bar.set_postfix_str(variant.name)
+            path = folder / "scores" / f"{variant.name}_seed{seed}.json"
+            found[variant].append(_scored(changed, path, settings, profile_name, seed))
+            bar.update(variant.views * len(variant.heights))
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
     rows = [_row(variant, found[variant]) for variant in variants if variant.name not in failed]
     for name, reason in failed.items():
         say(f"{name} cannot be reconstructed: {reason}")
     if not rows:
         raise UserError("none of these plans can be reconstructed; see the reasons above and give others")
-    write_bytes(folder / "plan.csv", _csv(rows).encode())
+    write_bytes(folder / "plan.csv", plan_report.csv_text(rows).encode())
     write_json(folder / "plan.json", {**settings, "seeds": seeds, "failed": failed, "rows": [asdict(row) for row in rows]})
-    _draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
-    say(table(rows))
+    plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
+    say(plan_report.table(rows))
     return rows
 
 
@@ -137,25 +175,6 @@ def best(rows: Sequence[Row], *, within: float) -> Row | None:
     """Return the plan with the fewest pictures whose worst volume error stays within a fraction; None when no plan does."""
     good = [row for row in rows if row.volume_error_worst <= within]
     return min(good, key=lambda row: (row.pictures * row.variant.image_wh[0] * row.variant.image_wh[1], row.capture_min), default=None)
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Return the rows as lines of text for the terminal."""
-    head = (
-        f"{'heights (mm)':<14}{'views':>6}{'picture':>11}{'volume':>9}{'worst':>8}{'interval':>10}{'holds':>7}"
-        f"{'recall':>8}{'prec.':>7}{'capture':>9}{'compute':>9}"
-    )
-    lines = [head, "-" * len(head)]
-    for row in rows:
-        v = row.variant
-        heights = ", ".join(f"{height:g}" for height in v.heights_mm)
-        size = f"{v.image_wh[0]}x{v.image_wh[1]}"
-        lines.append(
-            f"{heights:<14}{v.views:>6}{size:>11}{100 * row.volume_error:>+8.1f}%{100 * row.volume_error_worst:>7.1f}%"
-            f"{100 * row.interval_width:>9.0f}%{100 * row.interval_holds:>6.0f}%{row.recall:>8.3f}{row.precision:>7.3f}"
-            f"{row.capture_min:>5.1f} min{row.compute_s:>7.0f} s"
-        )
-    return "\n".join(lines)
 
 
 def _refuse_strangers(folder: Path) -> None:
@@ -192,68 +211,28 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
 
 
 def _row(variant: Variant, scores: Sequence[dict[str, Any]]) -> Row:
-    pictures = variant.views * len(variant.heights_mm)
+    pictures = variant.views * len(variant.heights)
+    roots = [score.get("roots") for score in scores]
+    lines = [found for found in roots if found is not None]
+    has_roots = len(lines) == len(scores)
+    lengths = [float(found["length_error"]) for found in lines] if has_roots else []
 
     def median(key: str) -> float:
-        return float(statistics.median(score[key] for score in scores))
+        return float(statistics.median(score[key] for score in (lines if has_roots else scores)))
 
     return Row(
         variant=variant,
         pictures=pictures,
-        volume_error=median("volume_error"),
+        volume_error=float(statistics.median(score["volume_error"] for score in scores)),
         volume_error_worst=max(abs(score["volume_error"]) for score in scores),
+        volume_errors=tuple(score["volume_error"] for score in scores),
         interval_width=float(statistics.median(float(np.ptp(s["volume_interval_mm3"])) / s["volume_true_mm3"] for s in scores)),
         interval_holds=sum(bool(score["interval_holds_truth"]) for score in scores) / len(scores),
+        length_error=statistics.median(lengths) if lengths else None,
+        length_error_worst=max(map(abs, lengths)) if lengths else None,
+        length_errors=tuple(lengths),
         recall=median("recall"),
         precision=median("precision"),
-        capture_min=(pictures * VIEW_TIME_S + len(variant.heights_mm) * RING_TIME_S) / 60.0,
+        capture_min=(pictures * VIEW_TIME_S + len(variant.heights) * RING_TIME_S) / 60.0,
         compute_s=float(statistics.median(sum(score["timings_s"].values()) for score in scores)),
     )
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    names = [name for name in asdict(rows[0]) if name != "variant"]
-    writer.writerow(["heights_mm", "views_per_ring", "image_wh", *names])
-    for row in rows:
-        v = row.variant
-        heights = " ".join(f"{height:g}" for height in v.heights_mm)
-        writer.writerow([heights, v.views, f"{v.image_wh[0]}x{v.image_wh[1]}", *(getattr(row, name) for name in names)])
-    return text.getvalue()
-
-
-def _draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
-    """Draw error and recall against the number of views, a line for each set of rings and picture size."""
-    from recon.pictures import figure
-
-    drawn = figure(10.0, 4.6)
-    left, right = drawn.subplots(1, 2)
-    kinds = list(dict.fromkeys((row.variant.heights_mm, row.variant.image_wh) for row in rows))
-    for heights_mm, image_wh in kinds:
-        line = sorted(
-            (row for row in rows if (row.variant.heights_mm, row.variant.image_wh) == (heights_mm, image_wh)),
-            key=lambda row: row.variant.views,
-        )
-        label = f"{', '.join(f'{height:g}' for height in heights_mm)} mm, {image_wh[0]}x{image_wh[1]}"
-        views = [row.variant.views for row in line]
-        left.errorbar(
-            views,
-            [100.0 * row.volume_error for row in line],
-            yerr=[100.0 * (row.volume_error_worst - abs(row.volume_error)) for row in line],
-            marker="o",
-            capsize=3,
-            label=label,
-        )
-        right.plot(views, [row.recall for row in line], marker="o", label=f"recall, {label}")
-        right.plot(views, [row.precision for row in line], marker="s", linestyle="--", color=right.lines[-1].get_color())
-    left.axhline(0.0, color="0.6", linewidth=0.8)
-    left.set_xlabel("views in a ring")
-    left.set_ylabel("volume error (%), bars to the worst seed")
-    left.legend(fontsize=8, title="camera heights, picture", title_fontsize=8)
-    right.set_xlabel("views in a ring")
-    right.set_ylabel("voxel recall (line), precision (dashed)")
-    drawn.suptitle(title, fontsize=10)
-    buffer = io.BytesIO()
-    drawn.savefig(buffer, format="png", dpi=130)
-    write_bytes(path, buffer.getvalue())

@@ -6,20 +6,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin import cli, planning
+from benchmarks import cases
+from rhizotwin import cli, plan_report, planning
+from rhizotwin.planning import Height
 from scenes import files, frames
 from scenes.model import Ring
 
 
 def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) -> planning.Row:
-    variant = planning.Variant(heights_mm=(-42.0,), views=pictures, image_wh=image_wh)
+    variant = planning.Variant(heights=(Height(-42.0),), views=pictures, image_wh=image_wh)
     return planning.Row(
         variant=variant,
         pictures=pictures,
         volume_error=worst / 2.0,
         volume_error_worst=worst,
+        volume_errors=(worst / 2.0, -worst),
         interval_width=0.2,
         interval_holds=1.0,
+        length_error=-0.01,
+        length_error_worst=0.02,
+        length_errors=(-0.02, 0.0),
         recall=0.9,
         precision=0.9,
         capture_min=1.0,
@@ -30,7 +36,7 @@ def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) 
 def test_every_ring_of_a_variant_looks_at_the_same_point():
     scene = files.load_scene("sphere_20mm")
     scene = replace(scene, plan=replace(scene.plan, rings=(Ring(height_mm=-10.0, tilt_deg=5.0, distance_mm=390.0),)))
-    changed = planning.Variant(heights_mm=(-10.0, -90.0, 60.0), views=7, image_wh=(400, 300)).of(scene)
+    changed = planning.Variant(heights=(Height(-10.0), Height(-90.0), Height(60.0)), views=7, image_wh=(400, 300)).of(scene)
     assert changed.camera.image_wh == (400, 300)
     assert changed.plan.rings[0].tilt_deg == pytest.approx(5.0)
     aim = []
@@ -41,6 +47,34 @@ def test_every_ring_of_a_variant_looks_at_the_same_point():
         aim.append((origin + forward * (origin[0] / -forward[0]))[2])
     np.testing.assert_allclose(aim, aim[0], atol=1e-9)
     assert len({ring.first_deg for ring in changed.plan.rings}) == 3  # the rings' views interleave
+
+
+def test_the_second_ring_of_the_ladder_can_be_asked_for():
+    words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42", "--heights=-42,10:8"]
+    asked = cli.build_parser().parse_args(words).heights[1]
+    variant = planning.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(800, 600))
+    scene = files.load_scene("radish_day05a")
+    assert variant.of(scene).plan == cases.Pictures(scene="radish_day05a", rings=2).scene_to_render().plan
+    assert variant.name == "40x800x600_at_-42_10tilt8"
+
+
+def test_three_rings_of_one_plan_have_no_direction_in_common():
+    heights = tuple(Height(mm) for mm in (-80.0, -42.0, 10.0))
+    rings = planning.Variant(heights=heights, views=4, image_wh=(400, 300)).of(files.load_scene("radish_day05a")).plan.rings
+    assert [ring.first_deg for ring in rings] == [0.0, 30.0, 60.0]
+
+
+def test_table_and_csv_have_a_row_a_plan():
+    rows = [row(20, 0.09), replace(row(40, 0.02), length_error=None, length_error_worst=None, length_errors=())]
+    lines = plan_report.table(rows).splitlines()
+    assert len(lines) == 6
+    assert lines[2].split()[:6] == ["-42", "20", "800x600", "+4.5%", "9.0%", "20%"]
+    assert lines[2].split()[7:9] == ["-1.0%", "2.0%"]
+    assert lines[3].split()[7:9] == ["-", "-"]
+    assert "the roots' length or the voxels" in lines[5]
+    csv_lines = plan_report.csv_text(rows).splitlines()
+    assert len({line.count(",") for line in csv_lines}) == 1
+    assert csv_lines[1].startswith("-42,20,800x600,20,0.045,0.09,")
 
 
 def test_the_cheapest_plan_that_is_good_enough_is_named():
@@ -89,6 +123,8 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, cap
     [
         (["--views", "0"], "out of range"),
         (["--heights=-42,x"], "not a number of mm"),
+        (["--heights=10:"], "not a number of degrees"),
+        (["--heights=10:95"], "out of range"),
         (["--within", "0"], "out of range"),
         (["--seeds", "0"], "out of range"),
         (["--heights=-1e9"], "out of range"),
