@@ -14,6 +14,7 @@ Record = Mapping[str, Any]
 COLOURS = {"clean": "#1b7837", "bench": "#2166ac", "harsh": "#b2182b"}
 SHIFT_DAYS = {"clean": -0.9, "bench": 0.0, "harsh": 0.9}
 """Profiles of one age stand side by side."""
+MARGIN_DAYS = 2.5
 
 
 def draw(records: Sequence[Record], path: Path) -> bool:
@@ -40,7 +41,9 @@ def draw(records: Sequence[Record], path: Path) -> bool:
     both.set_title("circles: ours; triangles: the thesis's method", fontsize=9)
     for axis in (volume, length, both):
         axis.set_xlabel("age of the radish (days)")
-        axis.set_xticks(sorted({record["case"]["age_days"] for record in ours}))
+        ages = sorted({round(record["case"]["age_days"]) for record in ours})
+        axis.set_xticks(ages)
+        axis.set_xlim(ages[0] - MARGIN_DAYS, ages[-1] + MARGIN_DAYS)
         axis.grid(visible=True, alpha=0.25)
     buffer = io.BytesIO()
     drawn.savefig(buffer, format="png", dpi=130)

@@ -184,8 +184,8 @@ def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:
     theirs = {_pictures(record): record for record in records if record["case"]["method"] == "thesis"}
     rows += [
         "",
-        "| scene | profile | seed | volume | interval | length | lines: recall / precision | tips: precision / recall | time: wall / processor | memory "
-        "| thesis: volume |",
+        "| scene | profile | seed | volume | interval | length | lines: recall / precision | tips: precision / recall "
+        "| time: wall / processor | memory | thesis: volume |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for record in records:

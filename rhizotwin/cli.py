@@ -333,10 +333,11 @@ def _add_plan(commands: Commands) -> None:
         "plan",
         "try capture plans on the twin before building or scanning",
         description="What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels?\n"
-        "Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and picture sizes, and say\n"
-        "what each reaches: a table, plan.csv, plan.json and a figure, plan.png, and the cheapest plan that is good enough. A stopped\n"
-        "run is taken up by the same command, and one with more views or heights adds to it. On two cores a run takes one to two minutes\n"
-        "for 40 pictures of 800x600 of a small plant, and up to five for a large one: begin with few views and small pictures.",
+        "Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and picture\n"
+        "sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png, and the cheapest plan that is good\n"
+        "enough. A stopped run is taken up by the same command, and one with more views or heights adds to it. On two cores a run\n"
+        "takes one to two minutes for 40 pictures of 800x600 of a small plant, and up to five for a large one: begin with few views\n"
+        "and small pictures.",
         epilog="examples:\n"
         "  a first look in a few minutes:\n"
         "    rhizotwin plan radish_day05a -o my_plan --views 10,20 --image-wh 400x300 --profile clean\n"
@@ -358,8 +359,8 @@ def _add_plan(commands: Commands) -> None:
         action="append",
         metavar="=MM[:DEG],...",
         help="heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon; without one it "
-        "looks where the scene's first ring looks; once for each set of rings to try; default: the scene's first ring, and it with a second "
-        "one 52 mm higher",
+        "looks where the scene's first ring looks; once for each set of rings to try; default: the scene's first ring, and it with a "
+        "second one 52 mm higher",
     )
     parser.add_argument("--image-wh", type=list_of(image_wh), metavar="WxH,WxH,...", help="picture sizes to try; default: the scene's")
     parser.add_argument(
