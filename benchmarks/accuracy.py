@@ -29,6 +29,7 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     ----------
     afresh : measure also what an earlier run with the same sources, settings and versions measured.
     """
+    say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
     measured = worker.start(["projection"], device=device)["metrics"]
     run = Run(metrics=[Metric(**metric) for metric in measured])
     clock = _TimeLeft(cases)

@@ -100,9 +100,10 @@ def test_a_crashed_case_is_recorded_and_the_rest_go_on():
     assert list(run.crashed) == [CASES[1].name]
     assert "ZeroDivisionError: no views" in run.crashed[CASES[1].name]
     assert {metric.key.rpartition("/")[0] for metric in run.metrics} == {CASES[0].name}
-    assert "CRASHED" in said[0]
-    assert "min left" in said[0]
-    assert said[1].endswith("done")
+    assert said[0].startswith("2 cases")
+    assert "CRASHED" in said[1]
+    assert "min left" in said[1]
+    assert said[2].endswith("done")
     json.dumps(run.details)
 
 
