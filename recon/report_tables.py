@@ -73,7 +73,7 @@ def _before_and_after(rig: dict[str, Any]) -> str:
     rows = []
     if _is_number(rig.get("reprojection_before_px")) and _is_number(rig.get("reprojection_after_px")):
         before, after = rig["reprojection_before_px"], rig["reprojection_after_px"]
-        rows.append(["Markers' reprojection, median of the views: commanded table angles and nominal seat; all found", f"{before:.4f}", f"{after:.4f}", "px"])
+        rows.append(["Markers' reprojection (before: table angles as commanded, seat as planned)", f"{before:.4f}", f"{after:.4f}", "px"])
     edges = rig.get("canister_edges")
     if edges:
         rows.append([f"Canister's edges ({edges['count']} points)", f"{edges['before_mm']:.4f}", f"{edges['after_mm']:.4f}", "mm"])
