@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from recon import carve, density, evidence, mending, parsimony, tracing, tube_fit, tube_picture, tubes
+from recon import carve, density, evidence, hierarchy, mending, parsimony, tracing, tube_fit, tube_picture, tubes
 from recon.carve import DistanceMaps, Grid
 from recon.density import Cells
 from recon.evidence import CORE_PX, Evidence
@@ -81,7 +81,7 @@ class RootSystem:
             orders.append(orders[parent] + 1 if k else 0)
             diameters = 2.0 * self.tubes.radii(k)
             roots.append(Root(points_mm=self.tubes.centre_mm[nodes], diameters_mm=diameters, order=orders[k], parent=parent))
-        return tuple(roots)
+        return hierarchy.arrange(roots)
 
 
 def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | None:

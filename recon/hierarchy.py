@@ -1,0 +1,148 @@
+"""Which root is whose lateral: roots that were traced through a crossing or from tip to base are put in order, without moving a point.
+
+Tracing joins what touches. Three signs tell it from growth: a root goes on where it is thick, a lateral leaves its parent onward, not back,
+and none leaves at the very base of its parent (the basal zone of a root has no laterals: Leitner et al. 2010, Plant and Soil 332:177).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+_Point = tuple[Array, float]
+
+_REACH_MM = 5.0
+"""Directions and thicknesses beyond a fork are those of this length."""
+_THICKER = 1.25
+"""A lateral this much thicker than what goes on is the root itself; found diameters scatter by less over 5 mm."""
+_ROUNDS = 10
+"""At most; three or four are enough."""
+_BASAL_MM = 2.0
+"""A lateral that begins this near the root on which its parent grows is that root's own: it only runs beside the parent at first."""
+_TOUCH_MM = 1.0
+"""An end this near another root's skin touches it: tracing leaves gaps of about this size at thick roots."""
+
+
+def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
+    """Return the same centre lines with other bases, orders and parents; parents before children."""
+    turned = list(roots)
+    for index in range(len(turned)):
+        _turn(turned, index)
+    for _ in range(_ROUNDS):  # a root that goes on elsewhere has other laterals near its base
+        _move_up(turned)
+        before, turned = turned, _rejoin(turned)
+        if [(root.parent, len(root.points_mm)) for root in turned] == [(root.parent, len(root.points_mm)) for root in before]:
+            break
+    return tuple(turned)
+
+
+def _turn(roots: list[Root], index: int) -> None:
+    """Turn a lateral round that leaves against its parent's growth, if its tip touches a root that it then leaves onward."""
+    root = roots[index]
+    if root.parent < 0 or _onward(roots[root.parent], root.points_mm) >= 0.0:
+        return
+    below = _descendants(roots, index)
+    backward = root.points_mm[::-1]
+    best, least_mm = -1, _TOUCH_MM
+    for other, candidate in enumerate(roots):
+        if other in below or other == root.parent:
+            continue
+        away = np.linalg.norm(candidate.points_mm - backward[0], axis=1) - candidate.diameters_mm / 2.0
+        if away.min() < least_mm and _onward(candidate, backward) > 0.0:
+            best, least_mm = other, float(away.min())
+    if best >= 0:
+        roots[index] = replace(root, points_mm=backward.copy(), diameters_mm=root.diameters_mm[::-1].copy(), parent=best)
+
+
+def _move_up(roots: list[Root]) -> None:
+    """Give laterals that begin in the basal zone of their parent to the root on which that one grows, again and again."""
+    moved = True
+    while moved:
+        moved = False
+        for index, root in enumerate(roots):
+            above = roots[root.parent].parent if root.parent >= 0 else -1
+            if above < 0:
+                continue
+            away = np.linalg.norm(roots[above].points_mm - root.points_mm[0], axis=1) - roots[above].diameters_mm / 2.0
+            if away.min() < _BASAL_MM:
+                roots[index], moved = replace(root, parent=above), True
+
+
+def _descendants(roots: Sequence[Root], index: int) -> set[int]:
+    """Return a root and all that grow on it."""
+    found, size = {index}, 0
+    while len(found) > size:
+        size = len(found)
+        found |= {k for k, root in enumerate(roots) if root.parent in found}
+    return found
+
+
+def _onward(parent: Root, points_mm: Array) -> float:
+    """Return the cosine between the first 5 mm of a line and the parent's growth where the line begins."""
+    at = _nearest(parent, points_mm[0])
+    along = parent.points_mm[min(at + 1, len(parent.points_mm) - 1)] - parent.points_mm[max(at - 1, 0)]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+    chord = points_mm[max(1, int(np.searchsorted(way, _REACH_MM, side="right")) - 1)] - points_mm[0]
+    return float(along @ chord / max(float(np.linalg.norm(along) * np.linalg.norm(chord)), 1e-12))
+
+
+def _nearest(root: Root, point_mm: Array) -> int:
+    return int(np.argmin(np.sum((root.points_mm - point_mm) ** 2, axis=1)))
+
+
+def _rejoin(roots: Sequence[Root]) -> list[Root]:
+    """Divide the tree into roots anew: at each fork the thickest line goes on, the others begin there."""
+    leaving: dict[tuple[int, int], list[int]] = {}
+    for index, root in enumerate(roots):
+        if root.parent >= 0:
+            leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
+    made: list[Root] = []
+    # (line, its next point, new parent, points and diameters that it begins with)
+    begun: list[tuple[int, int, int, list[_Point]]] = []
+    begun += [(index, 0, -1, []) for index, root in enumerate(roots) if root.parent < 0][::-1]
+    while begun:
+        line, at, parent, path = begun.pop()
+        label, number = roots[line].label, len(made)
+        while at < len(roots[line].points_mm):
+            here = (roots[line].points_mm[at], float(roots[line].diameters_mm[at]))
+            path.append(here)
+            line, at, others = _fork(roots, line, at, leaving.get((line, at), []))
+            begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
+        order = made[parent].order + 1 if parent >= 0 else 0
+        points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])
+        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label))
+    return made
+
+
+def _fork(roots: Sequence[Root], line: int, at: int, laterals: Sequence[int]) -> tuple[int, int, list[tuple[int, int]]]:
+    """Return the line that goes on from a point, its next point, and the lines that begin there with theirs."""
+    if not laterals:
+        return line, at + 1, []
+    here = roots[line].points_mm[at]
+    starts = [(k, int(np.array_equal(roots[k].points_mm[0], here))) for k in laterals]
+    ahead = _thickness(roots[line], at + 1)
+    onward = [(k, start) for k, start in starts if _onward(roots[line], roots[k].points_mm) > 0.0]
+    thickest = max(onward, key=lambda other: _thickness(roots[other[0]], 1), default=None)
+    if thickest is None or ahead == 0.0 or _thickness(roots[thickest[0]], 1) < _THICKER * ahead:
+        return line, at + 1, starts
+    return *thickest, [(line, at + 1), *(other for other in starts if other != thickest)]
+
+
+def _own_diameter(root: Root, first: int) -> float:
+    """Return the diameter with which a line begins at a fork: its own, not that of what it leaves."""
+    return float(root.diameters_mm[min(first, len(root.diameters_mm) - 1)])
+
+
+def _thickness(root: Root, first: int) -> float:
+    """Return the mean diameter of the next 5 mm from a point on; 0 where less than that is left."""
+    points = root.points_mm[first:]
+    if len(points) < 2:
+        return 0.0
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if way[-1] < _REACH_MM:
+        return 0.0
+    return float(root.diameters_mm[first:][way <= _REACH_MM].mean())
