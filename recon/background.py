@@ -122,7 +122,8 @@ def _smooth_surface(background: Image, inside: Mask) -> Image:
     if not trusted.any():  # all black: there is no light to fit
         return surface
     for _ in range(8):
-        coefficients = np.linalg.lstsq(basis[trusted], values[sample][trusted], rcond=None)[0]
+        some = basis[trusted]  # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
+        coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
         trusted = residual > -3.0 * scale
