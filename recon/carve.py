@@ -151,36 +151,34 @@ def look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any)
     return p, distance, seen & (distance < TELLS_PX)
 
 
-def _mark(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px: Any, ignore_blindness: bool) -> tuple[Any, Any, Any]:
-    """Look at nodes from every view: whether empty, whether partly outside, and how many views see the centre."""
+def _mark(
+    bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px: Any, ignore_blindness: bool
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Look at nodes from every view, until one finds them empty.
 
-    def body(view: Any, empty: Any, partial: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
+    Returns
+    -------
+    empty, partial : whether a view finds a node empty, and whether one finds it partly outside.
+    votes : how many views see the centre.
+    depth, scale : signed distance in mm of the centre to the hull (least over the views that see it), and px per mm in that view.
+    """
+
+    def body(view: Any, empty: Any, partial: Any, votes: Any, depth: Any, scale: Any) -> tuple[Any, ...]:
         p, distance, seen = look(bank, maps, view, point, ~empty)
         reach = _footprint_px(p, half_mm)
         outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
         if ignore_blindness:
             outside |= ~seen
         partial |= seen & (distance < reach + slack_px)
-        return view + 1, empty | outside, partial, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
-
-    state = (mi.UInt32(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0))
-    _, empty, partial, votes = dr.while_loop(state, lambda view, empty, *_: (view < bank.count) & ~empty, body)
-    return empty, partial, votes
-
-
-def _depth(bank: ViewBank, maps: DistanceMaps, point: Any, ignore_blindness: bool) -> tuple[Any, Any, Any]:
-    """Return the signed distance in mm of points to the hull (least over the views that see them), px per mm, and the votes."""
-
-    def body(view: Any, depth: Any, scale: Any, votes: Any) -> tuple[Any, Any, Any, Any]:
-        p, distance, seen = look(bank, maps, view, point, mi.Bool(True))
         px_per_mm = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-        here = dr.select(seen, distance / px_per_mm, -1e3 if ignore_blindness else 1e3)
+        here = dr.select(seen, distance / px_per_mm, 1e3)
         scale = dr.select(here < depth, px_per_mm, scale)
-        return view + 1, dr.minimum(depth, here), scale, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        return view + 1, empty | outside, partial, votes, dr.minimum(depth, here), scale
 
-    state = (mi.UInt32(0), mi.Float(1e3), mi.Float(1.0), mi.UInt32(0))
-    _, depth, scale, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
-    return depth, scale, votes
+    state = (mi.UInt32(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0), mi.Float(1e3), mi.Float(1.0))
+    _, *found = dr.while_loop(state, lambda view, empty, *_: (view < bank.count) & ~empty, body)
+    return tuple(found)
 
 
 def carve(
@@ -208,8 +206,8 @@ def carve(
     """
     shape = grid.coarse_shape
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in shape), indexing="ij"))
-    full_index: list[Index] = []
-    full_size: list[Index] = []
+    indices, sizes = [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)]
+    occupancies = [np.zeros((3, 0), np.float32)]  # best, low, high
     blind_mm3 = 0.0
     nodes = [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
     for level in range(grid.levels + 1):
@@ -226,32 +224,39 @@ def carve(
             if dr.width(part[0]) == 0:
                 continue
             point = _centres(grid, part, edge_mm)
-            empty, partial, votes = _mark(
+            empty, partial, votes, depth, scale = _mark(
                 bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
             )
             blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
             full = ~empty & ~blind & ~partial & (votes >= min_votes)
             split = ~empty & ~blind & ~full
-            dr.eval(blind, full, split)
-            in_water = (dr.square(point.x) + dr.square(point.y) < radius_mm**2) & (point.z < top_mm) & (point.z > bottom_mm)
-            blind_mm3 += float(dr.count(blind & in_water)[0]) * edge_mm**3
-            chosen = np.stack([np.array(a) for a in _compress(part, full)], axis=1).astype(np.int32)
-            full_index.append(chosen * units)
-            full_size.append(np.full(len(chosen), units, np.int32))
-            kept.append(_compress(part, split))
+            in_radius = dr.square(point.x) + dr.square(point.y) < radius_mm**2
+            if units == 1:
+                # the finest nodes that no view decides are measured
+                moves = (0.0, -slack_px / scale, slack_px / scale)
+                best, low, high = (dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves)
+                chosen = full | (split & in_radius & (high > 0))
+                dr.eval(blind, chosen, best, low, high)
+                occupancies.append(np.stack([np.array(a) for a in _compress([best, low, high], chosen)]).astype(np.float32))
+            else:
+                chosen = full
+                dr.eval(blind, chosen, split)
+                kept.append(_compress(part, split))
+            blind_mm3 += float(dr.count(blind & in_radius & (point.z < top_mm) & (point.z > bottom_mm))[0]) * edge_mm**3
+            index = np.stack([np.array(a) for a in _compress(part, chosen)], axis=1).astype(np.int32)
+            indices.append(index * units)
+            sizes.append(np.full(len(index), units, np.int32))
+            if units > 1:
+                occupancies.append(np.ones((3, len(index)), np.float32))
         nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
         if progress:
             progress()
         if dr.width(nodes[0]) == 0:
             break
-        if level < grid.levels:
-            _check_memory(8 * dr.width(nodes[0]))
-            nodes = _children(nodes)
-    index, occupancy = _measure(bank, maps, grid, nodes, radius_mm, min_votes, slack_px, ignore_blindness)
-    sizes = np.concatenate([*full_size, np.ones(len(index), np.int32)])
-    full = np.ones((3, len(sizes) - len(index)), np.float32)
-    best, low, high = np.concatenate([full, occupancy], axis=1)
-    leaves = Leaves(grid, np.concatenate([*full_index, index]), sizes, best)
+        _check_memory(8 * dr.width(nodes[0]))
+        nodes = _children(nodes)
+    best, low, high = np.concatenate(occupancies, axis=1)
+    leaves = Leaves(grid, np.concatenate(indices), np.concatenate(sizes), best)
     return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), blind_mm3)
 
 
@@ -283,31 +288,3 @@ def _children(nodes: list[Any]) -> list[Any]:
     found = [2 * dr.gather(mi.Int32, nodes[a], parent) + mi.Int32(bits[a]) for a in range(3)]
     dr.eval(found)
     return found
-
-
-def _measure(
-    bank: ViewBank,
-    maps: DistanceMaps,
-    grid: Grid,
-    nodes: list[Any],
-    radius_mm: float,
-    min_votes: int,
-    slack_px: float,
-    ignore_blindness: bool,
-) -> tuple[Index, NDArray[np.float32]]:
-    """Measure the occupancy of the finest undecided nodes: (N, 3) indices and (3, N) fractions (best, low, high)."""
-    indices, fractions = [np.zeros((0, 3), np.int32)], [np.zeros((3, 0), np.float32)]
-    total = dr.width(nodes[0])
-    for begin in range(0, total, _CHUNK):
-        part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
-        point = _centres(grid, part, grid.size_mm)
-        depth, scale, votes = _depth(bank, maps, point, ignore_blindness)
-        known = (votes >= min_votes) & (dr.square(point.x) + dr.square(point.y) < radius_mm**2)
-        slack_mm = slack_px / scale
-        best, low, high = (dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0) for move in (0.0, -slack_mm, slack_mm))
-        keep = known & (high > 0)
-        dr.eval(keep, best, low, high)
-        chosen = _compress([*part, best, low, high], keep)
-        indices.append(np.stack([np.array(a) for a in chosen[:3]], axis=1).astype(np.int32))
-        fractions.append(np.stack([np.array(a) for a in chosen[3:]]).astype(np.float32))
-    return np.concatenate(indices), np.concatenate(fractions, axis=1)

@@ -150,7 +150,16 @@ def _outlines(run: Run, seen: Evidence, outline: Callable[[Silhouette], Image], 
 def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carve.Leaves:
     """Carve outlines out of the water."""
     least = max(3, math.ceil(parsimony.VOTES * seen.bank.count))
-    hull = carve.carve(seen.bank, maps, grid, radius_mm=water.radius_mm, top_mm=water.top_mm, bottom_mm=water.bottom_mm, min_votes=least)
+    hull = carve.carve(
+        seen.bank,
+        maps,
+        grid,
+        radius_mm=water.radius_mm,
+        top_mm=water.top_mm,
+        bottom_mm=water.bottom_mm,
+        min_votes=least,
+        slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
+    )
     return hull.leaves
 
 

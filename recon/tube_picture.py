@@ -72,8 +72,9 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     pixels, start, width = whole(span[..., 0] * span[..., 1]), whole(base), evidence.image_wh[0]
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
     dr.eval(depth)
-    scale = 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * np.sqrt(2.0))
-    box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + 6.0 * blur_px**2), _NARROWEST_PX) for t in (t_x, t_y))
+    # opaque: as a literal every blur would be a kernel of its own
+    scale, spread = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5)), dr.opaque(mi.Float, 6.0 * blur_px**2)
+    box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b)
 
     def side(x: Any) -> Any:
@@ -160,7 +161,7 @@ def _profiles(
     start = mi.UInt32(base.astype(np.uint32))
     columns, rows = evidence.image_wh
     sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
-    scale, peak = 1.0 / (sigma * np.sqrt(2.0)), 1.0 / (sigma * np.sqrt(2.0 * np.pi))
+    scale, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
     sums = [dr.zeros(mi.Float, len(base)) for _ in range(8)]
     reach = w + _PROFILE_MARGIN_PX
     for k in range(_PROFILE):
