@@ -18,6 +18,8 @@ _DIM = 0.25
 _MARGIN_MM = 0.1
 """Beside what is opaque: the cameras' and the canister's errors."""
 _STEP = 4
+_FLANK = 0.98
+"""Share of the canister's width beyond which the wall reflects nearly everything."""
 _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
 _BLOCK_ROWS = 24
@@ -35,8 +37,8 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
     u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
     directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
     w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-    inside = np.where(np.abs(w) < 0.98 * optics.w_limit, 1.0, np.nan)
-    clear = (inside * _clearance_mm(view, optics, scene, np.clip(w, -0.98, 0.98), p_z)).reshape(u.shape).astype(np.float32)
+    inside = np.where(np.abs(w) < _FLANK * optics.w_limit, 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, np.clip(w, -_FLANK, _FLANK), p_z)).reshape(u.shape).astype(np.float32)
     wide = (clear.shape[1] * _STEP, clear.shape[0] * _STEP)
     known = cv2.resize(np.isfinite(clear).astype(np.uint8), wide, interpolation=cv2.INTER_NEAREST) > 0
     fine = cv2.resize(np.nan_to_num(clear, nan=-1.0), wide, interpolation=cv2.INTER_LINEAR)
@@ -58,6 +60,21 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_
         highest = np.maximum(line.outer_z_mm - in_air * through_air, far_outer_z + in_air * through_air)
         clear = np.minimum(scene.net_pot.skirt_bottom_mm - highest, optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
         return np.minimum(clear, np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm)
+
+
+def wall_light(view: cameras.View, optics: Optics) -> Image:
+    """Return the share (H, W) of the backlight that comes through the canister's walls; that of the flank beyond it.
+
+    Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is estimated without them.
+    """
+    width, height = view.camera.image_wh
+    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
+    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
+    light = refraction.transmittance(optics, np.clip(w, -_FLANK, _FLANK) * optics.w_limit, p_z).reshape(u.shape)
+    wide = (u.shape[1] * _STEP, u.shape[0] * _STEP)
+    fine = cv2.resize(light.astype(np.float32), wide, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[:height, :width])
 
 
 def estimate(stack: Image, inside: Mask) -> Image:

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recon import background, silhouettes
+from recon import background, cameras, silhouettes, translucency, wall
 from recon.cameras import View
 from recon.refraction import Optics
 from recon.run import Run
@@ -21,13 +20,17 @@ Outline = Callable[[Image, Image, Mask], Silhouette]
 """From picture, empty backlight and seen pixels to a silhouette."""
 
 
-def draw(run: Run, views: dict[int, View], optics: Optics, *, outline: Outline = silhouettes.measure) -> dict[int, Silhouette]:
+_LEARN_VIEWS = 16
+"""Views from which the law of the roots' translucency is learnt."""
+
+
+def draw(run: Run, views: dict[int, View], optics: Optics, *, outline: Outline | None = None) -> dict[int, Silhouette]:
     """Draw every view's silhouette.
 
     Parameters
     ----------
     views : the cameras by index of the frame.
-    outline : how a silhouette comes from a picture.
+    outline : how a silhouette comes from a picture, if not by measuring coverage.
 
     Raises
     ------
@@ -60,30 +63,70 @@ def _given(run: Run, views: dict[int, View], optics: Optics) -> dict[int, Silhou
     return drawn
 
 
-def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline) -> dict[int, Silhouette]:
+def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline | None) -> dict[int, Silhouette]:
     """Draw silhouettes against the empty backlight."""
     keys = list(views)
     with run.stage("background"):
         inside = {k: background.water_mask(view, optics, run.dataset.scene) for k, view in views.items()}
-        empty = _backgrounds(run, views, inside)
-
-    def one(k: int) -> Silhouette:
-        return outline(run.images[k].astype(np.float32), empty[k], background.bright_enough(empty[k], inside[k]))
-
+        empty = _backgrounds(run, views, optics, inside)
+        seen = {k: background.bright_enough(empty[k], inside[k]) for k in keys}
+    if outline is not None:
+        with run.stage("silhouettes"):
+            return {k: outline(run.images[k].astype(np.float32), empty[k], seen[k]) for k in keys}
+    opacity = {k: silhouettes.opacity(run.images[k].astype(np.float32), empty[k], seen[k]) for k in keys}
+    with run.stage("wall"):
+        opacity, seen = _without_wall(run, views, optics, opacity, seen)
     with run.stage("silhouettes"):
+        px_a_mm = float(np.median([_scale(view, optics) for view in views.values()]))
+        some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
+        law = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+
+        def one(k: int) -> Silhouette:
+            if law.mu_per_mm is None:
+                return silhouettes.measure(opacity[k], seen[k], own=law.own)
+            covered = translucency.covered(opacity[k], law, px_a_mm)
+            return silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
+
         return dict(zip(keys, run.each(one, "silhouettes", keys), strict=True))
 
 
-def _backgrounds(run: Run, views: dict[int, View], inside: dict[int, NDArray[np.bool_]]) -> dict[int, NDArray[np.float32]]:
+def _without_wall(
+    run: Run, views: dict[int, View], optics: Optics, opacity: dict[int, Image], seen: dict[int, Mask]
+) -> tuple[dict[int, Image], dict[int, Mask]]:
+    """Take off what clings to the wall; in air nothing does."""
+    if len(views) < _RING_VIEWS or optics.n_water == 1.0:
+        return opacity, seen
+    keys = list(views)
+    where = dict(zip(keys, run.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
+    found = wall.study(opacity, seen, where, optics, run.each)
+    cleared = run.each(lambda k: wall.cleared(opacity[k], seen[k], where[k], found), "clear", keys)
+    return {k: part for k, (part, _) in zip(keys, cleared, strict=True)}, {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
+
+
+def _scale(view: View, optics: Optics) -> float:
+    """Return px/mm across the canister's axis at half the water's depth."""
+    middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
+    x, y, _ = view.centre_mm / view.rho_mm
+    px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
+    return float(np.linalg.norm(px[0, 0] - px[1, 0]))
+
+
+def _backgrounds(run: Run, views: dict[int, View], optics: Optics, inside: dict[int, Mask]) -> dict[int, Image]:
     """Estimate the empty backlight of each view: ring by ring where the camera stood still, else picture by picture."""
-    empty: dict[int, NDArray[np.float32]] = {}
+    empty: dict[int, Image] = {}
+    walls = dict(zip(views, run.each(lambda k: background.wall_light(views[k], optics), "walls", list(views)), strict=True))
     for ring in sorted({run.frames[k].ring for k in views}):
         members = [k for k in views if run.frames[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still(run, [views[k] for k in members]):
-            stack = np.stack([run.images[k] for k in members]).astype(np.float32)
-            empty.update(dict.fromkeys(members, background.estimate(stack, np.stack([inside[k] for k in members]))))
+            stack = np.stack([run.images[k] / walls[k] for k in members]).astype(np.float32)
+            panel = background.estimate(stack, np.stack([inside[k] for k in members]))
+            empty.update({k: panel * walls[k] for k in members})
         else:
-            single = run.each(lambda k: background.estimate_single(run.images[k].astype(np.float32), inside[k]), "background", members)
+
+            def from_itself(k: int) -> Image:
+                return np.asarray(walls[k] * background.estimate_single((run.images[k] / walls[k]).astype(np.float32), inside[k]))
+
+            single = run.each(from_itself, "background", members)
             empty.update(dict(zip(members, single, strict=True)))
     return empty
 

@@ -108,6 +108,22 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
     return WaterLine(b_mm=b_w, heading_rad=heading, slope=p_z / h_w, entry_z_mm=outer_z + p_z / h_g * s_g, outer_z_mm=outer_z)
 
 
+def transmittance(optics: Optics, w: Array, p_z: Array) -> Array:
+    """Return the share (...) of unpolarised light that rays of these invariants keep on their way into the water and out again.
+
+    Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius r:
+    ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
+    """
+    momentum = w * optics.outer_radius_mm * np.sqrt(1.0 - p_z**2)
+    through = np.ones(np.broadcast(w, p_z).shape)
+    for radius, n_1, n_2 in ((optics.outer_radius_mm, 1.0, optics.n_wall), (optics.inner_radius_mm, optics.n_wall, optics.n_water)):
+        a_1, a_2 = (np.sqrt(np.maximum(n**2 - p_z**2 - (momentum / radius) ** 2, 1e-12)) for n in (n_1, n_2))
+        r_s = ((a_1 - a_2) / (a_1 + a_2)) ** 2
+        r_p = ((n_2**2 * a_1 - n_1**2 * a_2) / (n_2**2 * a_1 + n_1**2 * a_2)) ** 2
+        through = through * (1.0 - 0.5 * (r_s + r_p)) ** 2
+    return through
+
+
 def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
     """Return the height (...) of each line where it passes the horizontal position (..., 2), azimuth frame."""
     along = np.sum(points_xy_mm * line.t, axis=-1)

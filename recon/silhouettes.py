@@ -67,32 +67,45 @@ class Window:
         return Window((low[0], low[1]), (size[0], size[1]))
 
 
-def measure(image: Image, background: Image, seen: Mask) -> Silhouette:
-    """Measure coverage: 0 at the empty backlight, 1 at the brightness of resolved root.
+def opacity(image: Image, background: Image, seen: Mask) -> Image:
+    """Return the opacity (H, W): 0 at the empty backlight, 1 where no light comes; 0 where nothing is seen.
 
     Parameters
     ----------
     image, background : (H, W) linear grey in one scale.
     seen : (H, W) pixels with a usable background.
     """
-    safe = np.where(seen, background, 1.0)
-    opacity = np.where(seen, 1.0 - image / safe, 0.0).astype(np.float32)
+    return np.where(seen, 1.0 - image / np.where(seen, background, 1.0), 0.0).astype(np.float32)
+
+
+def measure(opacity: Image, seen: Mask, *, own: float = 0.0) -> Silhouette:
+    """Measure the coverage by opaque roots: 0 at the empty backlight, 1 at the brightness of resolved root.
+
+    Parameters
+    ----------
+    opacity, seen : (H, W) as in `opacity`.
+    own : brightness of a root by itself over the backlight's, where the picture shows none wide enough to tell.
+    """
     # Front light makes roots brighter than black: what resolved roots show inside is full coverage, there and nearby.
     core = cv2.erode((opacity > 0.6).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & seen
-    full = np.float32(np.median(opacity[core])) if core.sum() >= 20 else np.float32(1.0)
+    full = np.float32(np.median(opacity[core])) if core.sum() >= 20 else np.float32(1.0 - own)
     weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
     reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
-    coverage = (opacity / np.maximum(reference, 0.3)).astype(np.float32)
-    return Silhouette(np.clip(np.where(_above_noise(coverage, seen), coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
+    return without_noise((opacity / np.maximum(reference, 0.3)).astype(np.float32), above_noise(opacity, seen), seen)
 
 
-def _above_noise(coverage: Image, seen: Mask) -> Mask:
-    """Tell the pixels whose surroundings (Gaussian of a pixel) are covered by more than four standard deviations of the noise.
+def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
+    """Return a silhouette of coverage (H, W) where it is above the noise."""
+    return Silhouette(np.clip(np.where(above & seen, coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
 
-    The noise is that of the empty backlight: the median absolute deviation of the smoothed coverage, most of which is empty.
+
+def above_noise(opacity: Image, seen: Mask) -> Mask:
+    """Tell the pixels whose surroundings (Gaussian of a pixel) are darker by more than four standard deviations of the noise.
+
+    The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is empty.
     """
-    smooth = cv2.GaussianBlur(coverage, (0, 0), 1.0)
+    smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     if not seen.any():
         return seen
     values = smooth[seen][::7]

@@ -63,7 +63,8 @@ def test_measured_coverage_is_the_covered_fraction_whatever_the_light() -> None:
     background = 40000 * x * np.ones_like(truth)
     root = 3000.0
     image = background * (1 - truth) + root * truth
-    found = silhouettes.measure(image.astype(np.float32), background.astype(np.float32), np.ones(truth.shape, bool))
+    seen = np.ones(truth.shape, bool)
+    found = silhouettes.measure(silhouettes.opacity(image.astype(np.float32), background.astype(np.float32), seen), seen)
     assert np.abs(found.coverage - np.clip(truth, 0, 1)).max() < 0.03
 
 
