@@ -181,6 +181,28 @@ def _mark(
     return tuple(found)
 
 
+def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, asked: Any, min_votes: int) -> Any:
+    """Tell which nodes have a corner that enough views see, though too few see the centre: the edge of the blind zone cuts them."""
+    result = dr.zeros(mi.Bool, dr.width(point))
+    chosen = dr.compress(asked)
+    if dr.width(chosen) == 0:
+        return result
+    part = dr.gather(mi.Point3f, point, chosen)
+    some = dr.zeros(mi.Bool, dr.width(chosen))
+    for corner in np.ndindex(2, 2, 2):
+        at = part + mi.Vector3f(*(half_mm * (2.0 * c - 1.0) for c in corner))
+
+        def body(view: Any, votes: Any, at: Any = at) -> tuple[Any, Any]:
+            seen = look(bank, maps, view, at, mi.Bool(True))[2]
+            return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+        state = (mi.UInt32(0), dr.zeros(mi.UInt32, dr.width(chosen)))
+        some |= dr.while_loop(state, lambda view, _: view < bank.count, body)[1] >= min_votes
+        dr.eval(some)
+    dr.scatter(result, some, chosen)
+    return result
+
+
 def carve(
     bank: ViewBank,
     maps: DistanceMaps,
@@ -228,6 +250,8 @@ def carve(
                 bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
             )
             blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
+            if level < grid.levels:
+                blind &= ~_partly_seen(bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), blind, min_votes)
             full = ~empty & ~blind & ~partial & (votes >= min_votes)
             split = ~empty & ~blind & ~full
             in_radius = dr.square(point.x) + dr.square(point.y) < radius_mm**2

@@ -1,12 +1,15 @@
-"""Mend the tree of branches where the tracing went astray: roots that touch each other are told apart by their directions.
+"""Mend the tree of branches where the tracing went astray: roots that touch each other are told apart by their courses.
 
 Where two roots touch, the easiest path to the top may change from one to the other. What is left of the first is then traced as a branch
-of its own that comes up to the same place: two tips meet head to head, or a tip ends where a branch begins that goes on in its direction.
+of its own: it ends in the middle of nowhere beside the other, or begins there. Roots are smooth and few: of all ways to connect the
+pieces that meet the one is taken that costs least, where a bend costs the square of its angle (and what else speaks against it, see
+`_cost`), and every branch costs as much as a bend of one radian.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,59 +19,225 @@ from recon.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
 
-_REACH_MM = 1.2
-_STRAIGHT = 0.6
-"""Least cosine between directions that go on in each other."""
+_REACH_MM = 2.0
+"""Pieces farther apart than this do not meet."""
+_GAP_MM, _MISS_MM = 2.0, 0.5
+"""A gap this long, or a jump this far to the side, speaks against a connection as much as a bend of one radian does."""
+_OVERLAP_MM = 0.6
+"""Pieces may overlap by a node's distance: where roots touch, their ends are uncertain."""
 _NODES = 4
-"""A direction is that over this many nodes."""
+"""The course of a piece is that over this many nodes."""
+_TOUCH_MM = 1.0
+"""A tip this near the surface of another root may be where it leaves that root."""
+_BRANCH = 1.0
+_GAIN = 0.1
+"""Changes that make the tree cheaper by less are left."""
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class _Courses:
+    """Where the branches come from and go to at each of their own nodes."""
+
+    centre: Array
+    """(N, 3)"""
+    arriving: Array
+    """(N, 3) unit vectors from the nodes before, towards the tip."""
+    leaving: Array
+    """(N, 3) unit vectors to the nodes behind."""
+    log_before: Array
+    """(N,) logarithm of the radius of the nodes before."""
+    log_after: Array
+    owner: Index
+    """(N,) branch."""
+    place: Index
+    """(N,) number of the node in its branch."""
 
 
 def mend(tubes: Tubes) -> Tubes:
-    """Join branches that meet head to head, then branches that go on where another ends.
+    """Connect the pieces of the tree so that it is as cheap as can be; only the branches change, the nodes stay.
 
-    Only the branches change; the nodes stay.
+    Four changes are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
+    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there.
     """
-    branches: list[Index | None] = list(tubes.branches)
-    for head_to_head in (True, False):
-        for first, second in _meetings(tubes.centre_mm, branches, head_to_head=head_to_head):
-            for a, b in ((first, second), (second, first)) if head_to_head else ((first, second),):
-                tried = _joined(branches, a, b, turned=head_to_head)
-                if tried is not None and _whole(tried, len(tubes.centre_mm)):
-                    branches = tried
-                    break
+    branches = _rightly_turned(tubes, list(tubes.branches))
+    for _ in range(_ROUNDS):
+        courses = _courses(tubes, branches)
+        changes = sorted(_meetings(courses, branches) + _takeovers(courses, branches))
+        touched: set[int] = set()
+        for _, first, node, third, turned in changes:
+            second = int(courses.owner[node])
+            if touched & {first, second, third}:
+                continue
+            tried = _changed(branches, first, second, int(courses.place[node]), third, turned=turned)
+            if _whole(tried, len(tubes.centre_mm)):
+                branches = tried
+                touched |= {first, second} | ({third} if third >= 0 else set())
+        if not touched:
+            break
     return Tubes(tubes.centre_mm, tubes.radius_mm, _parents_first(branches, len(tubes.centre_mm)))
 
 
-def _meetings(centre_mm: Array, branches: list[Index | None], *, head_to_head: bool) -> list[tuple[int, int]]:
-    """Return pairs of branches that may be joined, the closest first; a tip or beginning is in one pair only."""
-    alive = [k for k, nodes in enumerate(branches) if nodes is not None and len(nodes) > 2]
-    lines = [centre_mm[branches[k]] for k in alive]
-    tip = np.array([line[-1] for line in lines])
-    ahead = _unit(np.array([line[-1] - line[-min(_NODES, len(line))] for line in lines]))
-    if head_to_head:
-        other, onward = tip, -ahead
-    else:
-        other = np.array([line[1] for line in lines])
-        onward = _unit(np.array([line[min(_NODES, len(line) - 1)] - line[1] for line in lines]))
-    found = []
-    for i, near in enumerate(cKDTree(other).query_ball_point(tip, _REACH_MM)):
-        for j in near:
-            if i == j or (head_to_head and j < i) or (not head_to_head and alive[j] == 0):
+def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
+    """Turn round branches that begin at their tips: those that end at a root nearer to the top, along the roots, than where they begin."""
+    centre = tubes.centre_mm
+    for _ in range(_ROUNDS):
+        owner, way = _ways(tubes, branches)
+        turned = False
+        tips = np.array([nodes[-1] for nodes in branches if nodes is not None])
+        near = cKDTree(centre).query_ball_point(centre[tips], _TOUCH_MM + float(tubes.radius_mm.max()))
+        for tip, those in zip(tips, near, strict=True):
+            k = int(owner[tip])
+            if k == 0 or owner[tip] < 0:
                 continue
-            way = other[j] - tip[i]
-            distance = float(np.linalg.norm(way))
-            beside = distance > 0.5 * _REACH_MM and float(way @ (ahead[i] + onward[j])) < _STRAIGHT * distance
-            if float(ahead[i] @ onward[j]) > _STRAIGHT and not beside:
-                found.append((distance, i, j))
-    tips: set[int] = set()
-    others: set[int] = tips if head_to_head else set()
-    pairs = []
-    for _, i, j in sorted(found):
-        if i not in tips and j not in others:
-            tips.add(i)
-            others.add(j)
-            pairs.append((alive[i], alive[j]))
-    return pairs
+            others = np.array([n for n in those if owner[n] not in (k, -1)], np.int64)
+            if not len(others):
+                continue
+            gap = np.linalg.norm(centre[others] - centre[tip], axis=1) - tubes.radius_mm[others]
+            best = int(np.argmin(gap))
+            parent, line = int(others[best]), branches[k]
+            assert line is not None
+            if gap[best] > _TOUCH_MM or way[parent] + max(gap[best], 0.0) + _TOUCH_MM > way[line[0]]:
+                continue
+            tried = list(branches)
+            tried[k] = np.concatenate([[parent], line[:0:-1]])
+            if _whole(tried, len(centre)):
+                branches, turned = tried, True
+                owner, way = _ways(tubes, branches)
+        if not turned:
+            break
+    return branches
+
+
+def _ways(tubes: Tubes, branches: list[Index | None]) -> tuple[Index, Array]:
+    """Return the branch (N,) of each node, and its way (N,) along the roots to the top, mm."""
+    owner, way = np.full(len(tubes.centre_mm), -1), np.zeros(len(tubes.centre_mm))
+    for k in _order(branches, len(tubes.centre_mm)):
+        nodes = branches[k]
+        assert nodes is not None
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1))])
+        own = slice(0 if k == 0 else 1, None)
+        way[nodes[own]] = (way[nodes[0]] * (k > 0) + along)[own]
+        owner[nodes[own]] = k
+    return owner, way
+
+
+def _courses(tubes: Tubes, branches: list[Index | None]) -> _Courses:
+    """Find the courses of branches."""
+    count, centre = len(tubes.centre_mm), tubes.centre_mm
+    log_radius = np.log(tubes.radius_mm)
+    arriving, leaving = np.zeros((count, 3)), np.zeros((count, 3))
+    before, after = np.zeros(count), np.zeros(count)
+    owner, place = np.full(count, -1), np.zeros(count, np.int64)
+    for k, nodes in enumerate(branches):
+        if nodes is None:
+            continue
+        number = np.arange(len(nodes))
+        first, last = np.maximum(number - _NODES, 0), np.minimum(number + _NODES, len(nodes) - 1)
+        own = number if k == 0 else number[1:]
+        arriving[nodes[own]] = (centre[nodes] - centre[nodes[first]])[own]
+        leaving[nodes[own]] = (centre[nodes[last]] - centre[nodes])[own]
+        total = np.concatenate([[0.0], np.cumsum(log_radius[nodes if k == 0 else np.concatenate([nodes[1:2], nodes[1:]])])])
+        before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
+        after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]
+        owner[nodes[own]], place[nodes[own]] = k, own
+    return _Courses(centre, _unit(arriving), _unit(leaving), before, after, owner, place)
+
+
+def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
+    """Return what connecting pieces (M,) costs, infinite where one does not follow the other.
+
+    Parameters
+    ----------
+    way : (M, 3) from the end of one to the beginning of the other.
+    log_ratio : (M,) of their radii: roots as thick as the other go on in each other sooner.
+    """
+    middle = _unit(arriving + leaving)
+    along = (way * middle).sum(axis=1)
+    miss = np.linalg.norm(way - along[:, None] * middle, axis=1)
+    bend = np.arccos(np.clip((arriving * leaving).sum(axis=1), -1.0, 1.0))
+    gap = np.maximum(along - _OVERLAP_MM, 0.0)
+    cost = bend**2 + (miss / _MISS_MM) ** 2 + (gap / _GAP_MM) ** 2 + log_ratio**2
+    return np.asarray(np.where(along > -_OVERLAP_MM, cost, np.inf))
+
+
+_Change = tuple[float, int, int, int, bool]
+"""Gain (negative), the branch that ends, the node where it goes on, the branch that the interrupted one goes on in (or -1), and whether
+the second branch is turned round."""
+
+
+def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
+    """Return the tips that go on in a branch that begins near, and the tips that meet."""
+    alive = [nodes for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 2)]
+    tips = np.array([nodes[-1] for nodes in alive])
+    found: list[_Change] = []
+    for turned in (False, True):
+        ends = tips if turned else np.array([nodes[min(1, len(nodes) - 1)] for nodes in alive])
+        pairs = _pairs(courses.centre, tips, ends)
+        a, b = tips[pairs[:, 0]], ends[pairs[:, 1]]
+        cost = _cost(
+            courses.centre[b] - courses.centre[a],
+            courses.arriving[a],
+            -courses.arriving[b] if turned else courses.leaving[b],
+            courses.log_before[a] - (courses.log_before[b] if turned else courses.log_after[b]),
+        )
+        good = (cost - _BRANCH < -_GAIN) & (courses.owner[a] != courses.owner[b]) & (courses.owner[b] > 0)
+        found += [
+            (float(c) - _BRANCH, int(courses.owner[first]), int(second), -1, turned)
+            for c, first, second in zip(cost[good], a[good], b[good], strict=True)
+        ]
+    return found
+
+
+def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
+    """Return the tips that take over what follows of a branch that they run into."""
+    tips = np.array([nodes[-1] for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 2)])
+    inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
+    previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
+    if not len(inner):
+        return []
+    centre, owner = courses.centre, courses.owner
+    bend = np.arccos(np.clip((courses.arriving[previous] * courses.leaving[inner]).sum(axis=1), -1.0, 1.0))
+    held = bend**2 + (courses.log_before[previous] - courses.log_after[inner]) ** 2
+    rest = _continuations(courses, branches, previous)
+    pairs = _pairs(centre, tips, inner)
+    a, at = tips[pairs[:, 0]], pairs[:, 1]
+    b = inner[at]
+    cost = _cost(centre[b] - centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]) - held[at]
+    found: list[_Change] = []
+    for c, first, node, number in zip(cost, owner[a], b, at, strict=True):
+        if c >= _BRANCH - _GAIN or first == owner[node]:
+            continue
+        best, third = min(
+            ((more, k) for more, k in rest.get(int(previous[number]), []) if k not in (first, owner[node])), default=(0.0, -1)
+        )
+        if c + best < -_GAIN:
+            found.append((float(c + best), int(first), int(node), third, False))
+    return found
+
+
+def _continuations(courses: _Courses, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
+    """Return, for some nodes, the branches that begin near in which a root that ends there would go on, with the (negative) cost."""
+    starts = np.array([line[1] for k, line in enumerate(branches) if line is not None and k > 0 and len(line) > 2], np.int64)
+    if not len(starts):
+        return {}
+    pairs = _pairs(courses.centre, nodes, starts)
+    a, b = nodes[pairs[:, 0]], starts[pairs[:, 1]]
+    cost = _cost(
+        courses.centre[b] - courses.centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]
+    )
+    found: dict[int, list[tuple[float, int]]] = {}
+    for c, node, branch in zip(cost - _BRANCH, a, courses.owner[b], strict=True):
+        if c < 0.0:
+            found.setdefault(int(node), []).append((float(c), int(branch)))
+    return found
+
+
+def _pairs(centre: Array, first: Index, second: Index) -> Index:
+    """Return pairs (M, 2) of numbers of nodes of two lists that are near each other."""
+    near = cKDTree(centre[second]).query_ball_point(centre[first], _REACH_MM)
+    pairs = [(i, j) for i, those in enumerate(near) for j in those if first[i] != second[j]]
+    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
 def _unit(vectors: Array) -> Array:
@@ -76,14 +245,21 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _joined(branches: list[Index | None], a: int, b: int, *, turned: bool) -> list[Index | None] | None:
-    """Append branch b, turned round or not, to branch a; None where that cannot be."""
-    first, second = branches[a], branches[b]
-    if first is None or second is None or b == 0:
-        return None
+def _changed(branches: list[Index | None], a: int, b: int, place: int, third: int, *, turned: bool) -> list[Index | None]:
+    """Return branches of which a goes on in b from a node on, and what is left of b in a third, if any."""
     changed = list(branches)
-    changed[a] = np.concatenate([first, second[:0:-1] if turned else second[1:]])
-    changed[b] = None
+    first, second = branches[a], branches[b]
+    assert first is not None
+    assert second is not None
+    if turned:
+        changed[a], changed[b] = np.concatenate([first, second[:0:-1]]), None
+        return changed
+    changed[a] = np.concatenate([first, second[place:]])
+    left = second[:place]
+    changed[b] = left if len(left) > 1 else None
+    following = branches[third] if third >= 0 else None
+    if following is not None:
+        changed[b], changed[third] = np.concatenate([left, following[1:]]), None
     return changed
 
 

@@ -12,11 +12,12 @@ from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from recon import carve, density, evidence, hierarchy, mending, parsimony, tracing, tube_fit, tube_picture, tubes
+from recon import carve, density, evidence, hierarchy, mending, parsimony, proof, residue, tracing, tube_fit, tube_picture, tubes
 from recon.carve import DistanceMaps, Grid
 from recon.density import Cells
 from recon.evidence import CORE_PX, Evidence
 from recon.parsimony import Balls
+from recon.proof import Proof
 from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_picture import Pull
@@ -35,6 +36,8 @@ _THIN_MM = (0.05, 0.3)
 _ENDS_SHOWN = 0.15
 _ENDS_VIEWS = 3.0
 """A branch ends where less of it than this shows unhidden, or in fewer views: it explains no pixels of its own."""
+_EXPLAINED = 0.5
+"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a ghost."""
 _END_NODES = 3
 _NEIGHBOURS = 12
 _INSIDE = 0.9
@@ -44,7 +47,12 @@ _FLANK_PX = 0.5
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+_SHORT_MM = 1.5
+"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
+_SEARCHES = 2
+"""Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
+_BETWEEN_STEPS = 4
 _LAST_STEPS = 4
 
 
@@ -109,14 +117,55 @@ def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | N
             return None
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with run.stage("tubes"):
-        start, buried, organ = _thicken(start, core, balls, cells.grid.size_mm)
+        near_mm = 1.5 * cells.grid.size_mm
+        start, buried, organ = _thicken(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
-        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px)
-        stays = fitted.staying(_ends(fitted, pull, organ))
-        fitted, buried, organ = mending.mend(fitted.keep(stays)), buried[stays], organ[stays]
+        settle = _Settling(seen, core, balls, near_mm, blur_px)
+        fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
+        short = fitted.staying(_short_leaves(fitted, organ))
+        fitted, organ = fitted.keep(short), organ[short]
+    with run.stage("residue"):
+        for _ in range(_SEARCHES):
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
+            depth_px = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
+            grown = residue.grow(seen, fitted, organ, cells.chosen(depth <= depth.min()), depth_px, px_a_mm)
+            fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
     return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
+
+
+@dataclass(frozen=True)
+class _Settling:
+    """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and mended."""
+
+    seen: Evidence
+    core: Cells
+    balls: Balls
+    near_mm: float
+    blur_px: float
+
+    def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
+        """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
+        tree, _, organ = _thicken(tree, self.core, self.balls, self.near_mm)
+        tree, pull = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+        at = self.seen.project(tree.centre_mm)
+        depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
+        proved = proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
+        stays = tree.staying(_ends(tree, pull, proved, organ))
+        return _thicken(tubes.without_gaps(mending.mend(tree.keep(stays))), self.core, self.balls, self.near_mm)
+
+
+def _short_leaves(fitted: Tubes, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of branches that bear none and are so short that they may be an artefact of their neighbours."""
+    gone = np.zeros(len(organ), bool)
+    bearing = {int(nodes[0]) for nodes in fitted.branches[1:]}
+    for k in range(1, len(fitted.branches)):
+        own = fitted.own(k)
+        length = float(np.linalg.norm(np.diff(fitted.centre_mm[fitted.branches[k]], axis=0), axis=1).sum())
+        if length < _SHORT_MM + fitted.radius_mm[fitted.branches[k][0]] and not bearing & set(own.tolist()):
+            gone[own] = True
+    return gone & ~organ
 
 
 def _scale(seen: Evidence, water: Water) -> float:
@@ -185,7 +234,7 @@ def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
     none = np.zeros(len(start.radius_mm), bool)
     if not len(core.index) or not len(balls.radius_mm):
         return start, none, none
-    buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < 1.5 * near_mm
+    buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < near_mm
     radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
     for k in range(len(start.branches)):
         own = start.own(k)
@@ -206,16 +255,16 @@ def _blur(seen: Evidence, fitted: Tubes) -> float:
     return _BLURS_PX[int(np.argmin(cost))]
 
 
-def _ends(fitted: Tubes, pull: Pull, organ: Mask) -> Mask:
+def _ends(fitted: Tubes, pull: Pull, proved: Proof, organ: Mask) -> Mask:
     """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
     gone = np.zeros(len(organ), bool)
     for k in range(len(fitted.branches)):
         own = fitted.own(k)
-        shown, views = (
+        shown, views, explained, left = (
             np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
-            for value in (pull.visible, pull.views)
+            for value in (pull.visible, pull.views, proved.explained, proved.left)
         )
-        gone[own] = (shown < _ENDS_SHOWN) | (views < _ENDS_VIEWS)
+        gone[own] = (shown < _ENDS_SHOWN) | (views < _ENDS_VIEWS) | (explained < _EXPLAINED * (explained + left))
     return (gone & ~organ) | _inside_another(fitted)
 
 

@@ -31,7 +31,7 @@ _DENSE = 0.25
 """Density, 1/mm, from which a cell must belong to a branch."""
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
 """Density given to cells inside thick organs, and its rise with depth, a mm: paths keep to their middle."""
-_CLAIM_CELLS = 1.5
+CLAIM_CELLS = 1.5
 _CORE_CLAIM_MM = 0.65
 """Cells this far beyond the core about a path in a thick organ are claimed with it."""
 _LEAST_MM = 1.0
@@ -91,10 +91,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     high = np.flatnonzero(centre[:, 2] > centre[dense, 2].max() - _TOP_MM)
     heavy = high[density[high] > 0.5 * density[high].max()]
     start = heavy[centre[heavy, 2].argmax()]
-    cost, before = dijkstra(_graph(cells, density), directed=False, indices=start, return_predecessors=True)
-    length = _lengths(cost, before, centre)
-    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, _CLAIM_CELLS * cells.grid.size_mm)
-    lines = _branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
+    cost, before = dijkstra(graph(cells, density), directed=False, indices=start, return_predecessors=True)
+    length = lengths(cost, before, centre)
+    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
+    lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
     if not lines:
         return []
     nearest = cKDTree(centre[np.concatenate(lines)]).query(centre)[1]
@@ -112,7 +112,7 @@ def _smooth(cells: Cells) -> Array:
     return np.asarray(smooth[tuple((cells.index - low).T)], np.float64)
 
 
-def _graph(cells: Cells, density: Array) -> csr_matrix:
+def graph(cells: Cells, density: Array) -> csr_matrix:
     """Join each cell with its 26 neighbours at the cost of the way between their centres."""
     low = cells.index.min(axis=0) - 1
     shape = cells.index.max(axis=0) - low + 2
@@ -132,7 +132,7 @@ def _graph(cells: Cells, density: Array) -> csr_matrix:
     return coo_matrix((values, (rows, columns)), shape=(len(place), len(place))).tocsr()
 
 
-def _lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
+def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
     """Return the length (N,) of each cell's path, mm, by pointer doubling."""
     start = before < 0
     jump = np.where(start, np.arange(len(before)), before)
@@ -145,8 +145,16 @@ def _lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
         jump = onward
 
 
-def _branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: Array) -> list[Index]:
-    """Read branches off the tree of paths: cells (n,) of each, from the cell of its parent to its tip."""
+def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: Array, least_mm: float = _LEAST_MM) -> list[Index]:
+    """Read branches off the tree of paths: cells (n,) of each, from the cell of its parent to its tip.
+
+    Parameters
+    ----------
+    before : (N,) the cell before each on its path, negative at its beginning.
+    length : (N,) of the paths, mm; negative where a cell is no tip.
+    claim_mm : (N,) cells this near a branch belong to it.
+    least_mm : length that a branch must have among cells that no other has claimed.
+    """
     tree = cKDTree(centre)
     owned = np.zeros(len(centre), bool)
     left = length.copy()
@@ -161,7 +169,7 @@ def _branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm:
             way.append(int(before[way[-1]]))
         line = np.array(way[::-1])
         fresh = np.linalg.norm(np.diff(centre[line], axis=0), axis=1)[left[line[1:]] >= 0].sum()
-        if fresh < max(_LEAST_MM, claim_mm[tip]):
+        if fresh < max(least_mm, claim_mm[tip]):
             left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
             continue
         # in thick organs the balls are large: a few of them cover the way

@@ -120,6 +120,34 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
+def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:
+    """Hang further paths on a tree, with nodes strung on them; a path that begins at a tip lengthens that branch.
+
+    Parameters
+    ----------
+    paths : points (n, 3) of each new branch, from its parent to its tip.
+    radius_mm : radii (n,) at these points.
+    parents : the node of the tree that each begins at; -1: the nearest of the new branches before it.
+    """
+    centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
+    tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
+    for path, radius, parent in zip(paths, radius_mm, parents, strict=True):
+        points, thickness = _even(path, radius)
+        if parent < 0:
+            new = np.concatenate(centres[1:])
+            parent = len(tree.radius_mm) + int(cKDTree(new).query(path[0])[1])
+        new_nodes = count + np.arange(len(points) - 1, dtype=np.int64)
+        ended = tips.pop(parent, None)
+        if ended is None:
+            branches.append(np.concatenate([np.array([parent], np.int64), new_nodes]))
+        else:
+            branches[ended] = np.concatenate([branches[ended], new_nodes])
+        centres.append(points[1:])
+        radii.append(thickness[1:])
+        count += len(points) - 1
+    return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
+
+
 def _even(path: Array, radius: Array) -> tuple[Array, Array]:
     """Smooth a path, its ends held, and place nodes on it."""
     step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1))) if len(path) > 1 else 1.0
@@ -130,6 +158,25 @@ def _even(path: Array, radius: Array) -> tuple[Array, Array]:
     at = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING_MM) + 1))
     points = np.stack([np.interp(at, along, smooth[:, axis]) for axis in range(3)], axis=1)
     return points, np.interp(at, along, radius)
+
+
+def without_gaps(tubes: Tubes) -> Tubes:
+    """Put nodes into segments that are much longer than the others."""
+    centres, radii, branches, count = [tubes.centre_mm], [tubes.radius_mm], list(tubes.branches), len(tubes.radius_mm)
+    for k, nodes in enumerate(branches):
+        way = np.diff(tubes.centre_mm[nodes], axis=0)
+        parts = np.maximum(np.round(np.linalg.norm(way, axis=1) / SPACING_MM), 1).astype(np.int64)
+        if k > 0:
+            parts[0] = 1  # what lies between a parent's centre line and its flank shows nothing
+        line, radius = [nodes[:1]], tubes.radii(k)
+        for i in range(len(parts)):
+            share = np.arange(1, parts[i]) / parts[i]
+            centres.append(tubes.centre_mm[nodes[i]] + share[:, None] * way[i])
+            radii.append(radius[i] + share * (radius[i + 1] - radius[i]))
+            line += [count + np.arange(len(share)), nodes[i + 1 : i + 2]]
+            count += len(share)
+        branches[k] = np.concatenate(line).astype(np.int64)
+    return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
 
 
 def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -28,7 +29,7 @@ def coverage_of_ball(view: cameras.View, optics: refraction.Optics, centre_mm: n
 
 
 @cache
-def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> carve.Hull:
+def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, carve.DistanceMaps]:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
     optics = refraction.Optics.of(scene)
     views = [
@@ -41,12 +42,17 @@ def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = Fa
         seen = enters.reshape(180, 240)
         distance = silhouettes.signed_distance(Silhouette(coverage_of_ball(view, optics, np.array(centre_mm)), seen))
         maps.append(distance)
-    r = optics.inner_radius_mm
+    return projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
+
+
+@cache
+def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> carve.Hull:
+    bank, maps = seen_ball(centre_mm)
+    r = bank.optics.inner_radius_mm
     grid = carve.Grid.over(np.array([-r, -r, -110.0]), np.array([r, r, -8.0]), 0.4)
-    bank = projection.ViewBank.of(views, optics)
     return carve.carve(
         bank,
-        carve.DistanceMaps.of(np.stack(maps)),
+        maps,
         grid,
         radius_mm=r,
         top_mm=-8.0,
@@ -75,6 +81,24 @@ def test_a_ball_at_the_wall_survives_blind_directions() -> None:
     centre_mm = (64.0, 0.0, -50.0)
     assert carved(centre_mm).leaves.volume_mm3() == pytest.approx(BALL_MM3, rel=0.15)
     assert carved(centre_mm, ignore_blindness=True).leaves.volume_mm3() < 0.6 * BALL_MM3
+
+
+def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
+    """The pictures say nothing above some row; large nodes that the edge of the blind zone cuts are not blind as a whole."""
+    bank, maps = seen_ball((0.0, 0.0, -50.0))
+    row = float(np.array(carve.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
+    values = np.array(maps.values).reshape(bank.count, 360, 480)
+    values[:, : int(2 * row)] = silhouettes.UNSEEN_PX
+    half = carve.DistanceMaps.of(values)
+    grid = carve.Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
+    leaves = carve.carve(bank, half, grid, radius_mm=73.0, top_mm=-38.0, bottom_mm=-62.0, min_votes=5).leaves
+    z = np.arange(-50.0, -40.0, 0.05)
+    point = mi.Point3f(0.2, 0.2, mi.Float(z))
+    votes = sum(np.array(carve.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
+    on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
+    column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)
+    top = leaves.grid.origin_mm[2] + 0.4 * (leaves.index[:, 2] + leaves.size)[column].max()
+    assert top == pytest.approx(z[votes >= 5].max(), abs=0.41)
 
 
 def test_leaves_do_not_overlap_and_gather_without_loss() -> None:

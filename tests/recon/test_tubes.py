@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from recon import mending, projection, rooting, score_roots, tracing, tube_fit, tube_picture, tube_volume, tubes
+from recon import mending, projection, proof, residue, rooting, score_roots, tracing, tube_fit, tube_picture, tube_volume, tubes
 from recon.cameras import View
 from recon.carve import Grid, Leaves
 from recon.density import Cells, estimate
@@ -183,6 +184,55 @@ def test_tips_that_meet_head_to_head_are_joined():
     other = line((0.5, 1.0, -2.0), (13.0, 0.0, -8.0), step=0.5)
     system = _fork(trunk, left, right, other, starts=(10, len(trunk) + len(left) + len(right) + len(other) - 2, 4))
     assert len(mending.mend(_parents_first(system)).branches) == 3
+
+
+def test_a_root_whose_way_to_the_top_was_taken_by_another_gets_it_back():
+    """Two roots cross: one was traced up to the crossing and on along the other, whose own way ends there."""
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    first, second = line((0.5, 0.0, -5.0), (12.0, 0.0, -17.0), step=0.5), line((0.5, 0.0, -17.0), (12.0, 0.3, -5.0), step=0.5)
+    half = len(first) // 2
+    swapped = np.concatenate([second[:half], first[half:]])
+    system = _fork(trunk, swapped, first[: half - 1], second[half:], starts=(34, 10, len(trunk) + half - 1))
+    mended = mending.mend(system)
+    assert len(mended.branches) == 3
+    tips = {(int(branch[0]), round(float(mended.centre_mm[branch[-1]][2]))) for branch in mended.branches[1:]}
+    assert tips == {(10, -17), (34, -5)}
+
+
+def test_a_root_that_was_traced_from_its_tip_is_turned_round():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    higher, lower = line((0.5, 0.0, -5.0), (20.0, 0.0, -20.0), step=0.5), line((19.0, 0.5, -20.0), (0.5, 0.5, -10.0), step=0.5)
+    system = _fork(trunk, higher, lower, starts=(10, len(trunk) + len(higher) - 2))
+    mended = mending.mend(system)
+    assert mended.branches[2][0] in (19, 20, 21)
+    np.testing.assert_allclose(mended.centre_mm[mended.branches[2][-1]], lower[0])
+
+
+def test_what_tubes_leave_unexplained_is_hung_on_them():
+    true = strung(TRUNK, TWIG, radius_mm=0.2)
+    seen = pictured(true)
+    found = tubes.Tubes(true.centre_mm[true.branches[0]], true.radius_mm[true.branches[0]], (true.branches[0],))
+    grid = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
+    at = np.stack(np.meshgrid(np.arange(36), np.arange(20), np.arange(10, 90), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    index = at[cKDTree(np.concatenate([TRUNK, TWIG])).query(grid.origin_mm + (at + 0.5) * 0.4)[0] < 0.5]
+    depth = tube_picture.optical_depth(seen, found, seen.project(found.centre_mm), 0.0)
+    none = np.zeros(len(found.radius_mm), bool)
+    grown = residue.grow(seen, found, none, Cells(grid, index, np.zeros(len(index), np.float32)), depth, 4.0)
+    assert len(grown.branches) == 2
+    assert np.linalg.norm(grown.centre_mm[grown.branches[1][-1]] - TWIG[-1]) < 0.8
+    assert grown.branches[1][0] in found.branches[0]
+
+
+def test_proof_tells_a_root_from_a_ghost():
+    true = strung(TRUNK, TWIG, radius_mm=0.2)
+    seen = pictured(strung(TRUNK, radius_mm=0.2))
+    at = seen.project(true.centre_mm)
+    depth = tube_picture.optical_depth(seen, true, at, 0.0)
+    weighed = proof.weigh(seen, true, at, depth, tube_picture.unexplained(seen, depth), 0.0)
+    share = weighed.explained / (np.abs(weighed.explained) + weighed.left)
+    root, ghost = true.branches[0][3:-3], true.branches[1][4:-2]
+    assert np.median(share[root]) > 0.9
+    assert (share[ghost] < 0.0).all()
 
 
 def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
