@@ -49,11 +49,14 @@ _BEYOND_PX = 1.25
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
+_TIP_SHOWN = 0.4
+"""... and that it is not the others' fault: this part of their tips, over all views, is hidden by none."""
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
 _BETWEEN_STEPS = 4
 _LAST_STEPS = 4
+_AFTER_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -123,15 +126,18 @@ def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | N
         blur_px = _blur(seen, fitted)
         settle = _Settling(seen, core, balls, near_mm, blur_px)
         fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
-        short = fitted.staying(_short_leaves(fitted, organ))
-        fitted, organ = fitted.keep(short), organ[short]
+        stays = fitted.staying(_short_leaves(fitted, organ))
+        fitted, organ = fitted.keep(stays), organ[stays]
     with run.stage("residue"):
         for _ in range(_SEARCHES):
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
             depth_px = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
             grown = residue.grow(seen, fitted, organ, cells.chosen(depth <= depth.min()), depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
-        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))
+        fitted, buried, organ = fitted.keep(stays), buried[stays], organ[stays]
+        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
     return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
 
 
@@ -253,6 +259,13 @@ def _blur(seen: Evidence, fitted: Tubes) -> float:
         difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, blur_px))
         cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
     return _BLURS_PX[int(np.argmin(cost))]
+
+
+def _hidden_tips(fitted: Tubes, pull: Pull) -> Mask:
+    """Tell the nodes (N,) of branches whose tip is hidden by others in most views."""
+    tips = np.array([nodes[-1] for nodes in fitted.branches])
+    hidden: Mask = (pull.visible[tips] < _TIP_SHOWN)[fitted.owner]
+    return hidden
 
 
 def _ends(fitted: Tubes, pull: Pull, proved: Proof, organ: Mask) -> Mask:
