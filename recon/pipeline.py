@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from recon import drawing, markers, poses, result, shaping
+from recon import calibrated, drawing, markers, poses, result, shaping
 from recon.cameras import View
 from recon.canister_seat import CanisterSeat, find_seat
 from recon.refraction import Optics
+from recon.root_calibration import RigDoubt
 from recon.run import Run
 from recon.silhouettes import Silhouette
 from scenes import frames
@@ -18,6 +19,10 @@ from scenes.errors import UserError
 from scenes.provenance import peak_memory_mib, versions
 
 LEAST_VIEWS = 3
+SEAT_UNSEEN = np.array([0.1, 0.1, 0.2, 0.2])
+"""How askew (degrees, mm) a canister may stand in the strip where its edges were not seen."""
+FOCUS_GIVEN = 1e-4
+"""How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 
 
@@ -42,8 +47,9 @@ def reconstruct(
     optics = Optics.of(run.dataset.scene)
     drawn = drawing.draw(run, views, optics)
     shape = shaping.build(run, drawn, views, optics, voxel_mm=voxel_mm)
+    rig |= calibrated.of_roots(run.asked_roots, optics)
     settings = {"voxel_mm": voxel_mm, "slack_px": shaping.SLACK_PX}
-    return finish(run, found, rig, drawn, shape, Path(result_folder), settings=settings, mass_g=mass_g)
+    return finish(run, _corrected(run, found), rig, drawn, shape, Path(result_folder), settings=settings, mass_g=mass_g)
 
 
 def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -> tuple[list[result.ViewResult], dict[str, Any]]:
@@ -97,6 +103,7 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
     run.warnings += [f"{view.file} is left out: {view.reason}" for view in found if not view.used]
     with run.stage("seat"):
         seat = None if single_view else _seat(run, found)
+    run.doubt = _doubt(run, solved, seat)
     strip_from_canister = np.eye(4) if seat is None else frames.invert(seat.canister_from_strip)
     found = [
         view
@@ -104,7 +111,37 @@ def find_cameras(run: Run, *, measure: bool = True, single_view: bool = False) -
         else replace(view, cam_from_canister=(np.array(view.cam_from_canister) @ strip_from_canister).tolist())
         for view in found
     ]
-    return found, _rig(solved, seat, strip_from_canister)
+    turned = [
+        view.table_deg - frame.table_deg
+        for frame, view in zip(run.frames, found, strict=True)
+        if view.used and view.table_deg is not None and frame.table_deg is not None
+    ]
+    return found, _rig(solved, seat, strip_from_canister) | {"table_correction_deg": float(np.std(turned)) if turned else None}
+
+
+def _corrected(run: Run, found: list[result.ViewResult]) -> list[result.ViewResult]:
+    """Return the views with the cameras as the roots corrected them, where they did."""
+    asked, found = run.asked_roots, list(found)
+    if asked is not None and asked.believed:
+        for k, view in zip(asked.sights.frames, asked.sights.views, strict=True):
+            found[k] = replace(found[k], cam_from_canister=view.cam_from_canister.tolist())
+    return found
+
+
+def _doubt(run: Run, solved: poses.Poses, seat: CanisterSeat | None) -> RigDoubt:
+    """Return how well markers and edges know the rig; a view of no station is a station of its own."""
+    stations = [(ring.ring, ring.placement) for ring in solved.rings]
+    camera = [ring.covariance for ring in solved.rings]
+    number = []
+    for frame, view in zip(run.frames, solved.views, strict=True):
+        if frame.station not in stations and view.covariance is not None:
+            number.append(len(camera))
+            camera.append(view.covariance)
+        else:
+            number.append(stations.index(frame.station) if frame.station in stations else 0)
+    sigma = SEAT_UNSEEN if seat is None else seat.sigma
+    focus = solved.focal_sigma if solved.focal_scale != 1.0 and solved.focal_sigma is not None else FOCUS_GIVEN
+    return RigDoubt(np.array(number), np.array(camera), np.concatenate([np.deg2rad(sigma[:2]), sigma[2:]]), focus)
 
 
 def _seat(run: Run, found: list[result.ViewResult]) -> CanisterSeat | None:
@@ -129,6 +166,7 @@ def _rig(solved: poses.Poses, seat: CanisterSeat | None, strip_from_canister: fr
         "table_from_canister_sigma": None if solved.seat_sigma is None else solved.seat_sigma.tolist(),
         "marker_inset_px": solved.inset_px,
         "focal_scale": solved.focal_scale,
+        "focal_scale_found": solved.focal_found,
         "focal_scale_sigma": solved.focal_sigma,
         "rings": [
             {

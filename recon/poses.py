@@ -88,6 +88,8 @@ class Poses:
     """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
     focal_scale: float = 1.0
     """Focal lengths over the given ones, as the pictures tell them."""
+    focal_found: float | None = None
+    """The same, whether it is sure enough to be taken or not."""
     focal_sigma: float | None = None
     """Its standard deviation."""
     before_px: float | None = None
@@ -260,6 +262,7 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
         focal_scale=focal_scale,
+        focal_found=refocused.rig.focal_scale,
         focal_sigma=refocused.focal_sigma,
         before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),

@@ -101,6 +101,7 @@ class ViewBank:
             packed[k, 9:13] = view.rho_mm, view.centre_mm[2], turn[0, 0], turn[1, 0]
             packed[k, 13:15], packed[k, 15:17] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
+            packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
             key = (round(view.rho_mm / 0.2), round(float(view.centre_mm[2]) / 2.0))
             if key not in made:
                 made[key] = _view_table(optics, view)
@@ -141,7 +142,7 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     def parameter(index: int) -> Any:
         return dr.gather(mi.Float, bank.parameters, base + index, active)
 
-    rho, z_cam, c, s = (parameter(i) for i in (9, 10, 11, 12))
+    rho, z_cam, c, s, n_w = (parameter(i) for i in (9, 10, 11, 12, 22))
     x, y, z = c * point.x - s * point.y, s * point.x + c * point.y, point.z
 
     # start: table over (x, |y|)
@@ -161,15 +162,15 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     limit = 0.9995 * o.w_limit * r_o
     b = dr.clip(b, -limit, limit)
     # p_z from the straight line of equal optical lengths
-    b_w0 = b / o.n_water
+    b_w0 = b / n_w
     c_w0 = dr.sqrt(r_i * r_i - b_w0 * b_w0)
     length = dr.sqrt(rho * rho - b * b) - dr.sqrt(r_o * r_o - b * b) + (r_o - r_i) / o.n_wall
-    length += (c_w0 + dr.safe_sqrt(x * x + y * y - b_w0 * b_w0) * dr.select(x < 0, 1.0, -1.0)) / o.n_water
+    length += (c_w0 + dr.safe_sqrt(x * x + y * y - b_w0 * b_w0) * dr.select(x < 0, 1.0, -1.0)) / n_w
     p = (z - z_cam) * dr.rsqrt(dr.square(z - z_cam) + dr.square(length))
 
     for step in range(NEWTON_STEPS + 1):
         p2 = p * p
-        h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, o.n_water**2 - p2
+        h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, n_w**2 - p2
         h_a, ih_g, ih_w = dr.sqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
         k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
         b_g, b_w = b * k_g, b * k_w
@@ -190,7 +191,7 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
         f2 = z_cam + m_a * s_a + m_g * s_g + m_w * s_w - z
         s_a_b, s_g_bg = b / c_o - b / c_r, b_g / c_ig - b_g / c_og
         f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + b_w / c_w * k_w)
-        f2_p = s_a / (h_a2 * h_a) + o.n_wall**2 * s_g * ih_g / h_g2 + o.n_water**2 * s_w * ih_w / h_w2
+        f2_p = s_a / (h_a2 * h_a) + o.n_wall**2 * s_g * ih_g / h_g2 + n_w**2 * s_w * ih_w / h_w2
         f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + b_w / c_w * b_w_p)
         inv = 1 / (f1_b * f2_p - f1_p * f2_b)
         if step < NEWTON_STEPS:

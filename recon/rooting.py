@@ -12,12 +12,27 @@ from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from recon import carve, density, evidence, hierarchy, mending, parsimony, proof, residue, tracing, tube_fit, tube_picture, tubes
+from recon import (
+    carve,
+    density,
+    evidence,
+    hierarchy,
+    mending,
+    parsimony,
+    proof,
+    residue,
+    root_calibration,
+    tracing,
+    tube_fit,
+    tube_picture,
+    tubes,
+)
 from recon.carve import DistanceMaps, Grid
 from recon.density import Cells
 from recon.evidence import CORE_PX, Evidence
 from recon.parsimony import Balls
 from recon.proof import Proof
+from recon.root_calibration import Sights
 from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_picture import Pull
@@ -95,12 +110,13 @@ class RootSystem:
         return hierarchy.arrange(roots)
 
 
-def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | None:
+def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -> RootSystem | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
     ----------
     seen : measured coverage.
+    sights : its cameras, which the roots themselves may correct.
     balls : balls inside the hull, as `parsimony.trim` grew them.
     """
     px_a_mm = _scale(seen, water)
@@ -137,6 +153,9 @@ def find(run: Run, seen: Evidence, balls: Balls, water: Water) -> RootSystem | N
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))
         fitted, buried, organ = fitted.keep(stays), buried[stays], organ[stays]
+    with run.stage("index"):
+        seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
+    with run.stage("last tubes"):
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
     return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
 

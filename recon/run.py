@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from recon.root_calibration import RigDoubt, RootCalibration
 from scenes.dataset import Dataset, Frame, load_dataset, read_image
 from scenes.errors import UserError
 from scenes.model import Camera
@@ -33,6 +34,10 @@ class Run:
     warnings: list[str] = field(default_factory=list)
     camera: Camera = field(init=False)
     """The lens: as given, until the pictures tell how it was focused."""
+    doubt: RigDoubt | None = None
+    """How well the pictures tell the rig, by frame; None: cameras were given."""
+    asked_roots: RootCalibration | None = None
+    """What the roots said about the rig."""
 
     def __post_init__(self) -> None:
         self.camera = self.dataset.scene.camera

@@ -11,6 +11,7 @@ from recon.cameras import View
 from recon.evidence import Evidence
 from recon.refraction import Optics
 from recon.result import Shape, Triple, Voxels
+from recon.root_calibration import Sights
 from recon.rooting import Water
 from recon.run import Run
 from recon.silhouettes import UPSAMPLING, Silhouette, Window
@@ -39,6 +40,7 @@ class Carved:
     maps: carve.DistanceMaps
     silhouettes: list[Silhouette]
     """In the order of the bank's views."""
+    sights: Sights
     water: Water
 
 
@@ -94,7 +96,10 @@ def carve_hull(
             f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
             "the poses or the scene file do not fit the pictures."
         )
-    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=[drawn[k] for k in order], water=Water(radius, top, bottom))
+    doubt = None if run.doubt is None else run.doubt.of(order)
+    sights = Sights(order, [views[k] for k in order], optics, doubt)
+    drawn_in_order = [drawn[k] for k in order]
+    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn_in_order, sights=sights, water=Water(radius, top, bottom))
 
 
 def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics: Optics, *, voxel_mm: float) -> Shape:
@@ -107,7 +112,7 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
     volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
     system = None
     if _is_thin(trimmed):
-        system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), trimmed.balls, carved.water)
+        system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), carved.sights, trimmed.balls, carved.water)
     if system is None:
         # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
         interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3

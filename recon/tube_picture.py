@@ -13,7 +13,7 @@ so that the segments of a branch add up to a strip without seams.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -122,7 +122,49 @@ class Pull:
     """(N,) views in which most of the node is visible."""
 
 
+@dataclass(frozen=True)
+class Profiles:
+    """What each view (V) says across the tube at each node (N), integrated over its profile."""
+
+    across: Array
+    """(V, N, 3) gradient of the place across the tube by the node, px/mm."""
+    scale: Array
+    """(V, N) px/mm across the tube."""
+    shift_2: Array
+    """(V, N) squared derivative of the coverage by a shift in px; 0 where the view says nothing."""
+    shift_width: Array
+    width_2: Array
+    shift: Array
+    """(V, N) derivative by the shift times what is unexplained."""
+    width: Array
+    shown: Array
+    """(V, N) coverage that nothing hides."""
+    whole: Array
+
+    def of(self, nodes: NDArray[np.int64]) -> Profiles:
+        """Return the profiles of some nodes."""
+        return Profiles(*(getattr(self, field.name)[:, nodes] for field in fields(self)))
+
+    def pull(self) -> Pull:
+        """Return the normal equations of all views together."""
+        count, scale = self.scale.shape[1], self.scale
+        hessian, gradient = np.zeros((count, 4, 4)), np.zeros((count, 4))
+        hessian[:, :3, :3] = np.einsum("vn,vni,vnj->nij", self.shift_2, self.across, self.across)
+        hessian[:, :3, 3] = hessian[:, 3, :3] = np.einsum("vn,vni->ni", self.shift_width * scale, self.across)
+        hessian[:, 3, 3] = (self.width_2 * scale**2).sum(axis=0)
+        gradient[:, :3] = np.einsum("vn,vni->ni", self.shift, self.across)
+        gradient[:, 3] = (self.width * scale).sum(axis=0)
+        visible = self.shown.sum(axis=0) / np.maximum(self.whole.sum(axis=0), 1e-9)
+        views = (self.shown > 0.5 * np.maximum(self.whole, 1e-9)).sum(axis=0).astype(np.float64)
+        return Pull(hessian, gradient, visible, views)
+
+
 def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Pull:
+    """Compare pictures and tubes across every node in every view, all views together."""
+    return profiles(evidence, tubes, at, depth, difference, blur_px).pull()
+
+
+def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:
     """Compare pictures and tubes across every node in every view.
 
     In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
@@ -135,17 +177,7 @@ def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: An
     across = at.across(normal)
     scale = np.linalg.norm(across, axis=-1)
     used = at.seen & (speed > _LEAST_SPEED_PX)
-    sums = _profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, blur_px)
-    shift_2, shift_width, width_2, shift, width, shown, whole = sums
-    count = len(tubes.radius_mm)
-    hessian, gradient = np.zeros((count, 4, 4)), np.zeros((count, 4))
-    hessian[:, :3, :3] = np.einsum("vn,vni,vnj->nij", shift_2, across, across)
-    hessian[:, :3, 3] = hessian[:, 3, :3] = np.einsum("vn,vni->ni", shift_width * scale, across)
-    hessian[:, 3, 3] = (width_2 * scale**2).sum(axis=0)
-    gradient[:, :3] = np.einsum("vn,vni->ni", shift, across)
-    gradient[:, 3] = (width * scale).sum(axis=0)
-    visible = shown.sum(axis=0) / np.maximum(whole.sum(axis=0), 1e-9)
-    return Pull(hessian, gradient, visible, (shown > 0.5 * np.maximum(whole, 1e-9)).sum(axis=0).astype(np.float64))
+    return Profiles(across, scale, *_profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, blur_px))
 
 
 def _profiles(

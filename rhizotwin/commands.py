@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from recon import calibrated
 from rhizotwin import print_commands, rig_commands, traits_commands
 from scenes import files
 from scenes.checks import check_scene
@@ -98,6 +99,8 @@ def reconstruct(options: argparse.Namespace) -> None:
     used = sum(view["used"] for view in summary["views"])
     for warning in summary["warnings"]:
         print(f"warning: {warning}")
+    for line in calibrated.table(summary["rig"]):
+        print(line)
     print(f"volume {summary['volume_mm3']:.1f} mm3, between {low:.1f} and {high:.1f} mm3; {used} of {len(summary['views'])} views used")
     _print_paths(written)
     if (options.dataset / "truth").is_dir():
