@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from recon import result_files, result_traits, score_traits
+from recon.score_rig import RigError, compare_rig
 from recon.score_roots import RootScore, compare_roots
 from recon.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
 from recon.score_traits import TraitScore, compare_traits
@@ -43,6 +44,8 @@ class Score:
     surface: SurfaceScore
     poses: PoseScore | None
     """None where no view was used."""
+    rig: tuple[RigError, ...]
+    """What the pictures told of the rig, where the truth knows it."""
     masks: MaskScore | None
     """None where the result holds no silhouettes."""
     hull: HullScore
@@ -109,6 +112,7 @@ class Score:
                 ("  camera directions", f"median {p.median_deg:.4f} deg, worst {p.max_deg:.4f} deg"),
                 ("  common to all", f"{p.common_mm:.4f} mm at the specimen, {p.common_deg:.4f} deg; left in a view {p.own_mm:.4f} mm"),
             ]
+        rows += [(f"  {error.quantity}", error.text) for error in self.rig]
         if self.masks is not None:
             m = self.masks
             rows += [
@@ -198,6 +202,7 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
         voxels=voxels,
         surface=compare_surfaces(shape, solid),
         poses=compare_poses(summary["views"], truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
+        rig=compare_rig(summary, truth),
         masks=compare_masks(summary["views"], result_folder, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
         roots=compare_roots(rsml.read_rsml(found_roots), rsml.read_rsml(true_roots)) if both else None,

@@ -36,7 +36,12 @@ def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, True
             TrueView(file=file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg) for file, camera in taken
         ),
         traits=dict(solid.traits),
-        drawn={**world.drawn(), "specimen": scene_to_dict(world.scene)["specimen"], "notes": list(solid.notes)},
+        drawn={
+            **world.drawn(),
+            "focal_error": world.scene.disturbances.focal_error,
+            "specimen": scene_to_dict(world.scene)["specimen"],
+            "notes": list(solid.notes),
+        },
     )
 
 
