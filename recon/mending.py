@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ _BRANCH = 1.0
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
 _ROUNDS = 8
+_SHARED_MM, _ALONGSIDE = 2.0, 0.7
+"""Two laterals share at most this much of their way, and go apart by less than 45 degrees."""
 
 
 @dataclass(frozen=True)
@@ -57,24 +60,27 @@ class _Courses:
 def mend(tubes: Tubes) -> Tubes:
     """Connect the pieces of the tree so that it is as cheap as can be; only the branches change, the nodes stay.
 
-    Four changes are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
-    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there.
+    Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
+    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there; a
+    branch goes on in its child, and what followed becomes the child. At last, branches that fork off near their parent's beginning
+    are hung on its parent.
     """
     branches = _rightly_turned(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
         courses = _courses(tubes, branches)
-        changes = sorted(_meetings(courses, branches) + _takeovers(courses, branches))
+        changes = sorted(_meetings(courses, branches) + _takeovers(courses, branches) + _exchanges(courses, branches))
         touched: set[int] = set()
-        for _, first, node, third, turned in changes:
+        for _, first, node, third, kind in changes:
             second = int(courses.owner[node])
             if touched & {first, second, third}:
                 continue
-            tried = _changed(branches, first, second, int(courses.place[node]), third, turned=turned)
+            tried = _changed(branches, first, second, int(courses.place[node]), third, kind)
             if _whole(tried, len(tubes.centre_mm)):
                 branches = tried
                 touched |= {first, second} | ({third} if third >= 0 else set())
         if not touched:
             break
+    branches = _hung_higher(tubes.centre_mm, branches)
     return Tubes(tubes.centre_mm, tubes.radius_mm, _parents_first(branches, len(tubes.centre_mm)))
 
 
@@ -161,9 +167,16 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
     return np.asarray(np.where(along > -_OVERLAP_MM, cost, np.inf))
 
 
-_Change = tuple[float, int, int, int, bool]
-"""Gain (negative), the branch that ends, the node where it goes on, the branch that the interrupted one goes on in (or -1), and whether
-the second branch is turned round."""
+class _Kind(IntEnum):
+    """How the branch that owns the node of a change is treated."""
+
+    CUT = 0
+    TURNED = 1
+    EXCHANGED = 2
+
+
+_Change = tuple[float, int, int, int, _Kind]
+"""Gain (negative), the branch that ends, the node where it goes on, the branch that the interrupted one goes on in (or -1), and how."""
 
 
 def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
@@ -183,7 +196,7 @@ def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
         )
         good = (cost - _BRANCH < -_GAIN) & (courses.owner[a] != courses.owner[b]) & (courses.owner[b] > 0)
         found += [
-            (float(c) - _BRANCH, int(courses.owner[first]), int(second), -1, turned)
+            (float(c) - _BRANCH, int(courses.owner[first]), int(second), -1, _Kind.TURNED if turned else _Kind.CUT)
             for c, first, second in zip(cost[good], a[good], b[good], strict=True)
         ]
     return found
@@ -212,8 +225,66 @@ def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]
             ((more, k) for more, k in rest.get(int(previous[number]), []) if k not in (first, owner[node])), default=(0.0, -1)
         )
         if c + best < -_GAIN:
-            found.append((float(c + best), int(first), int(node), third, False))
+            found.append((float(c + best), int(first), int(node), third, _Kind.CUT))
     return found
+
+
+def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
+    """Return the branches that go on in a child of theirs rather than in what follows of their own."""
+    found: list[_Change] = []
+    for k, line in enumerate(branches):
+        if line is None or k == 0 or len(line) <= _NODES:
+            continue
+        parent = branches[int(courses.owner[line[0]])]
+        place = int(courses.place[line[0]])
+        assert parent is not None
+        if place < 2 or place + _NODES >= len(parent):
+            continue
+        here, ways = line[[0, 0]], np.array([line[1], parent[place + 1]])
+        cost = _cost(
+            courses.centre[ways] - courses.centre[here],
+            courses.arriving[here],
+            courses.leaving[ways],
+            courses.log_before[here] - courses.log_after[ways],
+        )
+        if cost[0] - cost[1] < -_GAIN:
+            found.append((float(cost[0] - cost[1]), k, int(parent[place]), -1, _Kind.EXCHANGED))
+    return found
+
+
+def _hung_higher(centre: Array, branches: list[Index | None]) -> list[Index | None]:
+    """Hang branches that fork off near their parent's beginning, in nearly its direction, on the parent's parent.
+
+    Laterals that leave a root side by side are traced as one as far as they cannot be told apart.
+    """
+    changed = list(branches)
+    owner = np.full(len(centre), -1)
+    for k, nodes in enumerate(branches):
+        if nodes is not None:
+            owner[nodes if k == 0 else nodes[1:]] = k
+    for k in _order(branches, len(centre)):  # parents before children
+        line = branches[k]
+        assert line is not None
+        above = int(owner[line[0]]) if k else 0
+        parent = branches[above]
+        assert parent is not None
+        if above == 0 or len(line) < 3:
+            continue
+        place = int(np.flatnonzero(parent == line[0])[0])
+        shared = np.linalg.norm(np.diff(centre[parent[1 : place + 1]], axis=0), axis=1).sum()
+        onward = _unit(
+            np.array(
+                [
+                    centre[line[min(1 + _NODES, len(line) - 1)]] - centre[line[1]],
+                    centre[parent[min(place + _NODES, len(parent) - 1)]] - centre[parent[max(place - 1, 0)]],
+                ]
+            )
+        )
+        if shared < _SHARED_MM and onward[0] @ onward[1] > _ALONGSIDE:
+            grand = changed[above]
+            assert grand is not None
+            changed[k] = np.concatenate([grand[:1], line[1:]])
+    return changed if _whole(changed, len(centre)) else branches
 
 
 def _continuations(courses: _Courses, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
@@ -245,14 +316,17 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(branches: list[Index | None], a: int, b: int, place: int, third: int, *, turned: bool) -> list[Index | None]:
+def _changed(branches: list[Index | None], a: int, b: int, place: int, third: int, kind: _Kind) -> list[Index | None]:
     """Return branches of which a goes on in b from a node on, and what is left of b in a third, if any."""
     changed = list(branches)
     first, second = branches[a], branches[b]
     assert first is not None
     assert second is not None
-    if turned:
+    if kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[:0:-1]]), None
+        return changed
+    if kind is _Kind.EXCHANGED:
+        changed[b], changed[a] = np.concatenate([second[: place + 1], first[1:]]), second[place:]
         return changed
     changed[a] = np.concatenate([first, second[place:]])
     left = second[:place]
