@@ -34,8 +34,6 @@ _BRANCH = 1.0
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
 _ROUNDS = 8
-_SHARED_MM, _ALONGSIDE = 2.0, 0.7
-"""Two laterals share at most this much of their way, and go apart by less than 45 degrees."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +60,7 @@ def mend(tubes: Tubes) -> Tubes:
 
     Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
     takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there; a
-    branch goes on in its child, and what followed becomes the child. At last, branches that fork off near their parent's beginning
-    are hung on its parent.
+    branch goes on in its child, and what followed becomes the child. Whose lateral a root is, `hierarchy` settles at the end.
     """
     branches = _rightly_turned(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
@@ -80,7 +77,6 @@ def mend(tubes: Tubes) -> Tubes:
                 touched |= {first, second} | ({third} if third >= 0 else set())
         if not touched:
             break
-    branches = _hung_higher(tubes.centre_mm, branches)
     return Tubes(tubes.centre_mm, tubes.radius_mm, _parents_first(branches, len(tubes.centre_mm)))
 
 
@@ -250,41 +246,6 @@ def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]
         if cost[0] - cost[1] < -_GAIN:
             found.append((float(cost[0] - cost[1]), k, int(parent[place]), -1, _Kind.EXCHANGED))
     return found
-
-
-def _hung_higher(centre: Array, branches: list[Index | None]) -> list[Index | None]:
-    """Hang branches that fork off near their parent's beginning, in nearly its direction, on the parent's parent.
-
-    Laterals that leave a root side by side are traced as one as far as they cannot be told apart.
-    """
-    changed = list(branches)
-    owner = np.full(len(centre), -1)
-    for k, nodes in enumerate(branches):
-        if nodes is not None:
-            owner[nodes if k == 0 else nodes[1:]] = k
-    for k in _order(branches, len(centre)):  # parents before children
-        line = branches[k]
-        assert line is not None
-        above = int(owner[line[0]]) if k else 0
-        parent = branches[above]
-        assert parent is not None
-        if above == 0 or len(line) < 3:
-            continue
-        place = int(np.flatnonzero(parent == line[0])[0])
-        shared = np.linalg.norm(np.diff(centre[parent[1 : place + 1]], axis=0), axis=1).sum()
-        onward = _unit(
-            np.array(
-                [
-                    centre[line[min(1 + _NODES, len(line) - 1)]] - centre[line[1]],
-                    centre[parent[min(place + _NODES, len(parent) - 1)]] - centre[parent[max(place - 1, 0)]],
-                ]
-            )
-        )
-        if shared < _SHARED_MM and onward[0] @ onward[1] > _ALONGSIDE:
-            grand = changed[above]
-            assert grand is not None
-            changed[k] = np.concatenate([grand[:1], line[1:]])
-    return changed if _whole(changed, len(centre)) else branches
 
 
 def _continuations(courses: _Courses, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:

@@ -207,13 +207,6 @@ def test_a_root_goes_on_in_the_straighter_of_two():
     assert [round(float(mended.centre_mm[branch[-1]][2])) for branch in mended.branches] == [-30, -20]
 
 
-def test_laterals_that_leave_side_by_side_hang_on_the_same_root():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
-    one, two = line((0.5, 0.0, -5.0), (12.0, 0.0, -9.0), step=0.5), line((1.5, 0.3, -5.5), (12.0, 5.0, -9.0), step=0.5)
-    mended = mending.mend(_fork(trunk, one, two, starts=(10, len(trunk) + 1)))
-    assert [int(branch[0]) for branch in mended.branches[1:]] == [10, 10]
-
-
 def test_a_root_that_was_traced_from_its_tip_is_turned_round():
     trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
     higher, lower = line((0.5, 0.0, -5.0), (20.0, 0.0, -20.0), step=0.5), line((19.0, 0.5, -20.0), (0.5, 0.5, -10.0), step=0.5)
