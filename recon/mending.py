@@ -20,9 +20,9 @@ from recon.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
 
-_REACH_MM = 2.0
+_REACH_MM = 4.0
 """Pieces farther apart than this do not meet."""
-_GAP_MM, _MISS_MM = 2.0, 0.5
+_GAP_MM, _MISS_MM = 4.0, 0.5
 """A gap this long, or a jump this far to the side, speaks against a connection as much as a bend of one radian does."""
 _OVERLAP_MM = 0.6
 """Pieces may overlap by a node's distance: where roots touch, their ends are uncertain."""
