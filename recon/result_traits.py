@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 
 THICK_CELLS = 3.0
 """Roots of a larger radius, in finest voxels, are measured on the mesh; the mesh of thinner ones is eaten (-10 % of 0.3 mm roots' area)."""
-_NEIGHBOURS = 8
 
 
 def of_shape(
@@ -108,11 +107,16 @@ def _area_mm2(vertices_mm: Floats, faces: NDArray[np.int64], roots: Sequence[Roo
     if not roots:
         return float(area.sum())
     tubes = tube_surface.stations(roots)
-    thin = tubes.radius_mm < thick_mm
-    count = min(_NEIGHBOURS, len(thin))
-    away, near = cKDTree(tubes.centre_mm).query((a + b + c) / 3.0, k=count)
-    away, near = away.reshape(len(faces), count), near.reshape(len(faces), count)
-    height = away - tubes.radius_mm[near]
-    nearest = near[np.arange(len(faces)), height.argmin(axis=1)]
-    meshed = ~thin[nearest] | (height.min(axis=1) > thick_mm)
+    thin, middle = tubes.radius_mm < thick_mm, (a + b + c) / 3.0
+    to_thin, to_thick = (_height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
+    meshed = (to_thick <= to_thin) | (to_thin > thick_mm)
     return float(area[meshed].sum() + tube_surface.outside_mm2(tubes)[thin].sum())
+
+
+def _height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
+    """Return how far points (P, 3) are above the skin of the nearest of some stations; infinite without any."""
+    if not len(centre_mm):
+        return np.full(len(points_mm), np.inf)
+    away, near = cKDTree(centre_mm).query(points_mm, workers=-1)
+    height: Floats = away - radius_mm[near]
+    return height
