@@ -109,7 +109,7 @@ def _page(summary: dict[str, Any], dataset: Dataset, traits: Traits, written: li
         "Traits": report_tables.traits(traits),
         "Pictures": _figures([path for path in written if path not in of_roots]),
         "Numbers": report_tables.table(_numbers(summary)),
-        "What the scan calibrated by itself": report_tables.calibration(summary, dataset),
+        "What the scan calibrated by itself": report_tables.calibration(summary),
         "Views": _views(summary),
         "How it was made": report_tables.table(_provenance(summary)),
     }

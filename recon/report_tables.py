@@ -5,18 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from recon import calibrated
 from scenes import frames
-from scenes.dataset import Dataset
 from scenes.trait_table import DEFINITIONS, shown
 from scenes.traits import Traits
-
-NAMES = {
-    "focal_scale": ("Lens: focal length over the calibrated one", ""),
-    "n_water": ("Water: index of refraction", ""),
-}
-"""What a number of the rig is called, and its unit; one that is not here is called by its key."""
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
@@ -48,48 +41,22 @@ def traits(found: Traits) -> str:
     return note + table(rows, head=("trait", "value", "unit", "definition"), numbers=(1,))
 
 
-def calibration(summary: dict[str, Any], dataset: Dataset) -> str:
+def calibration(summary: dict[str, Any]) -> str:
     """Return what all views together gave, with uncertainties and the reprojection before and after; empty where the poses were given."""
     rig = summary.get("rig") or {}
-    if not rig:
-        return ""
-    rows: list[list[str]] = []
-    for key, name in (("canister_from_strip", "Canister in the strip"), ("table_from_canister", "Table's axis against the canister")):
-        rows += _seat(name, rig.get(key), rig.get(f"{key}_sigma"))
-    for key, value in rig.items():
-        sigma = rig.get(f"{key}_sigma")
-        if _is_number(value) and _is_number(sigma):
-            name, unit = NAMES.get(key, (key.replace("_", " "), ""))
-            rows.append([name, f"{value:.5f}", f"{sigma:.5f}", unit])
-    for ring in rig.get("rings") or []:
-        rows += _ring(ring)
-    rows += _angles(summary, dataset)
-    parts = [table(rows, head=("quantity", "value", "uncertainty (1 sigma)", "unit"), numbers=(1, 2))] if rows else []
-    parts.append(_before_and_after(rig))
+    rows = [
+        (
+            *(row.quantity, f"{row.given:.6g}", f"{row.found:.6g}", "" if row.sigma is None else f"{row.sigma:.2g}", row.unit),
+            "" if row.taken else "not sure enough: as given",
+        )
+        for row in calibrated.rows(rig)
+    ]
+    parts = [table(rows, head=("quantity", "given", "found", "sigma", "unit", ""), numbers=(1, 2, 3))] if rows else []
+    off = [[what, f"{before:.4f}", f"{after:.4f}", unit] for what, before, after, unit in calibrated.reprojection(rig)]
+    parts += [table(off, head=("what was off", "before", "after", "unit"), numbers=(1, 2))] if off else []
+    stood = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
+    parts += [table(stood, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if stood else []
     return "".join(parts)
-
-
-def _before_and_after(rig: dict[str, Any]) -> str:
-    rows = []
-    if _is_number(rig.get("reprojection_before_px")) and _is_number(rig.get("reprojection_after_px")):
-        before, after = rig["reprojection_before_px"], rig["reprojection_after_px"]
-        rows.append(["Markers' reprojection (before: table angles as commanded, seat as planned)", f"{before:.4f}", f"{after:.4f}", "px"])
-    edges = rig.get("canister_edges")
-    if edges:
-        rows.append([f"Canister's edges ({edges['count']} points)", f"{edges['before_mm']:.4f}", f"{edges['after_mm']:.4f}", "mm"])
-    return table(rows, head=("error", "before", "after", "unit"), numbers=(1, 2)) if rows else ""
-
-
-def _seat(name: str, matrix: Any, sigma: Any) -> list[list[str]]:
-    """Return tilt and offset of a pose; ``sigma`` has tilts about x and y in degrees, then offsets along x and y in mm."""
-    if matrix is None:
-        return []
-    pose = np.array(matrix, np.float64)
-    tilt = Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)
-    known = ["" if sigma is None else f"{value:.4f}" for value in (sigma or [None] * 4)]
-    values = (*tilt[:2], *pose[:2, 3])
-    what = (("tilt about x", "deg"), ("tilt about y", "deg"), ("offset along x", "mm"), ("offset along y", "mm"))
-    return [[f"{name}: {part}", f"{value:+.4f}", about, unit] for (part, unit), value, about in zip(what, values, known, strict=True)]
 
 
 def _ring(ring: dict[str, Any]) -> list[list[str]]:
@@ -105,24 +72,3 @@ def _ring(ring: dict[str, Any]) -> list[list[str]]:
         [f"{name}: movement of its own from view to view", f"{ring['own_movement_mm']:.4f}", "", "mm"],
         [f"{name}: turn of its own from view to view", f"{ring['own_movement_deg']:.4f}", "", "deg"],
     ]
-
-
-def _angles(summary: dict[str, Any], dataset: Dataset) -> list[list[str]]:
-    """Return how the found table angles differ from the commanded ones."""
-    commanded = {frame.file: frame.table_deg for frame in dataset.frames}
-    pairs = [
-        (view["table_deg"], commanded[view["file"]])
-        for view in summary["views"]
-        if view["used"] and view.get("table_deg") is not None and commanded.get(view["file"]) is not None
-    ]
-    if not pairs:
-        return []
-    off = np.array([(found - given + 180.0) % 360.0 - 180.0 for found, given in pairs])
-    return [
-        ["Table angles: found less commanded, root mean square", f"{np.sqrt(np.mean(off**2)):.4f}", "", "deg"],
-        ["Table angles: largest difference", f"{off[np.argmax(np.abs(off))]:+.4f}", "", "deg"],
-    ]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -104,6 +104,8 @@ def test_roots_get_pictures_and_their_page_says_what_is_known(scan):
         "canister_from_strip_sigma": [0.001, 0.001, 0.012, 0.013],
         "rings": [ring],
         "n_water": 1.33412,
+        "n_water_given": 1.333,
+        "n_water_found": 1.33412,
         "n_water_sigma": 0.00021,
         "reprojection_before_px": 1.25,
         "reprojection_after_px": 0.037,
@@ -115,8 +117,8 @@ def test_roots_get_pictures_and_their_page_says_what_is_known(scan):
     page = written[-1].read_text(encoding="utf-8")
     for text in (
         "this scan &lt;cannot&gt; give a volume",
-        "<td>Water: index of refraction</td><td class=number>1.33412</td><td class=number>0.00021</td>",
-        "<td>Canister in the strip: offset along y</td><td class=number>-0.5000</td><td class=number>0.0130</td>",
+        "<td class=number>1.333</td><td class=number>1.33412</td><td class=number>0.00021</td>",
+        "offset y</td><td class=number>0</td><td class=number>-0.5</td><td class=number>0.013</td>",
         "<td class=number>1.2500</td><td class=number>0.0370</td>",
         "placement 2: distance from the table",
         "<td class=number>400.000</td><td class=number>0.030</td>",
