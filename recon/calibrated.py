@@ -35,13 +35,17 @@ class Row:
         return f"{self.quantity}: given {self.given:.6g}, found {self.found:.6g}{sigma} {self.unit}".rstrip() + kept
 
 
-def of_roots(asked: RootCalibration | None, optics: Optics) -> dict[str, Any]:
-    """Return the index of the water as JSON values for the rig of a result; sigma is None where no roots could be asked."""
+def of_roots(asked: RootCalibration | None, optics: Optics, focal_scale: float = 1.0) -> dict[str, Any]:
+    """Return what the roots told as JSON values for the rig of a result; the index's sigma is None where no roots could be asked.
+
+    ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
+    """
     given = {"n_water": optics.n_water, "n_water_given": optics.n_water, "n_water_found": None, "n_water_sigma": None, "roots": None}
     if asked is None:
         return given
+    taken = {"n_water": asked.n_water, "focal_scale": focal_scale * asked.focal_scale} if asked.believed else {}
     return given | {
-        "n_water": asked.n_water if asked.believed else asked.n_water_given,
+        **taken,
         "n_water_found": asked.n_water,
         "n_water_sigma": asked.n_water_sigma,
         "roots": {"nodes": asked.nodes, "before_px": asked.before_px, "after_px": asked.after_px},
@@ -54,9 +58,10 @@ def rows(rig: dict[str, Any]) -> list[Row]:
     if rig.get("n_water_found") is not None:
         taken = rig["n_water"] != rig["n_water_given"]
         found.append(_row("index of the water", rig["n_water_given"], rig["n_water_found"], rig["n_water_sigma"], "", taken=taken))
-    if rig.get("focal_scale_sigma") is not None:
+    if rig.get("focal_scale_sigma") is not None and rig.get("focal_scale_found") is not None:
         taken = rig["focal_scale"] != 1.0
-        found.append(_row("focal length over the given", 1.0, rig["focal_scale_found"], rig["focal_scale_sigma"], "", taken=taken))
+        scale = rig["focal_scale"] if taken else rig["focal_scale_found"]
+        found.append(_row("focal length over the given", 1.0, scale, rig["focal_scale_sigma"], "", taken=taken))
     for name, key in (("canister in the strip", "canister_from_strip"), ("canister on the table", "table_from_canister")):
         if rig.get(key) is not None:
             pose = np.array(rig[key])
@@ -85,6 +90,8 @@ def reprojection(rig: dict[str, Any]) -> list[tuple[str, float, float, str]]:
 def table(rig: dict[str, Any]) -> list[str]:
     """Return both tables as lines for the terminal."""
     lines = [f"  {row.text()}" for row in rows(rig)]
+    if rig.get("n_water_given") is not None and rig.get("n_water_found") is None:
+        lines.append(f"  index of the water: {rig['n_water_given']:.6g} as given: no thin roots tell it")
     lines += [f"  {what}: {before:.3f} {unit} off before, {after:.3f} {unit} after" for what, before, after, unit in reprojection(rig)]
     return ["calibrated from the pictures:", *lines] if lines else []
 

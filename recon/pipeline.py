@@ -47,7 +47,8 @@ def reconstruct(
     optics = Optics.of(run.dataset.scene)
     drawn = drawing.draw(run, views, optics)
     shape = shaping.build(run, drawn, views, optics, voxel_mm=voxel_mm)
-    rig |= calibrated.of_roots(run.asked_roots, optics)
+    if rig or run.asked_roots is not None:
+        rig |= calibrated.of_roots(run.asked_roots, optics, rig.get("focal_scale", 1.0))
     settings = {"voxel_mm": voxel_mm, "slack_px": shaping.SLACK_PX}
     return finish(run, _corrected(run, found), rig, drawn, shape, Path(result_folder), settings=settings, mass_g=mass_g)
 

@@ -111,6 +111,8 @@ class RootCalibration:
     """As the roots would have it."""
     n_water_sigma: float
     n_water_given: float
+    focal_scale: float
+    """Focal lengths of ``sights`` over those that the markers told."""
     believed: bool
     """Whether index and cameras were taken as the roots would have them."""
     nodes: int
@@ -188,6 +190,7 @@ def calibrate(
             n_water=now.optics.n_water if sure else sights.optics.n_water + float(found.change[0]),
             n_water_sigma=float(found.sigma[0]),
             n_water_given=sights.optics.n_water,
+            focal_scale=now.views[0].camera.focal_px[0] / sights.views[0].camera.focal_px[0],
             believed=sure,
             nodes=first.nodes,
             before_px=first.before_px,

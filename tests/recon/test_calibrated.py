@@ -57,9 +57,18 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     assert "roots, sideways: 0.090 px off before, 0.050 px after" in text
 
 
+def test_a_result_of_an_older_version_has_a_table_too() -> None:
+    older = {key: value for key, value in RIG.items() if key not in ("focal_scale_found", "n_water_found", "roots")}
+    assert next(row.quantity for row in calibrated.rows(older)) == "canister in the strip: tilt x"
+
+
 def test_cameras_that_were_given_leave_no_table() -> None:
     assert calibrated.table({}) == []
-    assert calibrated.table(calibrated.of_roots(None, Optics.of(Scene()))) == []
+
+
+def test_without_roots_the_index_is_said_to_be_as_given() -> None:
+    table = calibrated.table(calibrated.of_roots(None, Optics.of(Scene())))
+    assert table[1:] == ["  index of the water: 1.333 as given: no thin roots tell it"]
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
