@@ -13,6 +13,7 @@ from recon import drawing, pipeline, shaping, silhouettes
 from recon.refraction import Optics
 from recon.result import Result
 from recon.run import Run
+from recon.uncertainty import Budget
 
 
 def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: float) -> Result:
@@ -24,7 +25,6 @@ def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: f
     drawn = drawing.draw(run, views, optics, outline=lambda image, _, seen: silhouettes.thesis(image, seen))
     hull = shaping.carve_hull(run, drawn, views, optics, finest_mm=voxel_mm, slack_px=0.0, ignore_blindness=True).hull
     counted = float((hull.leaves.size.astype(np.float64) ** 3).sum() * voxel_mm**3)
-    shape = shaping.measure(
-        run, hull, hull.leaves, voxel_mm=voxel_mm, volume_mm3=counted, interval_mm3=(counted, counted), untrimmed_mm3=counted
-    )
+    budget = Budget(volume_mm3=counted, terms=(), views=len(views))
+    shape = shaping.measure(run, hull, hull.leaves, voxel_mm=voxel_mm, budget=budget, bounds_mm3=(counted, counted), untrimmed_mm3=counted)
     return pipeline.finish(run, found, rig, drawn, shape, result_folder, settings={"method": "thesis", "voxel_mm": voxel_mm})

@@ -109,6 +109,12 @@ class ViewBank:
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), mi.Float(packed.ravel()), mi.Float(np.stack(tables).ravel()), (shape[0], shape[1]))
 
+    def chosen(self, which: Sequence[int]) -> ViewBank:
+        """Return some of the views."""
+        parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
+        parameters, tables = (mi.Float(part.ravel()) for part in parts)
+        return ViewBank(self.optics, len(which), parameters, tables, self.table_shape)
+
 
 @dataclass
 class Projected:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from recon import result_traits
 from recon.result_files import SCHEMA_VERSION, picture_path
 from recon.silhouettes import Silhouette
+from recon.uncertainty import Budget
 from scenes import atomic, rsml
 from scenes.rsml import Root
 from scenes.schema import to_plain
@@ -75,8 +76,10 @@ class Shape:
     finest_mm: float
     """Edge of the nodes that were carved."""
     mesh: trimesh.Trimesh
-    volume_mm3: float
-    volume_interval_mm3: tuple[float, float]
+    budget: Budget
+    """The volume, and how far it can be trusted."""
+    volume_bounds_mm3: tuple[float, float]
+    """Smallest and largest volume that the silhouettes allow."""
     hull_mm3: float
     untrimmed_mm3: float
     """Part of the volume that is hull still."""
@@ -86,6 +89,11 @@ class Shape:
     extents_max_mm: Triple
     roots: tuple[Root, ...] = ()
     """Centre lines and diameters, parents before children; empty where there are none."""
+
+    @property
+    def volume_mm3(self) -> float:
+        """Return the volume."""
+        return self.budget.volume_mm3
 
     @property
     def length_mm(self) -> float:
@@ -138,7 +146,11 @@ class Result:
             "scene": self.scene,
             "voxel_mm": shape.voxel_mm,
             "volume_mm3": shape.volume_mm3,
-            "volume_interval_mm3": shape.volume_interval_mm3,
+            "volume_interval_mm3": shape.budget.interval_mm3,
+            "volume_bounds_mm3": shape.volume_bounds_mm3,
+            "volume_trusted": not shape.budget.doubts,
+            "volume_verdict": shape.budget.verdict,
+            "volume_budget": [asdict(term) for term in shape.budget.terms],
             "hull_mm3": shape.hull_mm3,
             "untrimmed_mm3": shape.untrimmed_mm3,
             "blind_mm3": shape.blind_mm3,

@@ -39,12 +39,21 @@ def _numbers(count: int) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list) and len(value) == count and all(_number(item) for item in value)
 
 
+def _is_term(value: Any) -> bool:
+    numbers = ("less_mm3", "more_mm3")
+    return isinstance(value, dict) and isinstance(value.get("why"), str) and all(_number(value.get(key)) for key in numbers)
+
+
 _RIGHT: dict[str, Callable[[Any], bool]] = {
     "scene": lambda value: isinstance(value, str),
     "dataset_sha256": lambda value: isinstance(value, str),
     "voxel_mm": _number,
     "volume_mm3": _number,
     "volume_interval_mm3": _numbers(2),
+    "volume_bounds_mm3": _numbers(2),
+    "volume_trusted": lambda value: isinstance(value, bool),
+    "volume_verdict": lambda value: isinstance(value, str),
+    "volume_budget": lambda value: isinstance(value, list) and all(_is_term(item) for item in value),
     "extents_min_mm": _numbers(3),
     "extents_max_mm": _numbers(3),
     "hull_mm3": _number,

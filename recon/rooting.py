@@ -97,6 +97,8 @@ class RootSystem:
     px_a_mm: float
     blur_px: float
     """Standard deviation of the pictures' blur."""
+    seen: Evidence
+    """What it was fitted to, with cameras and water as the roots corrected them."""
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children."""
@@ -157,7 +159,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
     with run.stage("last tubes"):
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px, seen)
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,11 @@ class Score:
     volume_true_mm3: float
     volume_error: float
     volume_interval_mm3: tuple[float, float]
-    """Smallest and largest volume that the result says are possible."""
+    """The result's 90 % interval."""
     interval_holds_truth: bool
+    volume_trusted: bool
+    """Whether the result says that the scan gives a volume."""
+    volume_verdict: str
     extents_mm: Triple
     """Size of the bounding box along x, y, z of the canister frame."""
     extents_true_mm: Triple
@@ -80,7 +83,8 @@ class Score:
         verdict = "holds" if self.interval_holds_truth else "misses"
         rows = [
             ("volume", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {_percent(self.volume_error)}"),
-            ("  stated interval", f"{low:.1f} to {high:.1f} mm3, {verdict} the truth"),
+            ("  90 % interval", f"{low:.1f} to {high:.1f} mm3, {verdict} the truth"),
+            ("  trusted", "yes" if self.volume_trusted else f"no, {self.volume_verdict}"),
         ]
         for axis, found, true, error in zip("xyz", self.extents_mm, self.extents_true_mm, self.extents_error, strict=True):
             rows.append((f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {_percent(error)}"))
@@ -195,6 +199,8 @@ def score(result_folder: Path, dataset_folder: Path) -> Score:
         volume_error=float(summary["volume_mm3"]) / truth.volume_mm3 - 1.0,
         volume_interval_mm3=(low, high),
         interval_holds_truth=low <= truth.volume_mm3 <= high,
+        volume_trusted=summary["volume_trusted"],
+        volume_verdict=summary["volume_verdict"],
         extents_mm=_triple(extents_mm),
         extents_true_mm=_triple(extents_true_mm),
         extents_error=_triple(extents_error),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import carve, parsimony, projection, rooting, silhouettes, surface, tube_volume
+from recon import carve, parsimony, projection, rooting, silhouettes, solid_doubt, surface, tube_doubt, tube_volume
 from recon.cameras import View
 from recon.evidence import Evidence
 from recon.refraction import Optics
@@ -15,6 +15,7 @@ from recon.root_calibration import Sights
 from recon.rooting import Water
 from recon.run import Run
 from recon.silhouettes import UPSAMPLING, Silhouette, Window
+from recon.uncertainty import Budget
 from scenes.errors import UserError
 
 FINEST_MM = 0.14
@@ -24,11 +25,10 @@ THIN_KEPT, THIN_SMALL = 0.3, 0.7
 
 Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large leaves (14 % small)."""
 SLACK_PX = 0.3
-"""Outline uncertainty that the volume's interval allows for."""
+"""By how much outlines are moved in and out for the silhouette-consistent bounds."""
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
 _MUCH_KEPT = 0.2
-_WIDE = 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,24 +109,45 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
     hull = carved.hull
     with run.stage("trim"):
         trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
-    volume, kept_mm3 = trimmed.leaves.volume_mm3(), trimmed.kept_mm3
     system = None
     if _is_thin(trimmed):
         system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), carved.sights, trimmed.balls, carved.water)
+    # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
+    moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
     if system is None:
-        # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
-        interval = max(0.0, volume - (hull.leaves.volume_mm3() - hull.moved_in_mm3)), hull.moved_out_mm3
-        _warn(run, volume, interval, kept_mm3)
-        return measure(run, hull, trimmed.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=kept_mm3)
-    with run.stage("unite"):
-        united = tube_volume.unite(trimmed.leaves, system)
-    volume, share = united.leaves.volume_mm3(), united.thick_mm3 / trimmed.leaves.volume_mm3()
-    kept_mm3 = share * trimmed.kept_mm3
-    low = volume - share * (hull.leaves.volume_mm3() - hull.moved_in_mm3) - united.thinner_mm3
-    interval = max(0.0, low), max(hull.moved_out_mm3, volume + united.thicker_mm3)
-    _warn(run, volume, interval, kept_mm3)
-    shape = measure(run, hull, united.leaves, voxel_mm=voxel_mm, volume_mm3=volume, interval_mm3=interval, untrimmed_mm3=kept_mm3)
-    return replace(shape, roots=system.roots())
+        leaves, share, kept_mm3 = trimmed.leaves, 1.0, trimmed.kept_mm3
+        volume = leaves.volume_mm3()
+        bounds = max(0.0, volume - moved_in_mm3), hull.moved_out_mm3
+    else:
+        with run.stage("unite"):
+            united = tube_volume.unite(trimmed.leaves, system)
+        leaves, share = united.leaves, united.thick_mm3 / trimmed.leaves.volume_mm3()
+        volume, kept_mm3 = leaves.volume_mm3(), share * trimmed.kept_mm3
+        bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
+    with run.stage("doubt"):
+        budget = _budget(carved, trimmed, leaves, system, share=share, volume_mm3=volume)
+    _warn(run, budget, kept_mm3)
+    shape = measure(run, hull, leaves, voxel_mm=voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3)
+    return shape if system is None else replace(shape, roots=system.roots())
+
+
+def _budget(
+    carved: Carved, trimmed: parsimony.Trimmed, leaves: carve.Leaves, system: rooting.RootSystem | None, *, share: float, volume_mm3: float
+) -> Budget:
+    """Gather what every part of the shape leaves open."""
+    half, found = 0.0, None
+    if system is None:
+        half = solid_doubt.half_excess(carved.bank, carved.maps, carved.hull, trimmed, carved.water)
+    else:
+        found = tube_doubt.doubt(system.seen, system)
+    terms = (
+        *(() if found is None else found.terms),
+        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=SLACK_PX, half_excess=half),
+        solid_doubt.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
+        solid_doubt.water(volume_mm3),
+    )
+    fill, unexplained = (0.0, 0.0) if found is None else (found.fill, found.unexplained)
+    return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill)
 
 
 def _is_thin(trimmed: parsimony.Trimmed) -> bool:
@@ -142,8 +163,8 @@ def measure(
     leaves: carve.Leaves,
     *,
     voxel_mm: float,
-    volume_mm3: float,
-    interval_mm3: tuple[float, float],
+    budget: Budget,
+    bounds_mm3: tuple[float, float],
     untrimmed_mm3: float,
 ) -> Shape:
     """Gather leaves into voxels, draw the surface, and find the extents."""
@@ -168,8 +189,8 @@ def measure(
             voxel_mm=voxel_mm,
             finest_mm=leaves.grid.size_mm,
             mesh=mesh,
-            volume_mm3=volume_mm3,
-            volume_interval_mm3=interval_mm3,
+            budget=budget,
+            volume_bounds_mm3=bounds_mm3,
             hull_mm3=hull.leaves.volume_mm3(),
             untrimmed_mm3=untrimmed_mm3,
             blind_mm3=hull.blind_mm3,
@@ -200,17 +221,16 @@ def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Voxels:
     return Voxels(*surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm)))
 
 
-def _warn(run: Run, volume_mm3: float, interval_mm3: tuple[float, float], untrimmed_mm3: float) -> None:
+def _warn(run: Run, budget: Budget, untrimmed_mm3: float) -> None:
     """Say when the volume is not to be trusted."""
-    if untrimmed_mm3 > _MUCH_KEPT * volume_mm3:
+    kept = untrimmed_mm3 / max(budget.volume_mm3, 1e-9)
+    if kept > _MUCH_KEPT:
         run.warnings.append(
-            f"{100.0 * untrimmed_mm3 / volume_mm3:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
+            f"{100.0 * kept:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
             "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
         )
-    if interval_mm3[1] - interval_mm3[0] > 2.0 * _WIDE * volume_mm3:
-        run.warnings.append(
-            f"the pictures allow volumes from {interval_mm3[0]:.0f} to {interval_mm3[1]:.0f} mm3: the scan hardly gives a volume"
-        )
+    if budget.doubts:
+        run.warnings.append(budget.verdict)
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

@@ -27,7 +27,7 @@ _TAPER = 20.0
 """Weight of the squared differences of radii along a branch, 1/mm2."""
 _DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
 """Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
-_LEAST = 0.5
+LEAST = 0.5
 _LARGEST_STEP_MM = 0.15
 _THINNEST_MM = 0.02
 _STIFF = 1e9
@@ -48,13 +48,13 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps:
     tubes : fitted.
     pull : what the pictures said of each node at the last step.
     """
-    prior = _prior(tubes)
+    smooth = prior(tubes)
     for _ in range(steps):
         at = evidence.project(tubes.centre_mm)
         depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
         difference = tube_picture.unexplained(evidence, depth)
         pull = tube_picture.pull(evidence, tubes, at, depth, difference, blur_px)
-        tubes = _step(tubes, pull, prior, fixed)
+        tubes = _step(tubes, pull, smooth, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
     return tubes, pull
 
@@ -64,8 +64,8 @@ def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tu
     count, tangent = len(tubes.radius_mm), tubes.tangents
     hessian = pull.hessian.copy()
     mean = np.trace(hessian[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
-    hessian[:, :3, :3] += (_DAMPING * mean + _LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
-    hessian[:, 3, 3] += _RADIUS_DAMPING * hessian[:, 3, 3] + _LEAST
+    hessian[:, :3, :3] += (_DAMPING * mean + LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
+    hessian[:, 3, 3] += _RADIUS_DAMPING * hessian[:, 3, 3] + LEAST
     hessian[fixed] += _STIFF * np.eye(4)
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
@@ -87,7 +87,7 @@ def _even(tubes: Tubes) -> Array:
     return radius
 
 
-def _prior(tubes: Tubes) -> sparse.csr_matrix:
+def prior(tubes: Tubes) -> sparse.csr_matrix:
     """Return the quadratic form (4 N, 4 N) of smooth branches: little bending, radii that change slowly within a branch."""
     count = len(tubes.radius_mm)
     triples = np.concatenate([np.zeros((0, 3), np.int64)] + [np.stack([b[:-2], b[1:-1], b[2:]], axis=1) for b in tubes.branches])

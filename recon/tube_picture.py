@@ -120,6 +120,8 @@ class Pull:
     """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
     views: Array
     """(N,) views in which most of the node is visible."""
+    wish: Array
+    """(V, N) each view's part of the radius's gradient."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ class Profiles:
         gradient[:, 3] = (self.width * scale).sum(axis=0)
         visible = self.shown.sum(axis=0) / np.maximum(self.whole.sum(axis=0), 1e-9)
         views = (self.shown > 0.5 * np.maximum(self.whole, 1e-9)).sum(axis=0).astype(np.float64)
-        return Pull(hessian, gradient, visible, views)
+        return Pull(hessian, gradient, visible, views, self.width * scale)
 
 
 def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Pull:

@@ -101,7 +101,13 @@ def reconstruct(options: argparse.Namespace) -> None:
         print(f"warning: {warning}")
     for line in calibrated.table(summary["rig"]):
         print(line)
-    print(f"volume {summary['volume_mm3']:.1f} mm3, between {low:.1f} and {high:.1f} mm3; {used} of {len(summary['views'])} views used")
+    print(
+        f"volume {summary['volume_mm3']:.1f} mm3, 90 % interval {low:.1f} to {high:.1f} mm3; {used} of {len(summary['views'])} views used"
+    )
+    if summary["volume_trusted"]:
+        worst = max(summary["volume_budget"], key=lambda term: max(term["less_mm3"], term["more_mm3"]), default=None)
+        if worst is not None:
+            print(f"most uncertain: {worst['why']} (-{worst['less_mm3']:.1f}, +{worst['more_mm3']:.1f} mm3)")
     _print_paths(written)
     if (options.dataset / "truth").is_dir():
         print(f"next: rhizotwin score {options.output} {options.dataset}")

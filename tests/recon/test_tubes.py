@@ -7,7 +7,20 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from recon import mending, projection, proof, residue, rooting, score_roots, tracing, tube_fit, tube_picture, tube_volume, tubes
+from recon import (
+    mending,
+    projection,
+    proof,
+    residue,
+    rooting,
+    score_roots,
+    tracing,
+    tube_doubt,
+    tube_fit,
+    tube_picture,
+    tube_volume,
+    tubes,
+)
 from recon.cameras import View
 from recon.carve import Grid, Leaves
 from recon.density import Cells, estimate
@@ -99,11 +112,11 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
-    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, 0.3)
+    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, 0.3, pictured(system))
     united = tube_volume.unite(solid, found)
     assert united.thick_mm3 == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, 0.3)
+    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, 0.3, found.seen)
     assert tube_volume.unite(solid, far).thick_mm3 == 0.0
 
 
@@ -274,3 +287,35 @@ def test_nothing_seen_gives_no_density():
     cells = Cells(grid, np.array([[10, 10, 50]], np.int32), np.zeros(1, np.float32))
     shadow = estimate(seen, cells, nothing(grid))[0].shadow_mm2
     assert not len(shadow) or shadow.max() < 1e-2
+
+
+def _system(found: tubes.Tubes, px_a_mm: float) -> rooting.RootSystem:
+    return rooting.RootSystem(found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, 0.0, pictured(found))
+
+
+def test_doubt_about_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:
+    true = strung(TRUNK, TWIG, radius_mm=0.25)
+    seen = pictured(true)
+    px_a_mm = float(np.median(np.linalg.norm(seen.project(true.centre_mm).du, axis=-1)))
+    volume = np.pi * 0.25**2 * true.length_mm
+    whole = {term.name: term for term in tube_doubt.doubt(seen, _system(true, px_a_mm)).terms}
+    assert max(max(term.less_mm3, term.more_mm3) for term in whole.values()) < 0.05 * volume
+    assert whole["missing roots"].more_mm3 < 0.002 * volume
+    trunk = strung(TRUNK, radius_mm=0.25)
+    lacking = tube_doubt.doubt(seen, _system(trunk, px_a_mm))
+    missing = next(term for term in lacking.terms if term.name == "missing roots")
+    twig = np.pi * 0.25**2 * 15.0
+    assert 0.6 * twig < missing.more_mm3 < 1.4 * twig
+    assert missing.less_mm3 == 0.0
+    assert 0.2 < lacking.unexplained < 0.4  # a third of the length, aslant and partly beside the trunk
+
+
+def test_swollen_tubes_are_pulled_back() -> None:
+    true = strung(TRUNK, radius_mm=0.25)
+    seen = pictured(true)
+    swollen = tubes.moved(true, true.centre_mm, 1.1 * true.radius_mm)
+    terms = {term.name: term for term in tube_doubt.doubt(seen, _system(swollen, 4.0)).terms}
+    volume = np.pi * 0.275**2 * true.length_mm
+    assert 0.1 * volume < terms["radii, pull"].less_mm3 < 0.3 * volume
+    assert terms["radii, pull"].more_mm3 == 0.0
+    assert terms["area"].less_mm3 > 0.1 * volume

@@ -1,0 +1,155 @@
+"""What the pictures leave open about tubes: how far their volume can be wrong, cause by cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from recon import tube_fit, tube_picture
+from recon.evidence import Evidence
+from recon.rooting import RootSystem
+from recon.tube_picture import Pull
+from recon.tubes import Tubes
+from recon.uncertainty import NINETY, Term
+
+Array = NDArray[np.float64]
+
+_BLUR_STEP_PX = 0.1
+"""The blur is found to half of this: the spacing of the blurs that are tried."""
+_UNTOLD = 0.25
+"""Standard deviation of a radius, as a share of it, that no picture tells: the fit holds radii within a quarter of their stretch's."""
+_EXPLAINED = 0.03
+"""Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
+_INSIDE = 0.3
+"""Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
+_ZONE = (0.02, 0.98)
+"""Quantiles of the covered pixels' rows and columns that bound the root zone."""
+
+
+@dataclass(frozen=True)
+class TubeDoubt:
+    """Terms of the budget, and what the verdict looks at."""
+
+    terms: tuple[Term, ...]
+    unexplained: float
+    fill: float
+
+
+def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
+    """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
+    tubes = system.tubes
+    at = seen.project(tubes.centre_mm)
+    depth = tube_picture.optical_depth(seen, tubes, at, system.blur_px)
+    difference = tube_picture.unexplained(seen, depth)
+    pull = tube_picture.pull(seen, tubes, at, depth, difference, system.blur_px)
+    gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
+    wish = _wishes(tubes, pull, gain)
+    total = float(wish.sum())
+    blurred = tube_picture.optical_depth(seen, tubes, at, system.blur_px + _BLUR_STEP_PX)
+    other = tube_picture.pull(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX)
+    by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
+    rest = _Rest.of(seen, depth, difference)
+    tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
+    views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
+    untold = _untold(tubes, pull, gain, rest.variance)
+    balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
+    missing = rest.missing_px3 / system.px_a_mm**3
+    terms = (
+        _even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
+        _even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
+        _even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
+        _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
+        _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
+        Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
+    )
+    return TubeDoubt(terms, rest.unexplained, rest.fill)
+
+
+def _even(name: str, half_mm3: float, why: str) -> Term:
+    return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
+
+
+def _signed(name: str, change_mm3: float, why: str) -> Term:
+    return Term(name=name, less_mm3=max(0.0, -change_mm3), more_mm3=max(0.0, change_mm3), why=why)
+
+
+def _lengths(tubes: Tubes) -> Array:
+    """Return the length of tube (N,) that each node stands for: half of every segment at it, a branch's first segment its second node's."""
+    half = np.zeros(len(tubes.radius_mm))
+    for k, nodes in enumerate(tubes.branches):
+        step = 0.5 * np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1)
+        np.add.at(half, nodes[1:], step)
+        np.add.at(half, nodes[:-1] if k == 0 else np.concatenate([nodes[1:2], nodes[1:-1]]), step)
+    return half
+
+
+def _wishes(tubes: Tubes, pull: Pull, gain: Array) -> Array:
+    """Return by how much each view (V,) alone would change the volume: its part of one more Gauss-Newton step of all radii.
+
+    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the sandwich
+    (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common, such as its pose.
+    """
+    smooth = tube_fit.prior(tubes)[3::4, 3::4]
+    weight: Array = spsolve((sparse.diags(pull.hessian[:, 3, 3] + tube_fit.LEAST) + smooth).tocsc(), gain)
+    return np.asarray(pull.wish @ weight)
+
+
+def _untold(tubes: Tubes, pull: Pull, gain: Array, variance: float) -> float:
+    """Return the volume's 90 % half-width where pictures hardly tell the radii: alike along a branch, independent between branches."""
+    told = pull.hessian[:, 3, 3] / max(variance, 1e-9)
+    sigma = 1.0 / np.sqrt(told + 1.0 / (_UNTOLD * tubes.radius_mm) ** 2)
+    owner = tubes.owner
+    return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """What is left of the pictures when the tubes are taken away."""
+
+    variance: float
+    """Of the difference beside the tubes, a pixel."""
+    balance: float
+    """Difference beside the tubes over the area they cover."""
+    missing_px3: float
+    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a pixel's edge.
+
+    A root's volume is its covered area times a quarter of pi times its width."""
+    unexplained: float
+    """Covered area far from tubes over all covered area."""
+    fill: float
+
+    @staticmethod
+    def of(seen: Evidence, depth: Any, difference: Any) -> _Rest:
+        """Look at all views."""
+        (width, height), count = seen.image_wh, seen.bank.count
+        known = np.array(seen.seen).reshape(count, height, width) > 0
+        rest = np.array(difference).reshape(count, height, width)
+        drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
+        near = np.stack([cv2.dilate((picture > _EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
+        area, far = float(drawn.sum(dtype=np.float64)), rest * ~near
+        fills, missing = [], []
+        for picture, beyond, close in zip(seen.silhouettes, far, near, strict=True):
+            rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
+            if not len(rows):
+                continue
+            (top, bottom), (left, right) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
+            zone = np.s_[top : bottom + 1, left : right + 1]
+            fills.append(float(np.where(picture.seen, picture.coverage, 0.0)[zone].mean()))
+            inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
+            width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
+            volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
+            missing.append(volume / max(1.0 - float(close[zone].mean()), 0.1))
+        beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
+        return _Rest(
+            variance=float(np.mean(rest[near] ** 2)) if near.any() else 0.0,
+            balance=float((rest * near).sum(dtype=np.float64)) / max(area, 1.0),
+            missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
+            unexplained=beyond_px2 / max(area + beyond_px2, 1.0),
+            fill=float(np.median(fills)) if fills else 0.0,
+        )

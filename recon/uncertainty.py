@@ -1,0 +1,78 @@
+"""How far a volume can be trusted: an error budget, term by term, and what it says as a whole.
+
+Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms come from different causes,
+so they add up in quadrature, each side by itself (a root that nobody saw makes the volume larger only).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+NINETY = 1.645
+"""90 % of a normal distribution lies within this many standard deviations."""
+WIDEST = 0.25
+"""A volume whose 90 % interval reaches farther than this to one side is no measurement."""
+MOST_UNEXPLAINED = 0.2
+"""Share of the covered area that the shape may leave unexplained: beyond, the roots that were not found are too many to be guessed."""
+MOST_FILL = 0.5
+"""Share of the root zone's picture that thin roots may cover: above one half no set of silhouettes tells roots from gaps."""
+LEAST_VIEWS = 8
+"""Fewer views leave no view to contradict a ghost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """One cause of uncertainty."""
+
+    name: str
+    less_mm3: float
+    """The true volume may be this much smaller for this cause."""
+    more_mm3: float
+    why: str
+    """Where it comes from, in words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """What is known of a volume's error."""
+
+    volume_mm3: float
+    terms: tuple[Term, ...]
+    views: int
+    unexplained: float = 0.0
+    """Share of the covered area that the shape does not explain."""
+    fill: float = 0.0
+    """Share of the root zone's picture that thin roots cover; 0 for shapes without them."""
+
+    @property
+    def interval_mm3(self) -> tuple[float, float]:
+        """Return the 90 % interval."""
+        less, more = math.hypot(*(term.less_mm3 for term in self.terms)), math.hypot(*(term.more_mm3 for term in self.terms))
+        return max(0.0, self.volume_mm3 - less), self.volume_mm3 + more
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Return why the scan cannot give a volume; empty where it can."""
+        (low, high), found = self.interval_mm3, []
+        if self.views < LEAST_VIEWS:
+            found.append(f"only {self.views} views were used, and fewer than {LEAST_VIEWS} contradict no ghost")
+        if self.unexplained > MOST_UNEXPLAINED:
+            found.append(f"the shape leaves {100.0 * self.unexplained:.0f} % of what the pictures show unexplained")
+        if self.fill > MOST_FILL:
+            found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view tells them from gaps")
+        if max(high - self.volume_mm3, self.volume_mm3 - low) > WIDEST * self.volume_mm3:
+            worst = max(self.terms, key=lambda term: max(term.less_mm3, term.more_mm3))
+            found.append(
+                f"the 90 % interval reaches from {low:.3g} to {high:.3g} mm3, farther than {100.0 * WIDEST:.0f} % to one side, "
+                f"most of all for this reason: {worst.why}"
+            )
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """Return one sentence: what the volume is worth."""
+        if self.doubts:
+            return "this scan cannot give a volume: " + "; ".join(self.doubts)
+        low, high = self.interval_mm3
+        return f"the true volume lies between {low:.3g} and {high:.3g} mm3 with 90 % confidence"
