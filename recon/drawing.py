@@ -77,8 +77,8 @@ def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline
     with run.stage("wall"):
         opacity, seen = _without_wall(run, views, optics, opacity, seen)
     with run.stage("silhouettes"):
-        px_a_mm = float(np.median([_scale(view, optics) for view in views.values()]))
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
+        px_a_mm = float(np.median([_scale(views[k], optics) for k in some[::4]]))
         law = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:

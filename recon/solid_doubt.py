@@ -82,7 +82,7 @@ def half_excess(bank: ViewBank, maps: DistanceMaps, hull: Hull, trimmed: Trimmed
     high = low + np.array(fine.coarse_shape) * fine.size_mm * 2**fine.levels
     grid = Grid.over(low, high, fine.size_mm * _COARSER)
     every_other = list(range(0, bank.count, 2))
-    half_maps = DistanceMaps(mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()), maps.image_wh)
+    half_maps = replace(maps, values=mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()))
     volumes = [
         carve.carve(
             some,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from recon.density import Cells
@@ -88,10 +88,14 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     if not dense.any():
         return []
     centre = cells.centre_mm
-    high = np.flatnonzero(centre[:, 2] > centre[dense, 2].max() - _TOP_MM)
+    joined = graph(cells, density)
+    # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
+    number, part = np.flatnonzero(dense), connected_components(joined[dense][:, dense], directed=False)[1]
+    plant = number[part == np.bincount(part, weights=cells.shadow_mm2[dense]).argmax()]
+    high = plant[centre[plant, 2] > centre[plant, 2].max() - _TOP_MM]
     heavy = high[density[high] > 0.5 * density[high].max()]
     start = heavy[centre[heavy, 2].argmax()]
-    cost, before = dijkstra(graph(cells, density), directed=False, indices=start, return_predecessors=True)
+    cost, before = dijkstra(joined, directed=False, indices=start, return_predecessors=True)
     length = lengths(cost, before, centre)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
     lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)

@@ -37,12 +37,16 @@ _EMPTY = 0.06
 """Opacity beside a lone strip is less."""
 _GOOD = 0.02
 """Profiles that no root explains better than this (root mean square) are none of one lone root."""
+_MOST = 3000
+"""Places of a view that are looked at."""
 _A_BIN, _LEAST = 120, 30
-_MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 41), [16.0, 1e3]])
-_BLUR_PX = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
+_MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
+_BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
+_OWN = (0.0, 0.5, 1.0)
+"""Shares of the light in the darkest cores that may be the roots' own."""
 _LONGEST_PX = 60.0
 """Things shorter than this are no roots to learn from."""
-_FINE = 16
+_FINE = 8
 _PEAK_BLUR_PX = 1.0
 _SIGMA_PX = 0.5
 """Blur of a picture, square pixel included, that profiles are reckoned with."""
@@ -81,8 +85,7 @@ def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Law:
     bright = float(np.clip(np.quantile(cores, 0.005), 0.0, 0.3)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
     chosen = _balanced(width)
-    mu, count = _fit(profiles[chosen], width[chosen], px_a_mm, 1.0 - bright)
-    return Law(bright, mu if mu is not None and mu < OPAQUE_PER_MM else None, count)
+    return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
 
 
 def _large(opacity: Image, seen: Mask) -> Mask:
@@ -100,7 +103,7 @@ def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
     straight = np.hypot(xx - yy, 2.0 * xy) > 0.8 * (xx + yy)
-    rows, columns = np.nonzero((smooth > 0.3) & seen & straight)
+    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > 0.3) & seen & straight))
     if not len(rows):
         return np.zeros((0, len(_OFFSETS))), np.zeros(0)
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)[rows, columns].astype(np.float64)
@@ -149,29 +152,40 @@ def _strips(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Ar
     return x, cv2.GaussianBlur(opacity, (0, 0), sigmaX=blur_px * _FINE, sigmaY=1e-3, borderType=cv2.BORDER_CONSTANT)
 
 
-def _fit(profiles: Array, width: Array, px_a_mm: float, full: float) -> tuple[float | None, int]:
-    """Find the attenuation per mm that explains profiles best; None where they are too few."""
+def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
+    """Find the law that explains profiles best; that of opaque roots where they are too few."""
+    opaque = Law(bright, None, len(profiles))
     if len(profiles) < _LEAST:
-        return None, len(profiles)
+        return opaque
     window = (np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX).astype(np.float64)
-    radii = np.geomspace(1.0, 7.5, 120)
-    cost = np.zeros((len(_MU_PER_MM), len(_BLUR_PX), len(profiles)))
+    radii = np.geomspace(1.0, 7.5, 80)
+    own = bright * np.array(_OWN)
+    cost = np.zeros((len(_MU_PER_MM), len(own), len(_BLUR_PX), len(profiles)))
     own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
     for i, mu in enumerate(_MU_PER_MM):
         for j, blur_px in enumerate(_BLUR_PX):
-            x, fine = _strips(radii, mu / px_a_mm, blur_px)
-            strip = full * fine[:, np.isin(np.arange(len(x)) % int(_FINE * _STEP_PX), 0)]
-            cost[i, j] = ((own_2 - 2.0 * (profiles * window) @ strip.T + window @ (strip**2).T) / count).min(axis=1)
-    good = cost.min(axis=(0, 1)) < _GOOD**2
-    if good.sum() < _LEAST:
-        return None, int(good.sum())
+            strip = _strips(radii, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            cross, strip_2 = (profiles * window) @ strip.T, window @ (strip**2).T
+            for k, full in enumerate(1.0 - own):
+                cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * strip_2) / count).min(axis=1)
+    good = cost.min(axis=(0, 1, 2)) < _GOOD**2
     bins = np.floor(width)
     used = [one for one in np.unique(bins[good]) if (good & (bins == one)).sum() >= _LEAST // 3]
-    if not used:
-        return None, int(good.sum())
-    middle = np.mean([np.median(cost[:, :, good & (bins == one)], axis=2) for one in used], axis=0).min(axis=1)
-    best = int(np.argmin(middle))
-    return float(_MU_PER_MM[best]), int(good.sum())
+    if good.sum() < _LEAST or not used:
+        return opaque
+    typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
+    i, k = divmod(int(np.argmin(typical)), len(own))
+    mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
+    return Law(bright, None, int(good.sum())) if mu >= OPAQUE_PER_MM else Law(float(own[k]), mu, int(good.sum()))
+
+
+def _vertex(at: Array, cost: Array, best: int) -> float:
+    """Return where the parabola through the least of some costs (N,) and its neighbours, in log ``at``, is least."""
+    if best in (0, len(at) - 1):
+        return float(at[best])
+    a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
+    del c
+    return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
 
 
 def covered(opacity: Image, law: Law, px_a_mm: float) -> Image:
