@@ -14,7 +14,7 @@ from scenes.errors import UserError
 from scenes.truth import load_truth
 from sim.simulate import simulate
 
-BALL = Pictures(scene="sphere_20mm", profile="bench", rings=2, views=2, image_wh=(32, 24), seed=3)
+BALL = Pictures(scene="sphere_20mm", rings=2, views=2, image_wh=(32, 24), seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_another_plan_seed_or_renderer_is_refused(copy):
         ('"seed": 3', '"seed": 4', "does not fit"),
         ('"height_mm": 10.0', '"height_mm": 11.0', "rig or plan"),
         (first, "0" * 64, "comes out otherwise"),
-        ('"profile": "bench"', '"profile": "clean"', "does not fit"),
+        ('"profile": "clean"', '"profile": "bench"', "does not fit"),
     ):
         (copy / "dataset.json").write_text(json.dumps(manifest))
         change(copy / "dataset.json", old, new)
