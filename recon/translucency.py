@@ -46,7 +46,7 @@ _OWN = (0.0, 0.5, 1.0)
 """Shares of the light in the darkest cores that may be the roots' own."""
 _LONGEST_PX = 60.0
 """Things shorter than this are no roots to learn from."""
-_FINE = 8
+_FINE = 16
 _PEAK_BLUR_PX = 1.0
 _SIGMA_PX = 0.5
 """Blur of a picture, square pixel included, that profiles are reckoned with."""

@@ -152,7 +152,9 @@ def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Cro
     for _ in range(_ROUNDS):
         views = np.concatenate(each(observed, "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        broad = ndimage.grey_opening(np.minimum(dark, _DARKEST), size=_NARROWEST_TEXELS, mode="wrap")
+        faint = np.minimum(dark, _DARKEST)
+        broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
+        broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening squares the edges
         film = np.where(broad > _FAINTEST, broad, 0.0).astype(np.float32)
     return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns)))
 
