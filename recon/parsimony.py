@@ -37,6 +37,12 @@ _AGREEING_VIEWS = 2
 VOTES = 0.3
 """Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
+_TIGHT_PX = 0.4
+"""A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off."""
+_HELD = 1.0 / 3.0
+"""Least share of the seeing views that bound a root's ball.
+
+Every view that shows a root alone bounds its ball. A ball in a web between roots is bounded by the few views that graze the web."""
 _LEAST_CURVE = 12
 """Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
@@ -126,8 +132,10 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
         better = tried.max(axis=1) > radius
         points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
         radius = np.maximum(radius, tried.max(axis=1))
-    radius = np.maximum(radius, _radius(bank, maps, points, sharpen=True))
+    blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = radius > 0
+    if good.any():
+        good[good] = _held(bank, maps, points[good], blunt[good]) > _HELD
     return Balls(points[good], radius[good])
 
 
@@ -141,25 +149,45 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     """
 
     def body(view: Any, least: Any, votes: Any) -> tuple[Any, Any, Any]:
-        p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
-        slopes, peak = [], distance
-        for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
-            # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
-            near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
-            slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
-            if sharpen:
-                falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
-                crease = 0.5 * (near[0] + near[1]) + dr.clip(dr.minimum(falls[0], falls[1]), 0.0, _REACH_PX)
-                peak = dr.maximum(peak, crease)
-        norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
-        g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
-        g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
-        return view + 1, dr.minimum(least, dr.select(seen, peak / g, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        allowed, _, seen = _allowed(bank, maps, view, point, sharpen=sharpen)
+        return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
     point = mi.Point3f(points.T.astype(np.float32))
     state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
     _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
     return np.array(dr.select(votes >= max(3.0, VOTES * bank.count), least, 0.0), dtype=np.float64)
+
+
+def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
+    """Return the share (N,) of the seeing views that bound balls (N,), `_radius` without sharpening."""
+
+    def body(view: Any, tight: Any, votes: Any) -> tuple[Any, Any, Any]:
+        allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
+        bounds = seen & ((allowed - reach) * px_a_mm < _TIGHT_PX)
+        return view + 1, tight + dr.select(bounds, 1.0, 0.0), votes + dr.select(seen, 1.0, 0.0)
+
+    point, reach = mi.Point3f(points.T.astype(np.float32)), mi.Float(radius.astype(np.float32))
+    state = (mi.UInt32(0), dr.zeros(mi.Float, len(points)), dr.zeros(mi.Float, len(points)))
+    _, tight, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    return np.array(tight / dr.maximum(votes, 1.0), dtype=np.float64)
+
+
+def _allowed(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, *, sharpen: bool) -> tuple[Any, Any, Any]:
+    """Return the radius in mm of the largest ball about a point that a view allows, px/mm there, and whether the view sees it."""
+    p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
+    slopes, peak = [], distance
+    for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
+        # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
+        near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
+        slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
+        if sharpen:
+            falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
+            crease = 0.5 * (near[0] + near[1]) + dr.clip(dr.minimum(falls[0], falls[1]), 0.0, _REACH_PX)
+            peak = dr.maximum(peak, crease)
+    norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
+    g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
+    g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
+    return peak / g, g, seen
 
 
 def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:

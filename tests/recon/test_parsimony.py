@@ -113,3 +113,14 @@ def test_no_ball_stands_where_hardly_any_view_sees() -> None:
     silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)))
     balls = parsimony.grow_balls(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
     assert len(balls.radius_mm) == 0
+
+
+def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
+    """In a tube of radius R a ball e beside the axis is bounded only by views that look nearly across the offset: R - e |cos|."""
+    bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
+    at = np.array([[0.0, 0.0, -75.0], [0.0, 3.0, -75.0]])
+    share = parsimony._held(bank, maps, at, parsimony._radius(bank, maps, at))
+    assert share[0] > 0.8
+    assert share[1] < parsimony._HELD
+    lines = at + np.linspace(-1.0, 1.0, 15)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert len(parsimony.grow_balls(bank, maps, lines[:, 0]).radius_mm) > 10
