@@ -152,7 +152,7 @@ def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Cro
     for _ in range(_ROUNDS):
         views = np.concatenate(each(observed, "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        faint = np.minimum(dark, _DARKEST)
+        faint = np.where(dark > _DARKEST, 0.0, dark)  # roots on the wall are no film, nor is what the opening leaves of their fringe
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
         broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening squares the edges
         film = np.where(broad > _FAINTEST, broad, 0.0).astype(np.float32)
