@@ -202,13 +202,16 @@ def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
 def _hull(points_mm: Array) -> tuple[float, float]:
     """Return the volume of the convex hull and the largest horizontal distance; flat points have no volume."""
     try:
-        hull = ConvexHull(points_mm)
-        corners, volume = points_mm[hull.vertices, :2], float(hull.volume)
+        volume = float(ConvexHull(points_mm).volume)
     except QhullError:
-        corners, volume = points_mm[:, :2], 0.0
-    widest = 0.0
-    for corner in corners:  # the corners of a hull are few
-        widest = max(widest, float(np.max(np.sum((corners - corner) ** 2, axis=1))))
+        volume = 0.0
+    level = points_mm[:, :2]
+    try:
+        corners = level[ConvexHull(level).vertices]
+    except QhullError:  # on a line: its ends are farthest apart
+        along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
+        corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
+    widest = max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners)  # corners of a flat hull are few
     return volume, widest**0.5
 
 
