@@ -249,6 +249,7 @@ def carve(
             empty, partial, votes, depth, scale = _mark(
                 bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
             )
+            dr.eval(empty, partial, votes, depth, scale)  # now, or the loop over the views runs again for what is asked first
             blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
             if level < grid.levels:
                 blind &= ~_partly_seen(bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), blind, min_votes)

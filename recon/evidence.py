@@ -58,6 +58,7 @@ class Evidence:
         point = mi.Point3f(np.tile(points_mm.T, (1, views)).astype(np.float32))
         view = mi.UInt32(np.repeat(np.arange(views, dtype=np.uint32), count))
         p = projection.project(self.bank, view, point, mi.Bool(True))
+        dr.eval(p.px, p.du, p.dv, p.seen)  # one by one, each would be a projection of its own
 
         def gathered(*parts: Any) -> Array:
             return np.stack([np.array(part, np.float64).reshape(views, count) for part in parts], axis=-1)

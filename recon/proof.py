@@ -65,8 +65,10 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
         left += dr.square(d)
     step = reach * (2.0 / (_PROFILE - 1))
     sums = []
-    for total in (explained, left):
+    totals = explained * step, left * step
+    dr.eval(totals)  # together: they look at the same profiles
+    for total in totals:
         whole = np.zeros(used.shape)
-        whole[used] = np.array(total * step)
+        whole[used] = np.array(total)
         sums.append(whole.sum(axis=0))
     return Proof(sums[0], sums[1])

@@ -53,18 +53,20 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
     left = (evidence.coverage - (1.0 - free)) * evidence.seen
     dr.eval(free, left)
     width, height = evidence.image_wh
-    point = mi.Point3f(points_mm.T.astype(np.float32))
-    top, weight = dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm))
-    for view in range(evidence.bank.count):
-        p = projection.project(evidence.bank, dr.full(mi.UInt32, view, len(points_mm)), point, mi.Bool(True))
+    point, pixels = mi.Point3f(points_mm.T.astype(np.float32)), dr.opaque(mi.UInt32, evidence.pixels)
+
+    def body(view: Any, top: Any, weight: Any) -> tuple[Any, Any, Any]:
+        p = projection.project(evidence.bank, view, point, mi.Bool(True))
         seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
-        px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * evidence.pixels
+        px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
         tells = bilinear(evidence.seen, base, width, px.x, px.y, seen)
         u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
         good = seen & (tells > 0.99)
-        top += dr.select(good, u * d, 0.0)
-        weight += dr.select(good, dr.square(u), 0.0)
-        dr.eval(top, weight)
+        return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
+
+    state = (dr.zeros(mi.UInt32, len(points_mm)), dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm)))
+    _, top, weight = dr.while_loop(state, lambda view, *_: view < evidence.bank.count, body)
+    dr.eval(top, weight)
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
@@ -77,33 +79,34 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     cells : search space, thick organs left out.
     px_a_mm : scale in the middle of the water.
     """
-    own = own_coverage(evidence, cells.centre_mm, depth)
+    centre = cells.centre_mm  # once: it is computed anew each time
+    own = own_coverage(evidence, centre, depth)
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
-    away, nearest = cKDTree(line).query(cells.centre_mm)
+    away, nearest = cKDTree(line).query(centre)
     reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(organ[node], _ORGAN_PX / px_a_mm, 0.0)
     inside = away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found
     ends = np.array([nodes[-1] for nodes in found.branches])
-    at_tip = cKDTree(found.centre_mm[ends]).query(cells.centre_mm)[0] < _TIP_MM
+    at_tip = cKDTree(found.centre_mm[ends]).query(centre)[0] < _TIP_MM
     # half a step inside a tube costs as much as the additional way of a branch on its flank, but nothing at a tip
     flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
     density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
     cost, before, _ = dijkstra(
         tracing.graph(cells, density), directed=False, indices=np.flatnonzero(inside), min_only=True, return_predecessors=True
     )
-    length = tracing.lengths(cost, before, cells.centre_mm)
+    length = tracing.lengths(cost, before, centre)
     claim = tracing.CLAIM_CELLS * cells.grid.size_mm + 0.5 * own / px_a_mm  # a wider root covers more beside its middle
-    lines = tracing.branches(cells.centre_mm, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
+    lines = tracing.branches(centre, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
     paths, radii, parents = [], [], []
     for way in lines:
         thick = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        paths.append(cells.centre_mm[way])
+        paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(thick[1:]))))
         first = int(node[nearest[way[0]]])
         if inside[way[0]] and at_tip[way[0]]:
-            first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - cells.centre_mm[way[0]], axis=1))])
+            first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
         parents.append(first if inside[way[0]] else -1)
     return tubes.hang(found, paths, radii, parents)
 

@@ -147,10 +147,11 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         stays = fitted.staying(_short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
     with run.stage("residue"):
+        outside = cells.chosen(depth <= depth.min())
         for _ in range(_SEARCHES):
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
             depth_px = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
-            grown = residue.grow(seen, fitted, organ, cells.chosen(depth <= depth.min()), depth_px, px_a_mm)
+            grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))

@@ -211,8 +211,10 @@ def _profiles(
     step = reach * (2.0 / (_PROFILE - 1))
     weight = step / (1.0 + sums.pop() * step / _OUTLIER)
     scattered = []
-    for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True):
+    sums = [total * factor for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True)]
+    dr.eval(sums)  # one by one, each would look at all profiles anew
+    for total in sums:
         whole = np.zeros(used.shape)
-        whole[used] = np.array(total * factor)
+        whole[used] = np.array(total)
         scattered.append(whole)
     return scattered
