@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 _STEPS = 65535
 """A picture's longer side in steps: 1/80 px where it is 800 px."""
+_PARTS = 256
+"""Bounds are sought in so many parts of a view's cells side by side, without a copy of them."""
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,22 @@ class Footprints:
 
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the lowest and highest pixels (V, 2) of each view's footprints; the highest lie far below where there are none."""
-        seen = self.px2_a_mm2 > 0
-        low: list[NDArray[np.int64]] = []
-        high: list[NDArray[np.int64]] = []
-        for steps in (self.place & 0xFFFF, self.place >> 16):
-            pixel = mi.Int32(mi.Float(steps) / self.steps_a_px)
-            for found, op, none in ((low, dr.ReduceOp.Min, 1 << 16), (high, dr.ReduceOp.Max, -(1 << 16))):
-                found.append(np.array(dr.block_reduce(op, dr.select(seen, pixel, none), self.count), np.int64))
-        return np.stack(low, axis=1), np.stack(high, axis=1)
+        lane = dr.arange(mi.UInt32, self.views * _PARTS)
+        view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
+
+        def body(cell: Any, *found: Any) -> tuple[Any, ...]:
+            at = view * count + cell
+            place, seen = dr.gather(mi.UInt32, self.place, at), dr.gather(mi.Float16, self.px2_a_mm2, at) > 0
+            u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
+            low = [dr.select(seen, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
+            high = [dr.select(seen, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
+            return cell + _PARTS, *low, *high
+
+        state = [dr.full(mi.Int32, none, self.views * _PARTS) for none in (1 << 16, 1 << 16, -(1 << 16), -(1 << 16))]
+        _, *found = dr.while_loop((lane % _PARTS, *state), lambda cell, *_: cell < count, body)
+        dr.eval(found)
+        pixels = np.array([np.array(part) for part in found], np.int64).reshape(4, self.views, _PARTS)
+        return pixels[:2].min(axis=-1).T, pixels[2:].max(axis=-1).T
 
     def chosen(self, kept: Any) -> Footprints:
         """Return those of some cells, by number (mi.UInt32)."""

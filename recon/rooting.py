@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -127,11 +128,13 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         cells, core = _search_space(run, seen, water, _CELL_PX / px_a_mm)
         if not len(cells.index):
             return None
+        dr.flush_malloc_cache()  # what carving left to be used again is in the way of the footprints, and these of what follows
     with run.stage("density"):
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
         organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
         thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
         cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+        dr.flush_malloc_cache()
     with run.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:
