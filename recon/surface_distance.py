@@ -8,6 +8,8 @@ Floats = NDArray[np.float64]
 
 PAIRS_AT_ONCE = 1_000_000
 """Point-triangle pairs held in memory together."""
+_SMALL_CLASS = 0.02
+"""A class with fewer of all triangles than this is not worth a search of its own."""
 
 
 def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> Floats:
@@ -53,9 +55,9 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
 def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
     """Return the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
 
-    Triangles are sorted into classes of like size. In each class the candidates are the nearest centroids; a point is done when
-    the next centroid is farther than the distance found so far plus the class's largest circumradius about the centroid, so no
-    nearer triangle can have been missed.
+    Triangles are sorted into classes of like size, the fullest first. In each class the candidates are the nearest centroids; a point
+    is done when the next centroid is farther than the distance found so far plus the class's largest circumradius about the centroid,
+    so no nearer triangle can have been missed.
     """
     points_mm = np.asarray(points_mm, np.float64)
     if not len(faces):
@@ -65,22 +67,35 @@ def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]
     radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
     classes = np.round(2.0 * np.log2(np.maximum(radii, 1e-6 * max(float(radii.max()), 1e-300)))).astype(int)
     best = np.full(len(points_mm), np.inf)
-    for size in np.unique(classes):
-        members = np.flatnonzero(classes == size)
+    for members in _grouped(classes):
         tree = cKDTree(centroids[members])
         _improve(best, points_mm, corners[members], tree, float(radii[members].max()))
     return best
 
 
+def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return the members of the classes (M,), the fullest class first; those of a small class go with the next larger size."""
+    groups: list[NDArray[np.int64]] = []
+    waiting = np.zeros(0, np.int64)
+    sizes = np.unique(classes)
+    for size in sizes:
+        waiting = np.concatenate([waiting, np.flatnonzero(classes == size)])
+        if len(waiting) > _SMALL_CLASS * len(classes) or size == sizes[-1]:
+            groups.append(waiting)
+            waiting = np.zeros(0, np.int64)
+    return sorted(groups, key=len, reverse=True)
+
+
 def _improve(best: Floats, points_mm: Floats, corners: Floats, tree: cKDTree, radius_mm: float) -> None:
     """Lower ``best`` in place to the distance to these triangles (M, 3, 3), all within radius_mm of their centroids."""
     open_points = np.arange(len(points_mm))
-    k = min(8, len(corners))
+    k = 1 if np.isfinite(best).all() else min(8, len(corners))  # most points are done with after a look at the nearest
     while len(open_points):
         still_open = []
         for start in range(0, len(open_points), max(1, PAIRS_AT_ONCE // k)):
             part = open_points[start : start + max(1, PAIRS_AT_ONCE // k)]
-            apart, near = tree.query(points_mm[part], k=[*range(1, k + 1)] if k == 1 else k)
+            reach = float(best[part].max()) + radius_mm
+            apart, near = tree.query(points_mm[part], k=[1] if k == 1 else k, distance_upper_bound=reach, workers=-1)
             row, column = np.nonzero(apart - radius_mm < best[part][:, None])
             triangle = corners[near[row, column]]
             exact = point_triangle_distance(points_mm[part[row]], triangle[:, 0], triangle[:, 1], triangle[:, 2])
