@@ -194,17 +194,19 @@ def shape_in_canister(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
     """Draw the shape, the truth and the distance between them, from the front (upper row) and from the side, close up."""
     points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
-    apart = surface_distance.distances(shape.vertices_mm, truth.vertices_mm, truth.faces)
-    scale = ScalarMappable(norm=Normalize(0.0, max(0.05, float(np.percentile(apart, 98.0)))), cmap="viridis")
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
+    seen = [_raster(shape, side, box) for side, box in zip(sides, boxes, strict=True)]
+    apart = [distances_shown(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(sides, boxes, seen, strict=True)]
+    shown = np.concatenate([distance[found.hit] for distance, (found, _) in zip(apart, seen, strict=True)])
+    most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
+    scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
     tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
     drawn = figure(14.5, 0.9 + 4.4 * sum(tall))
     grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
-    for row, side, box in zip(grid, sides, boxes, strict=True):
-        found, px_mm = _raster(shape, side, box, values=apart)
+    for row, side, box, (found, px_mm), distance in zip(grid, sides, boxes, seen, apart, strict=True):
         true, _ = _raster(truth, side, box)
-        by_distance = np.asarray(scale.to_rgba(found.values), np.float32)[..., :3]
+        by_distance = np.asarray(scale.to_rgba(distance), np.float32)[..., :3]
         drawings = (
             shading.shade(found, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK),
             shading.shade(true, TRUTH_RGB, px_mm=px_mm, shrink=SHRINK),
@@ -230,9 +232,20 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
     return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
 
 
-def _raster(mesh: Mesh, side: shading.Side, box: Box, *, values: Floats | None = None) -> tuple[shading.Raster, float]:
+def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
+    """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing; one point a pixel of the picture."""
+    row, column = np.nonzero(found.hit)
+    _, first, number = np.unique((row // SHRINK) * found.hit.shape[1] + column // SHRINK, return_index=True, return_inverse=True)
+    flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)[first]
+    distance = np.zeros(found.hit.shape)
+    if len(first):
+        distance[row, column] = surface_distance.distances(flat @ side.axes, truth.vertices_mm, truth.faces)[number]
+    return distance
+
+
+def _raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, float]:
     px_mm = (box[3] - box[2]) / (PANEL_PX * SHRINK)
-    return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm, values=values), px_mm
+    return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm), px_mm
 
 
 def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:

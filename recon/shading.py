@@ -43,11 +43,9 @@ class Raster:
     """(H, W) towards the eye; meaningless where nothing is met."""
     normal: Pixels
     """(H, W, 3) unit vectors: right, up, towards the eye."""
-    values: Pixels
-    """(H, W) the vertices' values, interpolated."""
 
 
-def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, float], px_mm: float, values: Floats | None = None) -> Raster:
+def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, float], px_mm: float) -> Raster:
     """Render a mesh orthographically.
 
     Parameters
@@ -56,18 +54,16 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
         (left, right, bottom, top) of the picture along the side's axes.
     px_mm
         Size of a pixel.
-    values
-        One number a vertex (V,), carried into the picture; None: zeros.
     """
     left, right, bottom, top = box_mm
     width, height = max(1, round((right - left) / px_mm)), max(1, round((top - bottom) / px_mm))
     view = mesh.vertices_mm @ side.axes.T
     # Pixel centres at integers, rows downwards.
     flat = np.stack([(view[:, 0] - left) / px_mm - 0.5, (top - view[:, 1]) / px_mm - 0.5, view[:, 2]], axis=1)
-    carried = np.concatenate([vertex_normals(mesh) @ side.axes.T, (np.zeros(len(flat)) if values is None else values)[:, None]], axis=1)
+    normals = vertex_normals(mesh) @ side.axes.T
 
     depth = np.full(width * height, -np.inf)
-    found = np.zeros((width * height, 4), np.float32)
+    found = np.zeros((width * height, 3), np.float32)
     corners = flat[mesh.faces]
     low = np.maximum(np.ceil(corners[:, :, :2].min(axis=1)).astype(np.int64), 0)
     high = np.minimum(np.floor(corners[:, :, :2].max(axis=1)).astype(np.int64) + 1, [width, height])
@@ -86,16 +82,15 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
         z = np.einsum("ij,ij->i", weights, corners[triangle, :, 2])
         np.maximum.at(depth, pixel, z)
         front = z == depth[pixel]
-        found[pixel[front]] = np.einsum("ij,ijk->ik", weights[front], carried[mesh.faces[triangle[front]]])
+        found[pixel[front]] = np.einsum("ij,ijk->ik", weights[front], normals[mesh.faces[triangle[front]]])
     hit = np.isfinite(depth)
-    length = np.sqrt(np.einsum("ij,ij->i", found[:, :3], found[:, :3]))[:, None]
-    normal = (found[:, :3] / np.where(length > 0.0, length, 1.0)).astype(np.float32)
+    length = np.sqrt(np.einsum("ij,ij->i", found, found))[:, None]
+    normal = (found / np.where(length > 0.0, length, 1.0)).astype(np.float32)
     shape = (height, width)
     return Raster(
         hit=hit.reshape(shape),
         depth_mm=np.where(hit, depth, 0.0).astype(np.float32).reshape(shape),
         normal=normal.reshape(*shape, 3),
-        values=found[:, 3].reshape(shape),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon import report, shading
+from recon import pictures, report, shading
 from recon.result_files import Mesh
 from scenes import frames
 from scenes.errors import UserError
@@ -23,7 +23,7 @@ def as_mesh(solid: trimesh.Trimesh) -> Mesh:
 def test_raster_of_a_ball_has_its_area_depth_and_normals():
     ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
     ball.apply_translation([1.0, 2.0, -30.0])
-    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05, values=ball.vertices[:, 2])
+    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05)
     assert seen.hit.shape == (400, 280)
     assert seen.hit.sum() * 0.05**2 == pytest.approx(np.pi * 16.0, rel=3e-3)
     rows, columns = np.nonzero(seen.hit)
@@ -31,8 +31,20 @@ def test_raster_of_a_ball_has_its_area_depth_and_normals():
     assert -20.0 - (rows.mean() + 0.5) * 0.05 == pytest.approx(-30.0, abs=0.01)
     assert seen.depth_mm[seen.hit].max() == pytest.approx(5.0, abs=0.01)  # towards +x
     assert seen.normal[200, 140] == pytest.approx([0.0, 0.0, 1.0], abs=0.03)
-    z = -20.0 - (np.arange(400) + 0.5) * 0.05
-    assert seen.values[seen.hit] == pytest.approx(np.broadcast_to(z[:, None], seen.hit.shape)[seen.hit], abs=0.03)
+
+
+def test_distances_are_those_of_the_points_that_a_picture_shows():
+    """A ball within another of the same centre but for a shift: nearest where it is shifted to, which one side sees and the other not."""
+    small, large = trimesh.creation.icosphere(subdivisions=4, radius=3.0), trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+    small.apply_translation([0.5, 0.0, 0.0])
+    box, px_mm = (-5.0, 5.0, -5.0, 5.0), 0.1
+    for side, middle in ((shading.FRONT, 0.5), (shading.SIDE, 4.0 - np.hypot(3.0, 0.5))):
+        seen = shading.rasterise(as_mesh(small), side, box_mm=box, px_mm=px_mm)
+        apart = pictures.distances_shown(seen, side, box, px_mm, as_mesh(large))
+        column = 50 if side is shading.FRONT else 55
+        assert apart[50, column] == pytest.approx(middle, abs=0.02)
+        assert (apart[seen.hit] > 0.45).all()
+        assert (apart[~seen.hit] == 0.0).all()
 
 
 def test_a_ball_turned_inside_out_looks_the_same():
