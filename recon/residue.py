@@ -82,14 +82,14 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     centre = cells.centre_mm  # once: it is computed anew each time
     own = own_coverage(evidence, centre, depth)
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
-    away, nearest = cKDTree(line).query(centre)
+    away, nearest = cKDTree(line).query(centre, workers=-1)
     reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(organ[node], _ORGAN_PX / px_a_mm, 0.0)
     inside = away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found
     ends = np.array([nodes[-1] for nodes in found.branches])
-    at_tip = cKDTree(found.centre_mm[ends]).query(centre)[0] < _TIP_MM
+    at_tip = cKDTree(found.centre_mm[ends]).query(centre, workers=-1)[0] < _TIP_MM
     # half a step inside a tube costs as much as the additional way of a branch on its flank, but nothing at a tip
     flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
     density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)

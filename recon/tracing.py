@@ -101,7 +101,7 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
     if not lines:
         return []
-    nearest = cKDTree(centre[np.concatenate(lines)]).query(centre)[1]
+    nearest = cKDTree(centre[np.concatenate(lines)]).query(centre, workers=-1)[1]
     total = np.bincount(nearest, weights=cells.shadow_mm2, minlength=sum(len(line) for line in lines)).astype(np.float64)
     shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
     return [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
