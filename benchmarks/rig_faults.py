@@ -191,8 +191,3 @@ def _wrong(twin: Twin, dataset: Dataset, kept: dict[str, str]) -> list[str]:
         if np.abs(degrees).max() > ZERO_DEG:
             problems.append(f"wrong zero: ring and placement {station} are {np.round(degrees, 2).tolist()} off")
     return problems
-
-
-def dataset_tolerance_deg(twin: Twin) -> float:
-    """Return how far a recorded angle may be from the commanded one."""
-    return twin.rig.turntable.tolerance_deg

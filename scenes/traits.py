@@ -145,18 +145,6 @@ def measure_traits(
     )
 
 
-def tube_volume_mm3(roots: Sequence[Root]) -> float:
-    """Return the sum of the roots' volumes as chains of truncated cones, overlaps counted twice."""
-    return float(sum(_cones(root)[0] for root in roots))
-
-
-def _cones(root: Root) -> tuple[float, float]:
-    """Return volume and lateral surface of a chain of truncated cones."""
-    length = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
-    a, b = root.diameters_mm[:-1] / 2.0, root.diameters_mm[1:] / 2.0
-    return float(np.sum(np.pi * length * (a * a + a * b + b * b) / 3.0)), float(np.sum(np.pi * (a + b) * np.hypot(length, a - b)))
-
-
 def _segments(roots: Sequence[Root]) -> _Segments:
     step = np.concatenate([np.zeros((0, 3)), *(np.diff(root.points_mm, axis=0) for root in roots)])
     diameter = [(root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0 for root in roots]

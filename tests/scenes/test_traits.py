@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenes.rsml import Root
-from scenes.traits import measure_traits, tube_volume_mm3
+from scenes.traits import measure_traits
 
 RNG = np.random.default_rng(0)
 
@@ -89,11 +89,6 @@ def test_traits_do_not_depend_on_how_finely_roots_are_cut():
     assert coarse.total_length_mm == pytest.approx(fine.total_length_mm)
     assert coarse.angle_to_gravity_deg == pytest.approx(fine.angle_to_gravity_deg)
     assert coarse.bushiness == fine.bushiness
-
-
-def test_volume_of_a_cone():
-    cone = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -30.0]]), diameters_mm=np.array([4.0, 0.0]), order=0, parent=-1)
-    assert tube_volume_mm3([cone]) == pytest.approx(np.pi * 4.0 * 30.0 / 3.0)
 
 
 def test_without_centre_lines_only_the_solid_is_measured():
