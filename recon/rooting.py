@@ -49,11 +49,10 @@ _MOST_CELLS = 2_000_000
 """A search space with more cells is made coarser: its footprints in all views must fit in memory."""
 _THIN_MM = (0.05, 0.3)
 """Radii that shadows can tell at the start; thicker roots shade their own cells."""
-_ENDS_SHOWN = 0.15
-_ENDS_VIEWS = 3.0
-"""A branch ends where less of it than this shows unhidden, or in fewer views: it explains no pixels of its own."""
 _EXPLAINED = 0.5
 """A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a ghost."""
+_EXPLAINED_PX = 1.0
+"""... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
 _END_NODES = 3
 _NEIGHBOURS = 12
 _INSIDE = 0.9
@@ -179,11 +178,11 @@ class _Settling:
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
         tree, _, organ = _thicken(tree, self.core, self.balls, self.near_mm)
-        tree, pull = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+        tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         at = self.seen.project(tree.centre_mm)
         depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
         proved = proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
-        stays = tree.staying(_ends(tree, pull, proved, organ))
+        stays = tree.staying(_ends(tree, proved, organ))
         return _thicken(tubes.without_gaps(mending.mend(tree.keep(stays))), self.core, self.balls, self.near_mm)
 
 
@@ -293,16 +292,16 @@ def _hidden_tips(fitted: Tubes, pull: Pull) -> Mask:
     return hidden
 
 
-def _ends(fitted: Tubes, pull: Pull, proved: Proof, organ: Mask) -> Mask:
+def _ends(fitted: Tubes, proved: Proof, organ: Mask) -> Mask:
     """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
     gone = np.zeros(len(organ), bool)
     for k in range(len(fitted.branches)):
         own = fitted.own(k)
-        shown, views, explained, left = (
+        explained, left = (
             np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
-            for value in (pull.visible, pull.views, proved.explained, proved.left)
+            for value in (proved.explained, proved.left)
         )
-        gone[own] = (shown < _ENDS_SHOWN) | (views < _ENDS_VIEWS) | (explained < _EXPLAINED * (explained + left))
+        gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
     return (gone & ~organ) | _inside_another(fitted)
 
 
