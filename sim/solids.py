@@ -14,8 +14,8 @@ from scenes.rsml import Root
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
-SIDES = ((5.0, 16), (np.inf, 24))
-"""Sides of a tube up to a diameter in mm: a prism of 16 with a circle's area is 0.6 % wider than the circle, one of 8 is 2.7 %."""
+SIDES = 24
+"""Sides of a tube: a prism of 24 with a circle's area is 0.3 % wider than the circle, one of 16 is 0.6 %, one of 8 is 2.7 %."""
 SPLIT_TURN_RAD = 2.0
 """A tube that has turned this far goes on as a new one: united, it may then cross itself."""
 KINK_RAD = 0.6
@@ -23,11 +23,6 @@ KINK_RAD = 0.6
 
 LEAST_MM = 1e-3
 """Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can tell."""
-
-
-def sides_of(diameter_mm: float) -> int:
-    """Return how many sides a tube of this diameter gets."""
-    return next(sides for limit_mm, sides in SIDES if diameter_mm <= limit_mm)
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -132,9 +127,8 @@ def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0) -> manifold3d.M
     """Unite the tubes of roots, all radii times ``scale``, into one solid."""
     tubes: list[manifold3d.Manifold] = []
     for root in roots:
-        sides = sides_of(float(np.max(root.diameters_mm)))
         for points_mm, radii_mm in pieces(root):
-            tubes.append(manifold_of(*tube(points_mm, scale * radii_mm, sides=sides)))
+            tubes.append(manifold_of(*tube(points_mm, scale * radii_mm, sides=SIDES)))
     if not tubes:
         raise UserError("The specimen has no root with a length: there is nothing to put into the water.")
     return manifold3d.Manifold.batch_boolean(tubes, manifold3d.OpType.Add)
