@@ -81,7 +81,11 @@ def mend(tubes: Tubes) -> Tubes:
 
 
 def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
-    """Turn round branches that begin at their tips: those that end at a root nearer to the top, along the roots, than where they begin."""
+    """Turn round branches that begin at their tips.
+
+    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent against
+    its growth and end at a root that they would leave onward.
+    """
     centre = tubes.centre_mm
     for _ in range(_ROUNDS):
         owner, way = _ways(tubes, branches)
@@ -99,7 +103,8 @@ def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
             best = int(np.argmin(gap))
             parent, line = int(others[best]), branches[k]
             assert line is not None
-            if gap[best] > _TOUCH_MM or way[parent] + max(gap[best], 0.0) + _TOUCH_MM > way[line[0]]:
+            nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
+            if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
                 continue
             tried = list(branches)
             tried[k] = np.concatenate([[parent], line[:0:-1]])
@@ -109,6 +114,21 @@ def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
         if not turned:
             break
     return branches
+
+
+def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
+    """Tell whether a branch leaves its parent against growth, and would leave another root, at a node near its tip, onward."""
+    centre, reach = tubes.centre_mm, min(_NODES, len(line) - 1)
+    away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]
+    return bool(away @ _growth(tubes, branches, owner, int(line[0])) < 0.0 < back @ _growth(tubes, branches, owner, root))
+
+
+def _growth(tubes: Tubes, branches: list[Index | None], owner: Index, node: int) -> Array:
+    """Return the direction, not normalised, in which the branch that owns a node grows there."""
+    line = branches[int(owner[node])]
+    assert line is not None
+    place = int(np.flatnonzero(line == node)[0])
+    return np.asarray(tubes.centre_mm[line[min(place + _NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - _NODES, 0)]])
 
 
 def _ways(tubes: Tubes, branches: list[Index | None]) -> tuple[Index, Array]:
@@ -177,7 +197,7 @@ _Change = tuple[float, int, int, int, _Kind]
 
 def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
     """Return the tips that go on in a branch that begins near, and the tips that meet."""
-    alive = [nodes for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 2)]
+    alive = [nodes for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 1)]
     tips = np.array([nodes[-1] for nodes in alive])
     found: list[_Change] = []
     for turned in (False, True):
@@ -200,7 +220,7 @@ def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
 
 def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
     """Return the tips that take over what follows of a branch that they run into."""
-    tips = np.array([nodes[-1] for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 2)])
+    tips = np.array([nodes[-1] for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 1)])
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
     if not len(inner):

@@ -62,6 +62,8 @@ _FLANK_PX = 0.5
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+_ORGAN_PX = 3.0
+"""Roots of a larger radius are thick organs."""
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
 _TIP_SHOWN = 0.4
@@ -141,6 +143,9 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with run.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
+        start, _, _ = _thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
+        core = _thick(core, balls, _ORGAN_PX / px_a_mm)
+        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
         start, buried, organ = _thicken(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
@@ -157,7 +162,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))
-        fitted, buried, organ = fitted.keep(stays), buried[stays], organ[stays]
+        fitted, buried, organ = settle.joined(fitted.keep(stays))
     with run.stage("index"):
         seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
     with run.stage("last tubes"):
@@ -183,7 +188,11 @@ class _Settling:
         depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
         proved = proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
         stays = tree.staying(_ends(tree, proved, organ))
-        return _thicken(tubes.without_gaps(mending.mend(tree.keep(stays))), self.core, self.balls, self.near_mm)
+        return self.joined(tree.keep(stays))
+
+    def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
+        """Return the tree with its pieces connected, and the nodes (N,) as above."""
+        return _thicken(tubes.without_gaps(mending.mend(tree)), self.core, self.balls, self.near_mm)
 
 
 def _short_leaves(fitted: Tubes, organ: Mask) -> Mask:
@@ -240,6 +249,13 @@ def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carv
         slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
     )
     return hull.leaves
+
+
+def _thick(core: Cells, balls: Balls, least_mm: float) -> Cells:
+    """Return the cells of a core that lie inside balls of at least some radius: what is thinner is a tube, or a crowd of them."""
+    large = balls.radius_mm >= least_mm
+    near = cKDTree(core.centre_mm).query_ball_point(balls.centre_mm[large], balls.radius_mm[large]) if len(core.index) else []
+    return core.chosen(np.unique(np.concatenate([np.zeros(0, np.int64), *(np.array(those, np.int64) for those in near)])))
 
 
 def _first_radius(path: tracing.Path) -> Array:
