@@ -83,8 +83,8 @@ def mend(tubes: Tubes) -> Tubes:
 def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
     """Turn round branches that begin at their tips.
 
-    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent against
-    its growth and end at a root that they would leave onward.
+    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent
+    against its growth and end at a root that they would leave onward.
     """
     centre = tubes.centre_mm
     for _ in range(_ROUNDS):
