@@ -23,8 +23,11 @@ Mask = NDArray[np.bool_]
 STEPS = 8
 _BEND = 2.0
 """Weight of the squared second differences of positions, 1/mm2: a view's full profile weighs some 10."""
-_TAPER = 20.0
-"""Weight of the squared differences of radii along a branch, 1/mm2."""
+_TAPER = 400.0
+"""Weight of the squared differences of radii along a branch, 1/mm2: roots keep their radius over more than a centimetre.
+
+With 20, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others hide is not held thin.
+"""
 _DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
 """Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
 LEAST = 0.5
@@ -32,7 +35,7 @@ _LARGEST_STEP_MM = 0.15
 _THINNEST_MM = 0.02
 _STIFF = 1e9
 _STRETCH_NODES = 21
-_BULGE = 1.25
+_BULGE = 1.12
 
 
 def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:
