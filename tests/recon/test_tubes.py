@@ -25,6 +25,7 @@ from recon.cameras import View
 from recon.carve import Grid, Leaves
 from recon.density import Cells, estimate
 from recon.evidence import Evidence
+from recon.parsimony import Balls
 from recon.refraction import Optics
 from recon.silhouettes import Silhouette
 from scenes import plan
@@ -229,6 +230,26 @@ def test_a_root_that_was_traced_from_its_tip_is_turned_round():
     np.testing.assert_allclose(mended.centre_mm[mended.branches[2][-1]], lower[0])
 
 
+def test_a_stub_that_ends_where_another_begins_goes_on_in_it():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    stub, rest = np.array([[0.4, 0.0, -5.3]]), line((0.8, 0.0, -5.6), (12.0, 0.0, -14.0), step=0.5)
+    mended = mending.mend(_fork(trunk, stub, rest, starts=(10, len(trunk))))
+    assert [int(branch[0]) for branch in mended.branches] == [0, 10]
+    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], rest[-1])
+
+
+def test_a_root_that_was_traced_from_a_crossing_both_ways_is_one():
+    """A root crosses another, on which both its halves were hung: the half that leaves against growth is its base."""
+    trunk, low = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.3, -20.0), (8.0, 0.3, -22.0), step=0.5)
+    crossed = line((0.5, 0.0, -2.0), (14.0, 0.0, -33.0), step=0.5)
+    base, rest = line((9.2, 0.3, -22.9), (6.2, 0.3, -21.7), step=0.5), line((10.2, 0.3, -23.3), (16.0, 0.3, -25.6), step=0.5)
+    at = len(trunk) + len(low) + int(np.argmin(np.linalg.norm(crossed - [9.7, 0.0, -23.1], axis=1)))
+    mended = mending.mend(_fork(trunk, low, crossed, base, rest, starts=(40, 4, at, at)))
+    assert len(mended.branches) == 4
+    assert len(trunk) <= mended.branches[3][0] < len(trunk) + len(low)
+    np.testing.assert_allclose(mended.centre_mm[mended.branches[3][-1]], rest[-1])
+
+
 def test_what_tubes_leave_unexplained_is_hung_on_them():
     true = strung(TRUNK, TWIG, radius_mm=0.2)
     seen = pictured(true)
@@ -254,6 +275,39 @@ def test_proof_tells_a_root_from_a_ghost():
     root, ghost = true.branches[0][3:-3], true.branches[1][4:-2]
     assert np.median(share[root]) > 0.9
     assert (share[ghost] < 0.0).all()
+
+
+def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
+    around = [line((x, y, -20.0), (x, y, -50.0)) for x, y in ((0.8, 0.0), (-0.8, 0.0), (0.4, 0.7), (-0.4, 0.7), (0.4, -0.7), (-0.4, -0.7))]
+    crowd = strung(*around, TRUNK, radius_mm=0.35)
+    seen, none = pictured(crowd), np.zeros(len(crowd.radius_mm), bool)
+    at = seen.project(crowd.centre_mm)
+    depth = tube_picture.optical_depth(seen, crowd, at, 0.0)
+    left = tube_picture.unexplained(seen, depth)
+    inner = crowd.branches[-1][3:-3]
+    assert np.median(tube_picture.pull(seen, crowd, at, depth, left, 0.0).visible[inner]) < 0.15
+    assert not rooting._ends(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none)[inner].any()
+
+
+def test_touching_roots_share_their_width_evenly():
+    """Two roots side by side, one begun too fat and the other too thin by turns, come out as thick as they are."""
+    true = strung(TRUNK, TRUNK + np.array([0.5, 0.0, 0.0]), radius_mm=0.25)
+    seen, fixed = pictured(true), np.zeros(len(true.radius_mm), bool)
+    wave = 0.08 * np.sin(np.arange(len(true.radius_mm)) / 3.0)
+    wave[true.owner == 1] *= -1.0
+    fitted, _ = tube_fit.fit(seen, tubes.moved(true, true.centre_mm, true.radius_mm + wave), fixed, blur_px=0.0, steps=8)
+    assert np.abs(fitted.radius_mm / 0.25 - 1.0).max() < 0.06
+
+
+def test_what_is_thinner_than_an_organ_is_no_core():
+    grid = Grid(np.zeros(3), 0.5, 1, (8, 8, 8))
+    index = np.stack(np.meshgrid(*[np.arange(16)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    core = Cells(grid, index, np.zeros(len(index), np.float32))
+    balls = Balls(np.array([[2.0, 2.0, 2.0], [6.0, 6.0, 6.0]]), np.array([1.0, 0.5]))
+    kept = rooting._thick(core, balls, 0.75)
+    assert len(kept.index) > 0
+    np.testing.assert_array_equal(np.linalg.norm(kept.centre_mm - 2.0, axis=1) <= 1.0, True)
+    assert not len(rooting._thick(core, balls, 1.5).index)
 
 
 def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
