@@ -22,6 +22,8 @@ _FLANK = 0.98
 """Share of the canister's width beyond which the wall reflects nearly everything."""
 _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
+_GLARE, _RIM_PX = 0.05, 11
+"""What is brighter than the smooth panel by this share is glare, with so many pixels about it."""
 _BLOCK_ROWS = 24
 _THREADS = 2
 
@@ -77,7 +79,7 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     return np.asarray(fine[:height, :width])
 
 
-def estimate(stack: Image, inside: Mask) -> Image:
+def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
 
     Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the panel in
@@ -91,14 +93,15 @@ def estimate(stack: Image, inside: Mask) -> Image:
 
     Returns
     -------
-    (H, W) background in the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
+    background : (H, W) in the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
+    glare : (H, W) pixels of reflections. What they add hides roots, so that nothing can be said there.
     """
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
     rows = np.flatnonzero(often.any(axis=1))
     background = np.zeros(stack.shape[1:], np.float32)
     if not len(rows):
-        return background
+        return background, often
 
     def upper_mean(begin: int) -> None:
         part = stack[:, begin : begin + _BLOCK_ROWS]
@@ -116,13 +119,15 @@ def estimate(stack: Image, inside: Mask) -> Image:
         list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
     background[~often] = 0.0
     smooth = _smooth_surface(background, often)
+    spots = (smooth > 0) & (background > (1.0 + _GLARE) * smooth)
+    glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
     covered = often & (background < 0.96 * smooth)
-    return np.where(covered, smooth, background).astype(np.float32)
+    return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
 
 
 def _smooth_surface(background: Image, inside: Mask) -> Image:
-    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers left out."""
+    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out."""
     rows, columns = np.nonzero(inside)
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
     v = 2.0 * (rows - rows.min()) / max(1, np.ptp(rows)) - 1.0
@@ -143,7 +148,7 @@ def _smooth_surface(background: Image, inside: Mask) -> Image:
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
-        trusted = residual > -3.0 * scale
+        trusted = (residual > -3.0 * scale) & (residual < np.maximum(_GLARE * values[sample], 3.0 * scale))
     shape = (degrees[0] + 1, degrees[1] + 1)
     surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
     return surface

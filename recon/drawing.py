@@ -68,8 +68,8 @@ def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline
     keys = list(views)
     with run.stage("background"):
         inside = {k: background.water_mask(view, optics, run.dataset.scene) for k, view in views.items()}
-        empty = _backgrounds(run, views, optics, inside)
-        seen = {k: background.bright_enough(empty[k], inside[k]) for k in keys}
+        empty, glare = _backgrounds(run, views, optics, inside)
+        seen = {k: background.bright_enough(empty[k], inside[k]) & ~glare[k] for k in keys}
     if outline is not None:
         with run.stage("silhouettes"):
             return {k: outline(run.images[k].astype(np.float32), empty[k], seen[k]) for k in keys}
@@ -111,16 +111,23 @@ def _scale(view: View, optics: Optics) -> float:
     return float(np.linalg.norm(px[0, 0] - px[1, 0]))
 
 
-def _backgrounds(run: Run, views: dict[int, View], optics: Optics, inside: dict[int, Mask]) -> dict[int, Image]:
-    """Estimate the empty backlight of each view: ring by ring where the camera stood still, else picture by picture."""
+def _backgrounds(
+    run: Run, views: dict[int, View], optics: Optics, inside: dict[int, Mask]
+) -> tuple[dict[int, Image], dict[int, Mask | np.bool_]]:
+    """Estimate the empty backlight of each view, and where glare lies on it, which only a turn tells.
+
+    Ring by ring where the camera stood still, else picture by picture.
+    """
     empty: dict[int, Image] = {}
+    glare: dict[int, Mask | np.bool_] = dict.fromkeys(views, np.False_)
     walls = dict(zip(views, run.each(lambda k: background.wall_light(views[k], optics), "walls", list(views)), strict=True))
     for ring in sorted({run.frames[k].ring for k in views}):
         members = [k for k in views if run.frames[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still(run, [views[k] for k in members]):
             stack = np.stack([run.images[k] / walls[k] for k in members]).astype(np.float32)
-            panel = background.estimate(stack, np.stack([inside[k] for k in members]))
+            panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]))
             empty.update({k: panel * walls[k] for k in members})
+            glare.update(dict.fromkeys(members, spots))
         else:
 
             def from_itself(k: int) -> Image:
@@ -128,7 +135,7 @@ def _backgrounds(run: Run, views: dict[int, View], optics: Optics, inside: dict[
 
             single = run.each(from_itself, "background", members)
             empty.update(dict(zip(members, single, strict=True)))
-    return empty
+    return empty, glare
 
 
 def _still(run: Run, views: list[View]) -> bool:

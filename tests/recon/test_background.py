@@ -32,7 +32,7 @@ def turned(always_px: int, noise: float, views: int = 20) -> tuple[np.ndarray, n
 @pytest.mark.parametrize(("always_px", "noise"), [(0, 0.0), (16, 0.0), (16, 0.01)])
 def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px: int, noise: float) -> None:
     stack, empty = turned(always_px, noise)
-    found = background.estimate(stack, np.ones(empty.shape, bool))
+    found, _ = background.estimate(stack, np.ones(empty.shape, bool))
     assert np.abs(found / empty - 1).mean() < 0.003 + 0.6 * noise
     assert abs(float((found / empty).mean()) - 1) < 0.002 + 0.5 * noise
 
@@ -41,8 +41,21 @@ def test_a_band_that_is_always_pitch_black_is_bridged_too() -> None:
     stack, empty = turned(16, 0.0)
     middle = empty.shape[1] // 2
     stack[:, :, middle - 8 : middle + 8] = 0.0
-    found = background.estimate(stack, np.ones(empty.shape, bool))
+    found, _ = background.estimate(stack, np.ones(empty.shape, bool))
     assert np.abs(found / empty - 1)[:, middle - 8 : middle + 8].max() < 0.05
+
+
+def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> None:
+    stack, empty = turned(16, 0.0)
+    v, u = np.mgrid[0 : empty.shape[0], 0 : empty.shape[1]]
+    spot = ((u - 60) / 5.0) ** 2 + ((v - 50) / 14.0) ** 2 < 1.0
+    stack[:, spot] += 12000.0
+    found, glare = background.estimate(stack, np.ones(empty.shape, bool))
+    assert glare[spot].all()
+    assert glare.mean() < 0.05
+    assert np.abs(found / empty - 1)[~glare].max() < 0.05
+    calm = background.estimate(turned(16, 0.01)[0], np.ones(empty.shape, bool))[1]
+    assert not calm.any()
 
 
 def test_estimate_of_one_picture_bridges_roots() -> None:
@@ -55,7 +68,7 @@ def test_outside_the_mask_there_is_no_background() -> None:
     stack, empty = turned(0, 0.0)
     inside = np.zeros(empty.shape, bool)
     inside[30:90, 20:140] = True
-    found = background.estimate(stack, inside)
+    found, _ = background.estimate(stack, inside)
     assert (found[~inside] == 0).all()
     assert (found[inside] > 0).all()
 
@@ -99,6 +112,6 @@ def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_p
     inside[:9, :10] = False  # the skirt hides the upper rows in nine of twenty views
     inside[:16, :4] = False  # and the uppermost in most
     stack[~inside] = 100.0
-    found = background.estimate(stack, inside)
+    found, _ = background.estimate(stack, inside)
     assert (found[:4] == 0).all()
     assert np.abs(found / empty - 1)[4:].max() < 1e-3
