@@ -1,6 +1,7 @@
 """From pictures to silhouettes: the empty backlight of every view, and what roots cover of it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,12 +81,16 @@ def _measured(run: Run, views: dict[int, View], optics: Optics, outline: Outline
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = float(np.median([_scale(views[k], optics) for k in some[::4]]))
         law = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+        run.law = law
 
         def one(k: int) -> Silhouette:
+            clear = opacity[k] / np.float32(1.0 - law.own)  # noise and all, so that no faint root loses its flanks
             if law.mu_per_mm is None:
-                return silhouettes.measure(opacity[k], seen[k], own=law.own)
-            covered = translucency.covered(opacity[k], law, px_a_mm)
-            return silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
+                drawn = silhouettes.measure(opacity[k], seen[k], own=law.own)
+            else:
+                covered = translucency.covered(opacity[k], law, px_a_mm)
+                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
+            return replace(drawn, opacity=clear)
 
         return dict(zip(keys, run.each(one, "silhouettes", keys), strict=True))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon import projection
+from recon.device import numbers, wholes
 from recon.projection import ViewBank
 from recon.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
 
@@ -28,24 +30,55 @@ CORE_PX = 1.25
 
 @dataclass(frozen=True)
 class Evidence:
-    """Measured coverage of all views, with their cameras."""
+    """Measured coverage of all views, or where roots are translucent their opacity, with the cameras."""
 
     bank: ViewBank
     silhouettes: tuple[Silhouette, ...]
     """In the order of the bank's views."""
     coverage: Any
-    """mi.Float, (V, H, W) flattened."""
+    """mi.Float, (V, H, W) flattened: coverage, opacity where roots are translucent."""
     seen: Any
     """mi.Float, (V, H, W) flattened: 1 where the picture says something, else 0."""
     image_wh: tuple[int, int]
+    mu_per_mm: float | None = None
+    """Attenuation of the roots; None for opaque ones."""
+    light: bool = False
+    """Whether ``coverage`` is opacity, which comes with its noise; coverage comes without."""
 
     @staticmethod
     def of(bank: ViewBank, silhouettes: list[Silhouette]) -> Evidence:
         """Put silhouettes on the device."""
         height, width = silhouettes[0].coverage.shape
-        coverage = mi.Float(np.concatenate([s.coverage.ravel() for s in silhouettes]).astype(np.float32))
-        seen = mi.Float(np.concatenate([s.seen.ravel() for s in silhouettes]).astype(np.float32))
+        coverage = numbers(np.concatenate([s.coverage.ravel() for s in silhouettes]))
+        seen = numbers(np.concatenate([s.seen.ravel() for s in silhouettes]))
         return Evidence(bank, tuple(silhouettes), coverage, seen, (width, height))
+
+    @property
+    def has_opacity(self) -> bool:
+        """Tell whether the pictures were of light, and not silhouettes from the beginning."""
+        return all(silhouette.opacity is not None for silhouette in self.silhouettes)
+
+    def by_light(self) -> Evidence:
+        """Return the opacity of all views as the evidence, roots still taken for opaque.
+
+        Raises
+        ------
+        ValueError
+            Where the pictures were silhouettes from the beginning.
+        """
+        pictures = [s.opacity.ravel() for s in self.silhouettes if s.opacity is not None]
+        if len(pictures) < len(self.silhouettes):
+            raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
+        return replace(self, coverage=numbers(np.concatenate(pictures)), light=True)
+
+    def of_views(self, which: Sequence[int]) -> Evidence:
+        """Return what some of the views say."""
+        pixel = (np.asarray(which)[:, None] * self.pixels + np.arange(self.pixels)).ravel()
+        coverage, seen = (dr.gather(mi.Float, part, wholes(pixel)) for part in (self.coverage, self.seen))
+        dr.eval(coverage, seen)
+        return replace(
+            self, bank=self.bank.chosen(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, seen=seen
+        )
 
     @property
     def pixels(self) -> int:
@@ -55,8 +88,8 @@ class Evidence:
     def project(self, points_mm: Array) -> Nodes:
         """Project points (N, 3) into all views."""
         views, count = self.bank.count, len(points_mm)
-        point = mi.Point3f(np.tile(points_mm.T, (1, views)).astype(np.float32))
-        view = mi.UInt32(np.repeat(np.arange(views, dtype=np.uint32), count))
+        point = mi.Point3f(*(numbers(np.tile(part, views)) for part in points_mm.T))
+        view = wholes(np.repeat(np.arange(views), count))
         p = projection.project(self.bank, view, point, mi.Bool(True))
         dr.eval(p.px, p.du, p.dv, p.seen)  # one by one, each would be a projection of its own
 
@@ -85,6 +118,16 @@ class Nodes:
         """Return the gradient (V, N, 3) of the position along image directions (V, N, 2), px/mm."""
         gradient: Array = normal[..., :1] * self.du + normal[..., 1:] * self.dv
         return gradient
+
+    def of(self, chosen: NDArray[np.int64]) -> Nodes:
+        """Return some of the points."""
+        return Nodes(self.px[:, chosen], self.du[:, chosen], self.dv[:, chosen], self.seen[:, chosen])
+
+    def sine(self, tangent: Array) -> Array:
+        """Return the sine (V, N) of the angle between directions (N, 3) and the lines of sight, along which no pixel changes."""
+        ray = np.cross(self.du, self.dv)
+        ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-12)
+        return np.asarray(np.sqrt(np.maximum(1.0 - (ray * tangent).sum(axis=-1) ** 2, 0.0)))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:

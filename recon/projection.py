@@ -22,6 +22,7 @@ from scipy import ndimage
 
 from recon import refraction
 from recon.cameras import View
+from recon.device import numbers
 from recon.refraction import Array, Optics
 from scenes import frames
 
@@ -107,12 +108,12 @@ class ViewBank:
                 made[key] = _view_table(optics, view)
             tables.append(made[key])
         shape = tables[0].shape[:2]
-        return ViewBank(optics, len(views), mi.Float(packed.ravel()), mi.Float(np.stack(tables).ravel()), (shape[0], shape[1]))
+        return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
 
     def chosen(self, which: Sequence[int]) -> ViewBank:
         """Return some of the views."""
         parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
-        parameters, tables = (mi.Float(part.ravel()) for part in parts)
+        parameters, tables = (numbers(part) for part in parts)
         return ViewBank(self.optics, len(which), parameters, tables, self.table_shape)
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon import tube_picture
+from recon.device import numbers, wholes
 from recon.evidence import Evidence, Nodes, bilinear
+from recon.translucent_tube import seen_from
 from recon.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -45,11 +47,15 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
     used = at.seen & (speed > _LEAST_SPEED_PX)
 
     def number(values: Array) -> Any:
-        return mi.Float(values[used].astype(np.float32))
+        return numbers(values[used])
 
     u, v, n_u, n_v, w = number(at.px[..., 0]), number(at.px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
+    layers = [(1.0, w)]
+    if evidence.mu_per_mm is not None:
+        strips = seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tangent))
+        layers = [(number(h), number(e * half_px)) for h, e in zip(strips.height, strips.width, strict=True)]
     base = np.broadcast_to(np.arange(len(at.px))[:, None] * evidence.pixels, used.shape)[used]
-    start = mi.UInt32(base.astype(np.uint32))
+    start = wholes(base)
     columns, rows = evidence.image_wh
     sigma = float(np.hypot(blur_px, tube_picture.PIXEL_SIGMA))
     scale = 1.0 / (sigma * np.sqrt(2.0))
@@ -59,7 +65,7 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
         o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
         px = dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01)
         d, t = (bilinear(source, start, columns, *px) for source in (difference, depth))
-        c = dr.minimum(0.5 * (dr.erf((o + w) * scale) - dr.erf((o - w) * scale)), 0.995)
+        c = dr.minimum(sum(h * 0.5 * (dr.erf((o + a) * scale) - dr.erf((o - a) * scale)) for h, a in layers), 0.995)
         own = c * dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
         explained += own * (2.0 * d + own)
         left += dr.square(d)

@@ -139,10 +139,19 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("Hull before trimming", f"{summary['hull_mm3']:.1f} mm³"),
         ("Part of the volume that is untrimmed hull", f"{summary['untrimmed_mm3']:.1f} mm³"),
         ("Water that too few views could see", f"{summary['blind_mm3']:.1f} mm³"),
+        ("Attenuation of light in the roots", _attenuation(summary)),
         ("Voxel", f"{summary['voxel_mm']:g} mm"),
         ("Views used", f"{len(used)} of {len(summary['views'])}"),
         ("Time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in summary["timings_s"].items())),
     ]
+
+
+def _attenuation(summary: dict[str, Any]) -> str:
+    """Return the attenuation of light in the roots in words."""
+    mu, sigma = summary.get("root_mu_per_mm"), summary.get("root_mu_sigma_per_mm")
+    if mu is None:
+        return "opaque"
+    return f"{mu:.2f} /mm" if sigma is None else f"{mu:.2f} ± {sigma:.2f} /mm"
 
 
 def _views(summary: dict[str, Any]) -> str:

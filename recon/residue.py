@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from recon import projection, tracing, tubes
 from recon.density import Cells
 from recon.evidence import Evidence, bilinear
+from recon.translucent_tube import radius_of
 from recon.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -102,6 +103,8 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     paths, radii, parents = [], [], []
     for way in lines:
         thick = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
+        if evidence.mu_per_mm is not None:
+            thick = radius_of(thick, evidence.mu_per_mm)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(thick[1:]))))
         first = int(node[nearest[way[0]]])

@@ -87,6 +87,10 @@ class Shape:
     """Volume of the water that too few views see."""
     extents_min_mm: Triple
     extents_max_mm: Triple
+    mu_per_mm: float | None = None
+    """Attenuation of light in the roots; None for opaque ones, and where nobody asked."""
+    mu_sigma_per_mm: float | None = None
+    """Its standard deviation, where thin roots told it."""
     roots: tuple[Root, ...] = ()
     """Centre lines and diameters, parents before children; empty where there are none."""
 
@@ -154,6 +158,8 @@ class Result:
             "hull_mm3": shape.hull_mm3,
             "untrimmed_mm3": shape.untrimmed_mm3,
             "blind_mm3": shape.blind_mm3,
+            "root_mu_per_mm": shape.mu_per_mm,
+            "root_mu_sigma_per_mm": shape.mu_sigma_per_mm,
             "length_mm": shape.length_mm,
             "tips": len(shape.roots),
             "mass_g": self.mass_g,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -25,6 +25,7 @@ from recon import (
     root_calibration,
     tracing,
     tube_fit,
+    tube_law,
     tube_picture,
     tubes,
 )
@@ -36,6 +37,7 @@ from recon.proof import Proof
 from recon.root_calibration import Sights
 from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
+from recon.tube_law import TubeLaw
 from recon.tube_picture import Pull
 from recon.tubes import SPACING_MM, Tubes
 from scenes.rsml import Root
@@ -97,10 +99,15 @@ class RootSystem:
     margin_mm: float
     """Within this of a core point lies the whole of a thick organ."""
     px_a_mm: float
-    blur_px: float
-    """Standard deviation of the pictures' blur."""
+    law: TubeLaw
+    """How much light roots let through, and how blurred the pictures are."""
     seen: Evidence
     """What it was fitted to, with cameras and water as the roots corrected them."""
+
+    @property
+    def blur_px(self) -> float:
+        """Return the standard deviation of the pictures' blur."""
+        return self.law.blur_px
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children."""
@@ -149,6 +156,18 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         start, buried, organ = _thicken(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
+    with run.stage("translucency"):
+        law, fitted = tube_law.find(seen, fitted, organ, blur_px)
+        if law.mu_per_mm is None and run.law is not None and run.law.mu_per_mm is not None:
+            # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
+            seen = seen.by_light()
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
+            law = replace(law, blur_px=_blur(seen, fitted))
+        if law.mu_per_mm is not None:
+            seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
+        blur_px = law.blur_px
+        run.warnings += law.warnings()
+    with run.stage("branches"):
         settle = _Settling(seen, core, balls, near_mm, blur_px)
         fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ))
@@ -163,11 +182,16 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))
         fitted, buried, organ = settle.joined(fitted.keep(stays))
+    if law.mu_per_mm is not None:
+        with run.stage("translucency again"):
+            law, fitted = tube_law.refine(seen, fitted, organ, law)
+            blur_px, seen = law.blur_px, replace(seen, mu_per_mm=law.mu_per_mm)
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
     with run.stage("index"):
         seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
     with run.stage("last tubes"):
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, blur_px, seen)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen)
 
 
 @dataclass(frozen=True)

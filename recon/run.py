@@ -12,6 +12,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from recon.root_calibration import RigDoubt, RootCalibration
+from recon.translucency import Law
 from scenes.dataset import Dataset, Frame, load_dataset, read_image
 from scenes.errors import UserError
 from scenes.model import Camera
@@ -36,6 +37,8 @@ class Run:
     """The lens: as given, until the pictures tell how it was focused."""
     doubt: RigDoubt | None = None
     """How well the pictures tell the rig, by frame; None: cameras were given."""
+    law: Law | None = None
+    """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
     asked_roots: RootCalibration | None = None
     """What the roots said about the rig."""
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +25,15 @@ THIN_KEPT, THIN_SMALL = 0.3, 0.7
 """Tubes are sought where more than these shares of the trimmed volume are untrimmed hull, and leaves of the finest size.
 
 Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large leaves (14 % small)."""
+THIN_MISSED = 0.3
+"""... and where the trimmed hull stands before less than the rest of what the pictures show: roots too faint for any hull.
+
+Translucent roots of five days that no resolved root told to be so leave a half of their coverage, a print with felt fibres about it 1 %."""
+_MISSED_VIEWS = 8
+_MISSED_LEAVES = 100_000
+"""Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the other."""
+_MISSED_PX = 1.5
+"""What lies this near to the hull in a picture is its own."""
 SLACK_PX = 0.3
 """By how much outlines are moved in and out for the silhouette-consistent bounds."""
 _SURFACE_LEAVES = 1_000_000
@@ -110,7 +120,7 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
     with run.stage("trim"):
         trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
     system = None
-    if _is_thin(trimmed):
+    if _is_thin(trimmed) or _misses(carved, trimmed.leaves) > THIN_MISSED:
         system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), carved.sights, trimmed.balls, carved.water)
     # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
     moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
@@ -128,7 +138,11 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
         budget = _budget(carved, trimmed, leaves, system, share=share, volume_mm3=volume)
     _warn(run, budget, kept_mm3)
     shape = measure(run, hull, leaves, voxel_mm=voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3)
-    return shape if system is None else replace(shape, roots=system.roots())
+    if system is None:
+        return replace(shape, mu_per_mm=None if run.law is None else run.law.mu_per_mm)
+    law = system.law
+    sigma = None if law.mu_per_mm is None else law.sigma * law.mu_per_mm
+    return replace(shape, roots=system.roots(), mu_per_mm=law.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
 def _budget(
@@ -155,6 +169,31 @@ def _is_thin(trimmed: parsimony.Trimmed) -> bool:
     leaves, volume = trimmed.leaves, trimmed.leaves.volume_mm3()
     finest_mm3 = float(leaves.occupancy[leaves.size == 1].sum(dtype=np.float64)) * leaves.grid.size_mm**3
     return trimmed.kept_mm3 > THIN_KEPT * volume and finest_mm3 > THIN_SMALL * volume
+
+
+def _misses(carved: Carved, leaves: carve.Leaves) -> float:
+    """Return the share of the pictures' coverage before which no part of a shape stands, over a few views."""
+    some = np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES]
+    index, edge = leaves.index[some], leaves.size[some]
+    views = list(range(min(_MISSED_VIEWS, carved.bank.count)))  # they come in an order that spreads neighbours over the turn
+    seen = Evidence.of(carved.bank.chosen(views), [carved.silhouettes[k] for k in views])
+    at = seen.project(np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge[:, None]) * leaves.grid.size_mm)
+    half_mm = 0.5 * 3.0**0.5 * leaves.grid.size_mm * edge
+    shown, missed = 0.0, 0.0
+    for place, silhouette in enumerate(seen.silhouettes):
+        beyond = np.full(silhouette.coverage.shape, np.inf, np.float32)
+        for size in np.unique(edge):
+            chosen = (edge == size) & at.seen[place]
+            if not chosen.any():
+                continue
+            empty = np.ones(beyond.shape, np.uint8)
+            column, row = np.round(at.px[place, chosen]).astype(np.int64).T
+            empty[row, column] = 0
+            reach_px = float(np.max(np.linalg.norm(at.du[place, chosen], axis=-1) * half_mm[chosen]))
+            beyond = np.minimum(beyond, cv2.distanceTransform(empty, cv2.DIST_L2, 5) - np.float32(reach_px))
+        shown += float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64))
+        missed += float(silhouette.coverage[silhouette.seen & (beyond > _MISSED_PX)].sum(dtype=np.float64))
+    return missed / max(shown, 1e-9)
 
 
 def measure(

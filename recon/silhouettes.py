@@ -37,12 +37,14 @@ class Silhouette:
     """(H, W), 0 to 1: fraction of the pixel covered by root."""
     seen: Mask
     """(H, W): the picture says something about the water here."""
+    opacity: Image | None = None
+    """(H, W), 0 to 1: light that roots keep back, over what an opaque root would; None where the picture is a silhouette already."""
 
     def cut(self, window: Window) -> Silhouette:
         """Return the part in a window."""
         (left, top), (width, height) = window.low_px, window.size_px
         part = np.s_[top : top + height, left : left + width]
-        return Silhouette(self.coverage[part], self.seen[part])
+        return Silhouette(self.coverage[part], self.seen[part], None if self.opacity is None else self.opacity[part])
 
 
 @dataclass(frozen=True)

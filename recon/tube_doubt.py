@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from recon import tube_fit, tube_picture
+from recon import tube_fit, tube_law, tube_picture
 from recon.evidence import Evidence
 from recon.rooting import RootSystem
 from recon.tube_picture import Pull
@@ -54,7 +54,7 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
     blurred = tube_picture.optical_depth(seen, tubes, at, system.blur_px + _BLUR_STEP_PX)
     other = tube_picture.pull(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX)
     by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
-    rest = _Rest.of(seen, depth, difference)
+    rest = _Rest.of(seen, depth, difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
     untold = _untold(tubes, pull, gain, rest.variance)
@@ -66,9 +66,28 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
         _even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
         _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
+        *_translucency(system),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeDoubt(terms, rest.unexplained, rest.fill)
+
+
+def _translucency(system: RootSystem) -> tuple[Term, ...]:
+    """Return what the doubt of the roots' attenuation means: other radii would keep back as much light."""
+    law, tubes = system.law, system.tubes
+
+    def volume_mm3(mu_per_mm: float | None) -> float:
+        radius = tube_law.scaled(tubes, system.buried, law.mu_per_mm, mu_per_mm).radius_mm
+        return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
+
+    if law.mu_per_mm is not None:
+        now, (low, high) = volume_mm3(law.mu_per_mm), (law.mu_per_mm * np.exp(side * NINETY * law.sigma) for side in (-1.0, 1.0))
+        why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * law.sigma:.0f} % only"
+        return (Term(name="translucency", less_mm3=now - volume_mm3(high), more_mm3=volume_mm3(low) - now, why=why),)
+    if law.rival_per_mm is not None:
+        why = f"roots may be translucent ({law.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+        return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(law.rival_per_mm) - volume_mm3(None), why=why),)
+    return ()
 
 
 def _even(name: str, half_mm3: float, why: str) -> Term:
@@ -125,7 +144,7 @@ class _Rest:
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, depth: Any, difference: Any) -> _Rest:
+    def of(seen: Evidence, depth: Any, difference: Any, px_a_mm: float) -> _Rest:
         """Look at all views."""
         (width, height), count = seen.image_wh, seen.bank.count
         known = np.array(seen.seen).reshape(count, height, width) > 0
@@ -133,6 +152,8 @@ class _Rest:
         drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
         near = np.stack([cv2.dilate((picture > _EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
         area, far = float(drawn.sum(dtype=np.float64)), rest * ~near
+        if seen.light:  # what does not stand out from the noise is none
+            far *= np.stack([picture.coverage > 0.0 for picture in seen.silhouettes])
         fills, missing = [], []
         for picture, beyond, close in zip(seen.silhouettes, far, near, strict=True):
             rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
@@ -143,7 +164,10 @@ class _Rest:
             fills.append(float(np.where(picture.seen, picture.coverage, 0.0)[zone].mean()))
             inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
             width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-            volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
+            if seen.mu_per_mm is None:
+                volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
+            else:  # faint roots keep back light by their volume
+                volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
             missing.append(volume / max(1.0 - float(close[zone].mean()), 0.1))
         beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
         return _Rest(

@@ -13,6 +13,7 @@ so that the segments of a branch add up to a strip without seams.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -21,7 +22,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.device import numbers, wholes
 from recon.evidence import Evidence, Nodes, bilinear
+from recon.translucent_tube import LAYERS, Strips, seen_from
 from recon.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -39,7 +42,7 @@ _INTERPOLATION_VARIANCE = 0.1
 """Variance, px2, by which bilinear interpolation blurs."""
 _LEAST_SPEED_PX = 0.3
 """A tube seen end-on (px/mm along its axis) shows no strip."""
-_OUTLIER = 0.05
+OUTLIER = 0.05
 """Sum of squared differences over a profile, px, from which a view loses weight: something else is there."""
 
 
@@ -53,6 +56,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     half = [
         tubes.radius_mm[end] * np.linalg.norm(normal[..., :1] * at.du[:, end] + normal[..., 1:] * at.dv[:, end], axis=-1) for end in (a, b)
     ]
+    strips = _ends(evidence, tubes, at)
     reach = np.maximum(*half)[..., None] + _MARGIN_PX
     limit = np.array(evidence.image_wh) - 1
     low = np.clip(np.floor(np.minimum(first, second) - reach), 0, limit)
@@ -61,13 +65,19 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     base = np.broadcast_to(np.arange(evidence.bank.count)[:, None] * evidence.pixels, drawn.shape)
 
     def number(values: Array) -> Any:
-        return mi.Float(values[drawn].astype(np.float32))
+        return numbers(values[drawn])
 
     def whole(values: NDArray[Any]) -> Any:
-        return mi.UInt32(values[drawn].astype(np.uint32))
+        return wholes(values[drawn])
 
     x, y, t_x, t_y, reach_px = number(first[..., 0]), number(first[..., 1]), number(along[..., 0]), number(along[..., 1]), number(length)
-    w_a, w_b = number(half[0]), number(half[1])
+    if strips is None:
+        edges, heights = [(number(half[0]), number(half[1]))], None
+    else:
+        edges, heights = (
+            [(number(a), number(b)) for a, b in zip(*ends, strict=True)]
+            for ends in ([w * strip.width for w, strip in zip(half, strips, strict=True)], [strip.height for strip in strips])
+        )
     left, top, columns = whole(low[..., 0]), whole(low[..., 1]), whole(span[..., 0])
     pixels, start, width = whole(span[..., 0] * span[..., 1]), whole(base), evidence.image_wh[0]
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
@@ -87,8 +97,12 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         u, v = left + i, top + j
         e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
         s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
-        w = w_a + (w_b - w_a) * dr.clip(s / reach_px, 0, 1)
-        c = side(d + w) - side(d - w)
+        part = dr.clip(s / reach_px, 0, 1)
+        c = mi.Float(0.0)
+        for n, (w_a, w_b) in enumerate(edges):
+            w = w_a + (w_b - w_a) * part
+            layer = side(d + w) - side(d - w)
+            c += layer if heights is None else layer * (heights[n][0] + (heights[n][1] - heights[n][0]) * part)
         gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - reach_px) * scale))
         value = -gate * dr.log(1 - dr.minimum(c, _FULLEST))
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, start + v * width + u, value > 1e-4)
@@ -99,6 +113,16 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     dr.while_loop(begin, lambda k, *_: k < pixels, body)
     dr.eval(depth)
     return depth
+
+
+def _ends(evidence: Evidence, tubes: Tubes, at: Nodes) -> list[Strips] | None:
+    """Return the strips that translucent segments are at their two ends (V, S); None for opaque ones."""
+    if evidence.mu_per_mm is None:
+        return None
+    a, b = tubes.segments.T
+    way = tubes.centre_mm[b] - tubes.centre_mm[a]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    return [seen_from(evidence.mu_per_mm, tubes.radius_mm[end], at.of(end).sine(way)) for end in (a, b)]
 
 
 def unexplained(evidence: Evidence, depth: Any) -> Any:
@@ -166,50 +190,119 @@ def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: An
     return profiles(evidence, tubes, at, depth, difference, blur_px).pull()
 
 
+def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
+    """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
+    at = evidence.project(tubes.centre_mm)
+    _, normal, scale, used = _sections(tubes, at)
+
+    def number(values: Array) -> Any:
+        return numbers(values[used])
+
+    u, v, n_u, n_v, w = (number(part) for part in (at.px[..., 0], at.px[..., 1], normal[..., 0], normal[..., 1], tubes.radius_mm * scale))
+    start = wholes(np.broadcast_to(np.arange(len(at.px))[:, None] * evidence.pixels, used.shape)[used])
+    columns, rows = evidence.image_wh
+    total, reach = dr.zeros(mi.Float, int(used.sum())), w + _PROFILE_MARGIN_PX
+    for k in range(_PROFILE):
+        o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
+        total += dr.square(
+            bilinear(difference, start, columns, dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01))
+        )
+    whole = np.full(used.shape, np.nan)
+    whole[used] = np.array(total * reach * (2.0 / (_PROFILE - 1)))
+    return whole
+
+
+def _sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return for nodes in views (V, N): gradient (3) of the place across the tube, direction (2) across, px/mm across, whether it shows."""
+    tangent = tubes.tangents
+    t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
+    speed = np.hypot(t_u, t_v)
+    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
+    across = at.across(normal)
+    return across, normal, np.linalg.norm(across, axis=-1), at.seen & (speed > _LEAST_SPEED_PX)
+
+
 def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:
     """Compare pictures and tubes across every node in every view.
 
     In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
     by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
     """
-    tangent = tubes.tangents
-    t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
-    speed = np.hypot(t_u, t_v)
-    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
-    across = at.across(normal)
-    scale = np.linalg.norm(across, axis=-1)
-    used = at.seen & (speed > _LEAST_SPEED_PX)
-    return Profiles(across, scale, *_profiles(evidence, at.px, normal, tubes.radius_mm * scale, used, depth, difference, blur_px))
+    across, normal, scale, used = _sections(tubes, at)
+    strips = None if evidence.mu_per_mm is None else seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tubes.tangents))
+    half_px = tubes.radius_mm * scale
+    return Profiles(across, scale, *_profiles(evidence, at.px, normal, half_px, strips, used, depth, difference, blur_px))
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A strip of translucent roots across the profiles, all mi.Float."""
+
+    half_px: Any
+    height: Any
+    by_width: Any
+    """Derivative of the coverage by the root's half-width over that by the strip's own."""
+    by_height: Any
+    """Derivative of the height by the root's half-width, 1/px."""
+
+    @staticmethod
+    def of(strips: Strips, layer: int, half_px: Array, number: Callable[[Array], Any]) -> _Layer:
+        e, h = strips.width[layer], strips.height[layer]
+        parts = half_px * e, h, h * (e + strips.width_slope[layer]), strips.height_slope[layer] / half_px
+        return _Layer(*(number(part) for part in parts))
 
 
 def _profiles(
-    evidence: Evidence, px: Array, normal: Array, half_px: Array, used: NDArray[np.bool_], depth: Any, difference: Any, blur_px: float
+    evidence: Evidence,
+    px: Array,
+    normal: Array,
+    half_px: Array,
+    strips: Strips | None,
+    used: NDArray[np.bool_],
+    depth: Any,
+    difference: Any,
+    blur_px: float,
 ) -> list[Array]:
     """Integrate over the profiles (V, N): shift^2, shift * width, width^2, both times the difference, coverage shown and whole."""
 
     def number(values: Array) -> Any:
-        return mi.Float(values[used].astype(np.float32))
+        return numbers(values[used])
 
     u, v, n_u, n_v, w = number(px[..., 0]), number(px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
+    layers = None if strips is None else [_Layer.of(strips, n, half_px, number) for n in range(LAYERS)]
     base = np.broadcast_to(np.arange(len(px))[:, None] * evidence.pixels, used.shape)[used]
-    start = mi.UInt32(base.astype(np.uint32))
+    start = wholes(base)
     columns, rows = evidence.image_wh
     sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     scale, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
+
+    def across(o: Any, w: Any) -> tuple[Any, Any, Any]:
+        """Return a strip's coverage at an offset, and its derivatives by shift and half-width."""
+        g_plus, g_minus = (peak * dr.exp(-dr.square((o + side * w) * scale)) for side in (1.0, -1.0))
+        return 0.5 * (dr.erf((o + w) * scale) - dr.erf((o - w) * scale)), g_minus - g_plus, g_plus + g_minus
+
     sums = [dr.zeros(mi.Float, len(base)) for _ in range(8)]
     reach = w + _PROFILE_MARGIN_PX
     for k in range(_PROFILE):
         o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
         at = dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01)
         d, t = (bilinear(source, start, columns, *at) for source in (difference, depth))
-        c = dr.minimum(0.5 * (dr.erf((o + w) * scale) - dr.erf((o - w) * scale)), _FULLEST)
+        if layers is None:
+            c, shift, width = across(o, w)
+        else:
+            c, shift, width = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+            for layer in layers:
+                box, box_shift, box_width = across(o, layer.half_px)
+                c += layer.height * box
+                shift += layer.height * box_shift
+                width += layer.by_width * box_width + layer.by_height * box
+        c = dr.minimum(c, _FULLEST)
         visible = dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
-        g_plus, g_minus = (peak * dr.exp(-dr.square((o + side * w) * scale)) * visible for side in (1.0, -1.0))
-        shift, width = g_minus - g_plus, g_plus + g_minus
+        shift, width = shift * visible, width * visible
         terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, d * d)
         sums = [total + term for total, term in zip(sums, terms, strict=True)]
     step = reach * (2.0 / (_PROFILE - 1))
-    weight = step / (1.0 + sums.pop() * step / _OUTLIER)
+    weight = step / (1.0 + sums.pop() * step / OUTLIER)
     scattered = []
     sums = [total * factor for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True)]
     dr.eval(sums)  # one by one, each would look at all profiles anew

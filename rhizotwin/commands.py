@@ -101,6 +101,9 @@ def reconstruct(options: argparse.Namespace) -> None:
         print(f"warning: {warning}")
     for line in calibrated.table(summary["rig"]):
         print(line)
+    if summary["root_mu_per_mm"] is not None:
+        sigma = summary["root_mu_sigma_per_mm"]
+        print(f"translucent roots: attenuation {summary['root_mu_per_mm']:.3g}{'' if sigma is None else f' +- {sigma:.2g}'} per mm")
     print(
         f"volume {summary['volume_mm3']:.1f} mm3, 90 % interval {low:.1f} to {high:.1f} mm3; {used} of {len(summary['views'])} views used"
     )

@@ -28,6 +28,7 @@ from recon.evidence import Evidence
 from recon.parsimony import Balls
 from recon.refraction import Optics
 from recon.silhouettes import Silhouette
+from recon.tube_law import TubeLaw
 from scenes import plan
 from scenes.model import Camera, CapturePlan, Ring, Scene
 from scenes.rsml import Root
@@ -113,11 +114,11 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
-    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, 0.3, pictured(system))
+    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system))
     united = tube_volume.unite(solid, found)
     assert united.thick_mm3 == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, 0.3, found.seen)
+    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen)
     assert tube_volume.unite(solid, far).thick_mm3 == 0.0
 
 
@@ -344,7 +345,9 @@ def test_nothing_seen_gives_no_density():
 
 
 def _system(found: tubes.Tubes, px_a_mm: float) -> rooting.RootSystem:
-    return rooting.RootSystem(found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, 0.0, pictured(found))
+    return rooting.RootSystem(
+        found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found)
+    )
 
 
 def test_doubt_about_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:
