@@ -90,8 +90,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     centre = cells.centre_mm
     joined = graph(cells, density)
     # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
-    number, part = np.flatnonzero(dense), connected_components(joined[dense][:, dense], directed=False)[1]
-    plant = number[part == np.bincount(part, weights=cells.shadow_mm2[dense]).argmax()]
+    body = (density > _DENSE) | (depth_mm > depth_mm.min())  # with the organs, and what lies between them and the roots on them
+    number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
+    plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
+    plant = plant[dense[plant]]
     high = plant[centre[plant, 2] > centre[plant, 2].max() - _TOP_MM]
     heavy = high[density[high] > 0.5 * density[high].max()]
     start = heavy[centre[heavy, 2].argmax()]

@@ -23,10 +23,10 @@ Mask = NDArray[np.bool_]
 STEPS = 8
 _BEND = 2.0
 """Weight of the squared second differences of positions, 1/mm2: a view's full profile weighs some 10."""
-_TAPER = 400.0
-"""Weight of the squared differences of radii along a branch, 1/mm2: roots keep their radius over more than a centimetre.
+_TAPER = 12.0
+"""Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a centimetre.
 
-With 20, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others hide is not held thin.
+With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others hide is not held thin.
 """
 _DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
 """Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
@@ -82,22 +82,32 @@ def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tu
 
 def _even(tubes: Tubes) -> Array:
     """Return radii (N,) held near the median of their stretch of the branch: a bulge is another root that runs beside."""
-    radius = tubes.radius_mm.copy()
+    typical = _typical(tubes)
+    return np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE)
+
+
+def _typical(tubes: Tubes) -> Array:
+    """Return the median radius (N,) of each node's stretch of its branch."""
+    typical = tubes.radius_mm.copy()
     for k in range(len(tubes.branches)):
         own = tubes.own(k)
-        typical = median_filter(tubes.radius_mm[own], size=_STRETCH_NODES, mode="nearest")
-        radius[own] = np.clip(radius[own], typical / _BULGE, typical * _BULGE)
-    return radius
+        typical[own] = median_filter(tubes.radius_mm[own], size=_STRETCH_NODES, mode="nearest")
+    return typical
 
 
 def prior(tubes: Tubes) -> sparse.csr_matrix:
-    """Return the quadratic form (4 N, 4 N) of smooth branches: little bending, radii that change slowly within a branch."""
+    """Return the quadratic form (4 N, 4 N) of smooth branches: little bending, radii that change slowly within a branch.
+
+    Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a lateral.
+    """
     count = len(tubes.radius_mm)
     triples = np.concatenate([np.zeros((0, 3), np.int64)] + [np.stack([b[:-2], b[1:-1], b[2:]], axis=1) for b in tubes.branches])
     pairs = [tubes.own(k) for k in range(len(tubes.branches))]
     neighbours = np.concatenate([np.zeros((0, 2), np.int64)] + [np.stack([own[:-1], own[1:]], axis=1) for own in pairs])
     bend = _differences(triples, np.array([1.0, -2.0, 1.0]), count)
     taper = _differences(neighbours, np.array([-1.0, 1.0]), count)
+    typical = _typical(tubes)
+    taper = sparse.diags(typical[neighbours].prod(axis=1) ** -0.5) @ taper
     position, radius = sparse.diags([1.0, 1.0, 1.0, 0.0]), sparse.diags([0.0, 0.0, 0.0, 1.0])
     return (sparse.kron(_BEND * bend.T @ bend, position) + sparse.kron(_TAPER * taper.T @ taper, radius)).tocsr()
 
