@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 _BLUR_STEP_PX = 0.1
 """The blur is found to half of this: the spacing of the blurs that are tried."""
 _UNTOLD = 0.25
-"""Standard deviation of a radius, as a share of it, that no picture tells: the fit holds radii within a quarter of their stretch's."""
+"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as much."""
 _EXPLAINED = 0.03
 """Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
 _INSIDE = 0.3
