@@ -29,6 +29,10 @@ _MUCH_KEPT = 0.05
 """With less untrimmed hull than this share of the volume its excess is no concern."""
 _INDEX = 0.002
 """An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
+_EDGE_MM = 0.5
+"""A shape ends by up to this much below where sight ends: outlines are drawn at half a coverage."""
+_ANYWHERE = 0.9
+"""What goes on out of sight ends anywhere below the top of the water, nine times of ten within this part of the way."""
 _REACH_MM = 12.0
 """A root's hidden end is looked for this far below the top of the water."""
 
@@ -99,7 +103,7 @@ def half_excess(bank: ViewBank, maps: DistanceMaps, hull: Hull, trimmed: Trimmed
 
 
 def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Return what the shape may have above its top, where too few views see: its columns go on to the top of the water."""
+    """Return what the shape may have above its top, where too few views see: its columns go on, at most to the top of the water."""
     size_mm, origin = leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
     tops_mm = origin[2] + (leaves.index[:, 2] + leaves.size) * size_mm
     high = np.flatnonzero((tops_mm > water.top_mm - _REACH_MM) & (leaves.occupancy > 0))
@@ -112,8 +116,9 @@ def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wate
         order = np.lexsort((cells[:, 2], column))
         last = np.append(np.flatnonzero(np.diff(column[order])), len(order) - 1)
         top = order[last]
-        above = origin + (cells[top] + np.array([0.5, 0.5, 2.0])) * size_mm
-        gap_mm = np.maximum(water.top_mm - (above[:, 2] - size_mm), 0.0)
+        ends_mm = origin + (cells[top] + np.array([0.5, 0.5, 1.0])) * size_mm
+        above = ends_mm + np.array([0.0, 0.0, _EDGE_MM])
+        gap_mm = _ANYWHERE * np.maximum(water.top_mm - ends_mm[:, 2], 0.0)
         unseen = _votes(bank, maps, above) < max(3, math.ceil(parsimony.VOTES * bank.count))
         hidden = float((gap_mm * full[top])[unseen].sum() * size_mm**2)
     return Term(

@@ -1,8 +1,13 @@
 """The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from recon import solid_doubt
+from recon.carve import Grid, Leaves
+from recon.rooting import Water
 from recon.uncertainty import LEAST_VIEWS, Budget, Term
 
 
@@ -35,3 +40,17 @@ def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object
     budget = Budget(**({"volume_mm3": 100.0, "terms": (term(3.0, 3.0),), "views": 40} | changes))  # type: ignore[arg-type]
     assert budget.verdict.startswith("this scan cannot give a volume: ")
     assert says in budget.verdict
+
+
+@pytest.mark.parametrize(("top_mm", "goes_on"), [(-11.8, True), (-13.0, False)])
+def test_a_root_that_ends_where_sight_ends_may_go_on(monkeypatch: pytest.MonkeyPatch, top_mm: float, goes_on: bool) -> None:
+    """Points above -11.5 mm are seen by no view: a root that ends just below may reach the water's top, one that ends lower does not."""
+    size = 0.2
+    grid = Grid(np.array([-2.0, -2.0, top_mm - 4.0]), size, 1, (10, 10, 10))
+    index = np.stack(np.meshgrid(np.arange(8, 12), np.arange(8, 12), np.arange(20), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    column = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
+    monkeypatch.setattr(solid_doubt, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
+    bank = SimpleNamespace(count=10)
+    term = solid_doubt.beyond_sight(bank, None, column, Water(70.0, -8.0, -150.0))  # type: ignore[arg-type]
+    assert term.less_mm3 == 0.0
+    assert term.more_mm3 == pytest.approx(0.9 * (-8.0 - top_mm) * 0.8 * 0.8 if goes_on else 0.0)
