@@ -101,7 +101,7 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     rows = np.flatnonzero(often.any(axis=1))
     background = np.zeros(stack.shape[1:], np.float32)
     if not len(rows):
-        return background, often
+        return background, np.zeros(background.shape, bool)
 
     def upper_mean(begin: int) -> None:
         part = stack[:, begin : begin + _BLOCK_ROWS]

@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 _PROFILE = 9
 _FLANK_PX = 0.5
-_LEAST_SPEED_PX = 0.3
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,8 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
     With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the difference without
     the node is d + u c: it explains (d + u c)^2 - d^2.
     """
-    tangent = tubes.tangents
-    t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
-    speed = np.hypot(t_u, t_v)
-    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
-    half_px = tubes.radius_mm * np.linalg.norm(at.across(normal), axis=-1)
-    used = at.seen & (speed > _LEAST_SPEED_PX)
+    _, normal, scale, used = tube_picture.sections(tubes, at)
+    half_px = tubes.radius_mm * scale
 
     def number(values: Array) -> Any:
         return numbers(values[used])
@@ -52,20 +47,20 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
     u, v, n_u, n_v, w = number(at.px[..., 0]), number(at.px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
     layers = [(1.0, w)]
     if evidence.mu_per_mm is not None:
-        strips = seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tangent))
+        strips = seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tubes.tangents))
         layers = [(number(h), number(e * half_px)) for h, e in zip(strips.height, strips.width, strict=True)]
     base = np.broadcast_to(np.arange(len(at.px))[:, None] * evidence.pixels, used.shape)[used]
     start = wholes(base)
     columns, rows = evidence.image_wh
     sigma = float(np.hypot(blur_px, tube_picture.PIXEL_SIGMA))
-    scale = 1.0 / (sigma * np.sqrt(2.0))
+    per_px = 1.0 / (sigma * np.sqrt(2.0))
     explained, left = dr.zeros(mi.Float, len(base)), dr.zeros(mi.Float, len(base))
     reach = w + _FLANK_PX
     for k in range(_PROFILE):
         o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
         px = dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01)
         d, t = (bilinear(source, start, columns, *px) for source in (difference, depth))
-        c = dr.minimum(sum(h * 0.5 * (dr.erf((o + a) * scale) - dr.erf((o - a) * scale)) for h, a in layers), 0.995)
+        c = dr.minimum(sum(h * 0.5 * (dr.erf((o + a) * per_px) - dr.erf((o - a) * per_px)) for h, a in layers), 0.995)
         own = c * dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
         explained += own * (2.0 * d + own)
         left += dr.square(d)

@@ -35,7 +35,9 @@ _LARGEST_STEP_MM = 0.15
 _THINNEST_MM = 0.02
 _STIFF = 1e9
 _STRETCH_NODES = 21
+"""A stretch, 12.6 mm of nodes 0.6 mm apart, over which a root is about equally thick."""
 _BULGE = 1.12
+"""A radius stays within this ratio of its stretch's median: a bulge is another root that runs beside."""
 
 
 def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:

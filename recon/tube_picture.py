@@ -193,7 +193,7 @@ def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: An
 def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
     """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
     at = evidence.project(tubes.centre_mm)
-    _, normal, scale, used = _sections(tubes, at)
+    _, normal, scale, used = sections(tubes, at)
 
     def number(values: Array) -> Any:
         return numbers(values[used])
@@ -212,8 +212,16 @@ def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
     return whole
 
 
-def _sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return for nodes in views (V, N): gradient (3) of the place across the tube, direction (2) across, px/mm across, whether it shows."""
+def sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Cut across every node in every view.
+
+    Returns
+    -------
+    across : (V, N, 3) gradient of the place across the tube by the node (canister frame), px/mm.
+    normal : (V, N, 2) unit direction across the tube in the picture, column and row.
+    scale : (V, N) px/mm across the tube.
+    used : (V, N) whether the node is seen, and not end-on.
+    """
     tangent = tubes.tangents
     t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
     speed = np.hypot(t_u, t_v)
@@ -228,7 +236,7 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
     In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
     by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
     """
-    across, normal, scale, used = _sections(tubes, at)
+    across, normal, scale, used = sections(tubes, at)
     strips = None if evidence.mu_per_mm is None else seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tubes.tangents))
     half_px = tubes.radius_mm * scale
     return Profiles(across, scale, *_profiles(evidence, at.px, normal, half_px, strips, used, depth, difference, blur_px))

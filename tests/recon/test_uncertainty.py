@@ -1,12 +1,14 @@
 """The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
 
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from recon import solid_doubt
-from recon.carve import Grid, Leaves
+from recon.carve import DistanceMaps, Grid, Leaves
+from recon.projection import ViewBank
 from recon.rooting import Water
 from recon.uncertainty import LEAST_VIEWS, Budget, Term
 
@@ -50,7 +52,7 @@ def test_a_root_that_ends_where_sight_ends_may_go_on(monkeypatch: pytest.MonkeyP
     index = np.stack(np.meshgrid(np.arange(8, 12), np.arange(8, 12), np.arange(20), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     column = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
     monkeypatch.setattr(solid_doubt, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
-    bank = SimpleNamespace(count=10)
-    term = solid_doubt.beyond_sight(bank, None, column, Water(70.0, -8.0, -150.0))  # type: ignore[arg-type]
+    bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)  # only `_votes` looks into them
+    term = solid_doubt.beyond_sight(bank, maps, column, Water(70.0, -8.0, -150.0))
     assert term.less_mm3 == 0.0
     assert term.more_mm3 == pytest.approx(0.9 * (-8.0 - top_mm) * 0.8 * 0.8 if goes_on else 0.0)
