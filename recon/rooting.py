@@ -168,7 +168,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         blur_px = law.blur_px
         run.warnings += law.warnings()
     with run.stage("branches"):
-        settle = _Settling(seen, core, balls, near_mm, blur_px)
+        settle = _Settling(seen, core, balls, near_mm, blur_px, residue.ORGAN_PX / px_a_mm)
         fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(_short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
@@ -180,7 +180,8 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        stays = fitted.staying(_short_leaves(fitted, organ) & _hidden_tips(fitted, pull))
+        doubted = (_short_leaves(fitted, organ) & _hidden_tips(fitted, pull)) | _inside_another(fitted, organ, settle.flank_mm)
+        stays = fitted.staying(doubted)
         fitted, buried, organ = settle.joined(fitted.keep(stays))
     if law.mu_per_mm is not None:
         with run.stage("translucency again"):
@@ -203,6 +204,8 @@ class _Settling:
     balls: Balls
     near_mm: float
     blur_px: float
+    flank_mm: float
+    """Within this of an organ's radius, what is found is the organ's."""
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
@@ -211,7 +214,7 @@ class _Settling:
         at = self.seen.project(tree.centre_mm)
         depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
         proved = proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
-        stays = tree.staying(_ends(tree, proved, organ))
+        stays = tree.staying(_ends(tree, proved, organ, self.flank_mm))
         return self.joined(tree.keep(stays))
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
@@ -308,7 +311,7 @@ def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
     radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
     for k in range(len(start.branches)):
         own = start.own(k)
-        run, count = ndimage.label(buried[own])
+        run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_END_NODES, bool)))
         for number in range(1, count + 1):
             nodes = own[run == number]
             organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
@@ -332,7 +335,7 @@ def _hidden_tips(fitted: Tubes, pull: Pull) -> Mask:
     return hidden
 
 
-def _ends(fitted: Tubes, proved: Proof, organ: Mask) -> Mask:
+def _ends(fitted: Tubes, proved: Proof, organ: Mask, flank_mm: float) -> Mask:
     """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
     gone = np.zeros(len(organ), bool)
     for k in range(len(fitted.branches)):
@@ -342,12 +345,13 @@ def _ends(fitted: Tubes, proved: Proof, organ: Mask) -> Mask:
             for value in (proved.explained, proved.left)
         )
         gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
-    return (gone & ~organ) | _inside_another(fitted)
+    return (gone & ~organ) | _inside_another(fitted, organ, flank_mm)
 
 
-def _inside_another(fitted: Tubes) -> Mask:
-    """Tell the nodes (N,) that lie inside an earlier branch: second paths along the same root."""
-    centre, radius, owner = fitted.centre_mm, fitted.radius_mm, fitted.owner
+def _inside_another(fitted: Tubes, organ: Mask, flank_mm: float) -> Mask:
+    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top: second paths along the same root."""
+    centre, owner = fitted.centre_mm, fitted.owner
+    reach = np.where(residue.flanked(fitted, organ), fitted.radius_mm + flank_mm, _INSIDE * fitted.radius_mm)
     distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
-    inside: Mask = ((owner[near] < owner[:, None]) & (distance < _INSIDE * radius[near])).any(axis=1)
+    inside: Mask = ((owner[near] < owner[:, None]) & (distance < reach[near])).any(axis=1)
     return inside
