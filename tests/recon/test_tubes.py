@@ -287,7 +287,7 @@ def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
     left = tube_picture.unexplained(seen, depth)
     inner = crowd.branches[-1][3:-3]
     assert np.median(tube_picture.pull(seen, crowd, at, depth, left, 0.0).visible[inner]) < 0.15
-    assert not rooting._ends(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none)[inner].any()
+    assert not rooting._ends(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none, 0.0)[inner].any()
 
 
 def test_touching_roots_share_their_width_evenly():
@@ -309,6 +309,29 @@ def test_what_is_thinner_than_an_organ_is_no_core():
     assert len(kept.index) > 0
     np.testing.assert_array_equal(np.linalg.norm(kept.centre_mm - 2.0, axis=1) <= 1.0, True)
     assert not len(rooting._thick(core, balls, 1.5).index)
+
+
+def test_what_is_wide_begins_wide_where_its_core_has_a_gap():
+    thick = line((0.0, 0.0, -20.0), (0.0, 0.0, -26.0))
+    balls = Balls(thick, np.full(len(thick), 0.9))
+    grid = Grid(np.array([-2.0, -2.0, -28.0]), 0.2, 1, (20, 20, 40))
+    deep = np.array([[10, 10, k] for k in range(10, 40) if not 30 <= k < 34], np.int32)  # 4 of 30 cells are missing near the top
+    core = Cells(grid, deep, np.zeros(len(deep), np.float32))
+    started, buried, organ = rooting._thicken(strung(thick), core, balls, 0.3)
+    assert not buried.all()
+    assert organ.all()
+    np.testing.assert_allclose(started.radius_mm, 0.9)
+
+
+def test_what_stands_in_the_corners_of_the_cut_top_is_the_tops():
+    """The first branch begins at the rim of sight: what is found beside its flat end is its own, a lateral just below it is not."""
+    taproot = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
+    system = strung(taproot, line((0.0, 0.0, -20.0), (0.8, 0.3, -19.8)), line((0.0, 0.0, -20.6), (6.0, 0.0, -24.0)), radius_mm=0.75)
+    none = np.zeros(len(system.radius_mm), bool)
+    kept = system.keep(system.staying(rooting._inside_another(system, none, 0.25)))
+    assert len(kept.branches) == 2
+    np.testing.assert_allclose(kept.centre_mm[kept.branches[1][-1]], [6.0, 0.0, -24.0])
+    assert len(system.keep(system.staying(rooting._inside_another(system, none, 0.0))).branches) == 3
 
 
 def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
