@@ -30,6 +30,8 @@ _NODES = 4
 """The course of a piece is that over this many nodes."""
 _TOUCH_MM = 1.0
 """A tip this near the surface of another root may be where it leaves that root."""
+_BESIDE_MM, _BESIDE_NODES = 0.7, 9
+"""A beginning of at most so many nodes that runs so near another branch is a second path along the same root."""
 _BRANCH = 1.0
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
@@ -56,11 +58,12 @@ class _Courses:
 
 
 def mend(tubes: Tubes) -> Tubes:
-    """Connect the pieces of the tree so that it is as cheap as can be; only the branches change, the nodes stay.
+    """Connect the pieces of the tree so that it is as cheap as can be; nodes stay where they are, but second paths are dropped.
 
     Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
-    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there; a
-    branch goes on in its child, and what followed becomes the child. Whose lateral a root is, `hierarchy` settles at the end.
+    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there,
+    or is dropped because it runs beside the first; a branch goes on in its child, and what followed becomes the child. Whose lateral a
+    root is, `hierarchy` settles at the end.
     """
     branches = _rightly_turned(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
@@ -71,13 +74,16 @@ def mend(tubes: Tubes) -> Tubes:
             second = int(courses.owner[node])
             if touched & {first, second, third}:
                 continue
-            tried = _changed(branches, first, second, int(courses.place[node]), third, kind)
+            tried = _changed(courses, branches, first, second, int(courses.place[node]), third, kind)
             if _whole(tried, len(tubes.centre_mm)):
                 branches = tried
                 touched |= {first, second} | ({third} if third >= 0 else set())
         if not touched:
             break
-    return Tubes(tubes.centre_mm, tubes.radius_mm, _parents_first(branches, len(tubes.centre_mm)))
+    ordered = _parents_first(branches, len(tubes.centre_mm))
+    used = np.zeros(len(tubes.centre_mm), bool)
+    used[np.concatenate(ordered)] = True
+    return Tubes(tubes.centre_mm, tubes.radius_mm, ordered).keep(used)
 
 
 def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
@@ -189,6 +195,7 @@ class _Kind(IntEnum):
     CUT = 0
     TURNED = 1
     EXCHANGED = 2
+    SPLICED = 3
 
 
 _Change = tuple[float, int, int, int, _Kind]
@@ -237,12 +244,26 @@ def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]
     for c, first, node, number in zip(cost, owner[a], b, at, strict=True):
         if c >= _BRANCH - _GAIN or first == owner[node]:
             continue
+        if _is_second_path(courses, branches, int(first), int(node)):
+            found.append((float(c) - _BRANCH, int(first), int(node), -1, _Kind.SPLICED))
+            continue
         best, third = min(
             ((more, k) for more, k in rest.get(int(previous[number]), []) if k not in (first, owner[node])), default=(0.0, -1)
         )
         if c + best < -_GAIN:
             found.append((float(c + best), int(first), int(node), third, _Kind.CUT))
     return found
+
+
+def _is_second_path(courses: _Courses, branches: list[Index | None], first: int, node: int) -> bool:
+    """Tell whether the branch that owns a node is, up to there, a second path along the root that the first branch follows."""
+    second, place = int(courses.owner[node]), int(courses.place[node])
+    line, beside = branches[first], branches[second]
+    assert line is not None
+    assert beside is not None
+    if second == 0 or place > _BESIDE_NODES:
+        return False
+    return bool(cKDTree(courses.centre[line]).query(courses.centre[beside[1:place]])[0].max() < _BESIDE_MM)
 
 
 def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
@@ -297,7 +318,7 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(branches: list[Index | None], a: int, b: int, place: int, third: int, kind: _Kind) -> list[Index | None]:
+def _changed(courses: _Courses, branches: list[Index | None], a: int, b: int, place: int, third: int, kind: _Kind) -> list[Index | None]:
     """Return branches of which a goes on in b from a node on, and what is left of b in a third, if any."""
     changed = list(branches)
     first, second = branches[a], branches[b]
@@ -310,12 +331,24 @@ def _changed(branches: list[Index | None], a: int, b: int, place: int, third: in
         changed[b], changed[a] = np.concatenate([second[: place + 1], first[1:]]), second[place:]
         return changed
     changed[a] = np.concatenate([first, second[place:]])
+    if kind is _Kind.SPLICED:
+        changed[b] = None
+        return _rehung(courses.centre, changed, second[1:place], first)
     left = second[:place]
     changed[b] = left if len(left) > 1 else None
     following = branches[third] if third >= 0 else None
     if following is not None:
         changed[b], changed[third] = np.concatenate([left, following[1:]]), None
     return changed
+
+
+def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: Index) -> list[Index | None]:
+    """Hang the children of dropped nodes on the nearest nodes of a line."""
+    nearest = dict(zip(dropped.tolist(), line[cKDTree(centre[line]).query(centre[dropped])[1]].tolist(), strict=True))
+    return [
+        nodes if k == 0 or nodes is None or int(nodes[0]) not in nearest else np.concatenate([[nearest[int(nodes[0])]], nodes[1:]])
+        for k, nodes in enumerate(branches)
+    ]
 
 
 def _whole(branches: list[Index | None], count: int) -> bool:

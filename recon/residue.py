@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from recon import projection, tracing, tubes
+from recon import ghosts, projection, tracing, tubes
 from recon.density import Cells
 from recon.evidence import Evidence, bilinear
 from recon.translucent_tube import radius_of
@@ -39,8 +39,6 @@ _LEAST_MM = 0.4
 _BEGIN_MM = 1.0
 """A new branch on the flank of a root costs as much as this much more of a root that goes on at its tip."""
 _TIP_MM = 0.4
-ORGAN_PX = 1.0
-"""The balls that stand for thick organs are not as precise as tubes, nor is the end at the rim of sight: this much about them is theirs."""
 
 
 def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
@@ -84,7 +82,7 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     own = own_coverage(evidence, centre, depth)
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
     away, nearest = cKDTree(line).query(centre, workers=-1)
-    reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(flanked(found, organ)[node], ORGAN_PX / px_a_mm, 0.0)
+    reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(ghosts.flanked(found, organ)[node], ghosts.FLANK_PX / px_a_mm, 0.0)
     inside = away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
@@ -112,13 +110,6 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
             first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
         parents.append(first if inside[way[0]] else -1)
     return tubes.hang(found, paths, radii, parents)
-
-
-def flanked(found: Tubes, organ: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell the nodes (N,) about which `ORGAN_PX` more belong to them: thick organs, and the top, where the plant goes out of sight."""
-    top = np.zeros(len(organ), bool)
-    top[found.branches[0][0]] = True
-    return organ | top
 
 
 def _dense(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:

@@ -17,6 +17,7 @@ from recon import (
     carve,
     density,
     evidence,
+    ghosts,
     hierarchy,
     mending,
     parsimony,
@@ -38,7 +39,6 @@ from recon.root_calibration import Sights
 from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_law import TubeLaw
-from recon.tube_picture import Pull
 from recon.tubes import SPACING_MM, Tubes
 from scenes.rsml import Root
 
@@ -51,14 +51,6 @@ _MOST_CELLS = 2_000_000
 """A search space with more cells is made coarser: its footprints in all views must fit in memory."""
 _THIN_MM = (0.05, 0.3)
 """Radii that shadows can tell at the start; thicker roots shade their own cells."""
-_EXPLAINED = 0.5
-"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a ghost."""
-_EXPLAINED_PX = 1.0
-"""... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
-_END_NODES = 3
-_NEIGHBOURS = 12
-_INSIDE = 0.9
-"""Share of a root's radius within which another centre line is its own."""
 _FLANK_PX = 0.5
 """About `CORE_PX` and this beyond a core point lies the flank of a thick organ."""
 _BEYOND_PX = 1.25
@@ -66,10 +58,8 @@ _BEYOND_PX = 1.25
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 _ORGAN_PX = 3.0
 """Roots of a larger radius are thick organs."""
-_SHORT_MM = 1.5
-"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
-_TIP_SHOWN = 0.4
-"""... and that it is not the others' fault: this part of their tips, over all views, is hidden by none."""
+_GAP_NODES = 3
+"""Gaps of fewer nodes do not end an organ."""
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
@@ -168,9 +158,9 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         blur_px = law.blur_px
         run.warnings += law.warnings()
     with run.stage("branches"):
-        settle = _Settling(seen, core, balls, near_mm, blur_px, residue.ORGAN_PX / px_a_mm)
+        settle = _Settling(seen, core, balls, near_mm, blur_px, ghosts.FLANK_PX / px_a_mm)
         fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
-        stays = fitted.staying(_short_leaves(fitted, organ))
+        stays = fitted.staying(ghosts.short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
     with run.stage("residue"):
         outside = cells.chosen(depth <= depth.min())
@@ -180,8 +170,9 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        doubted = (_short_leaves(fitted, organ) & _hidden_tips(fitted, pull)) | _inside_another(fitted, organ, settle.flank_mm)
-        stays = fitted.staying(doubted)
+        gone = ghosts.short_leaves(fitted, organ) & ghosts.hidden_tips(fitted, pull)
+        gone |= ghosts.inside_another(fitted, organ, settle.flank_mm) | ghosts.unproved_leaves(fitted, settle.proof(fitted), organ)
+        stays = fitted.staying(gone)
         fitted, buried, organ = settle.joined(fitted.keep(stays))
     if law.mu_per_mm is not None:
         with run.stage("translucency again"):
@@ -211,27 +202,18 @@ class _Settling:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
         tree, _, organ = _thicken(tree, self.core, self.balls, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+        gone = ghosts.unexplaining(tree, self.proof(tree), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
+        return self.joined(tree.keep(tree.staying(gone)))
+
+    def proof(self, tree: Tubes) -> Proof:
+        """Weigh what every node explains."""
         at = self.seen.project(tree.centre_mm)
         depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
-        proved = proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
-        stays = tree.staying(_ends(tree, proved, organ, self.flank_mm))
-        return self.joined(tree.keep(stays))
+        return proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        return _thicken(tubes.without_gaps(mending.mend(tree)), self.core, self.balls, self.near_mm)
-
-
-def _short_leaves(fitted: Tubes, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of branches that bear none and are so short that they may be an artefact of their neighbours."""
-    gone = np.zeros(len(organ), bool)
-    bearing = {int(nodes[0]) for nodes in fitted.branches[1:]}
-    for k in range(1, len(fitted.branches)):
-        own = fitted.own(k)
-        length = float(np.linalg.norm(np.diff(fitted.centre_mm[fitted.branches[k]], axis=0), axis=1).sum())
-        if length < _SHORT_MM + fitted.radius_mm[fitted.branches[k][0]] and not bearing & set(own.tolist()):
-            gone[own] = True
-    return gone & ~organ
+        return _thicken(tubes.without_gaps(tubes.without_stubs(mending.mend(tree))), self.core, self.balls, self.near_mm)
 
 
 def _scale(seen: Evidence, water: Water) -> float:
@@ -311,7 +293,7 @@ def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
     radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
     for k in range(len(start.branches)):
         own = start.own(k)
-        run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_END_NODES, bool)))
+        run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_GAP_NODES, bool)))
         for number in range(1, count + 1):
             nodes = own[run == number]
             organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
@@ -326,32 +308,3 @@ def _blur(seen: Evidence, fitted: Tubes) -> float:
         difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, blur_px))
         cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
     return _BLURS_PX[int(np.argmin(cost))]
-
-
-def _hidden_tips(fitted: Tubes, pull: Pull) -> Mask:
-    """Tell the nodes (N,) of branches whose tip is hidden by others in most views."""
-    tips = np.array([nodes[-1] for nodes in fitted.branches])
-    hidden: Mask = (pull.visible[tips] < _TIP_SHOWN)[fitted.owner]
-    return hidden
-
-
-def _ends(fitted: Tubes, proved: Proof, organ: Mask, flank_mm: float) -> Mask:
-    """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
-    gone = np.zeros(len(organ), bool)
-    for k in range(len(fitted.branches)):
-        own = fitted.own(k)
-        explained, left = (
-            np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
-            for value in (proved.explained, proved.left)
-        )
-        gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
-    return (gone & ~organ) | _inside_another(fitted, organ, flank_mm)
-
-
-def _inside_another(fitted: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top: second paths along the same root."""
-    centre, owner = fitted.centre_mm, fitted.owner
-    reach = np.where(residue.flanked(fitted, organ), fitted.radius_mm + flank_mm, _INSIDE * fitted.radius_mm)
-    distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
-    inside: Mask = ((owner[near] < owner[:, None]) & (distance < reach[near])).any(axis=1)
-    return inside

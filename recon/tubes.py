@@ -18,6 +18,9 @@ SPACING_MM = 0.6
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
 
+_STUB_MM = 0.7
+_COURSE_NODES = 4
+
 
 @dataclass(frozen=True)
 class Tubes:
@@ -158,6 +161,35 @@ def _even(path: Array, radius: Array) -> tuple[Array, Array]:
     at = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING_MM) + 1))
     points = np.stack([np.interp(at, along, smooth[:, axis]) for axis in range(3)], axis=1)
     return points, np.interp(at, along, radius)
+
+
+def without_stubs(tubes: Tubes) -> Tubes:
+    """Let branches go on in the child that leaves where they end: no root ends where a lateral leaves it.
+
+    Of several children the one that bends least is chosen; what goes on beyond them for less than a node's distance is dropped.
+    """
+    centre, owner = tubes.centre_mm, tubes.owner
+    branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
+    children: dict[int, list[int]] = {}
+    for j, nodes in enumerate(tubes.branches[1:], start=1):
+        children.setdefault(int(owner[nodes[0]]), []).append(j)
+    for k in sorted(children, reverse=True):  # children before parents
+        line = tubes.branches[k]
+        starts = np.array([int(np.flatnonzero(line == tubes.branches[j][0])[0]) for j in children[k]])
+        last = int(starts.max())
+        if last == 0 or np.linalg.norm(np.diff(centre[line[last:]], axis=0), axis=1).sum() > _STUB_MM:
+            continue
+        course = centre[line[last]] - centre[line[max(last - _COURSE_NODES, 0)]]
+        onward: list[tuple[float, int]] = []
+        for j in np.array(children[k])[starts == last].tolist():
+            nodes = tubes.branches[j]
+            way = centre[nodes[min(_COURSE_NODES, len(nodes) - 1)]] - centre[nodes[0]]
+            onward.append((float(course @ way) / max(float(np.linalg.norm(way)), 1e-9), j))
+        following = branches[max(onward)[1]]
+        assert following is not None
+        used[line[last + 1 :]] = False
+        branches[k], branches[max(onward)[1]] = np.concatenate([line[: last + 1], following[1:]]), None
+    return Tubes(centre, tubes.radius_mm, tuple(nodes for nodes in branches if nodes is not None)).keep(used)
 
 
 def without_gaps(tubes: Tubes) -> Tubes:

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from recon import (
+    ghosts,
     mending,
     projection,
     proof,
@@ -241,14 +242,41 @@ def test_a_stub_that_ends_where_another_begins_goes_on_in_it():
 
 def test_a_root_that_was_traced_from_a_crossing_both_ways_is_one():
     """A root crosses another, on which both its halves were hung: the half that leaves against growth is its base."""
-    trunk, low = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.3, -20.0), (8.0, 0.3, -22.0), step=0.5)
+    trunk, low = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.3, -20.0), (6.0, 0.3, -21.5), (7.5, 5.0, -23.0), step=0.5)
     crossed = line((0.5, 0.0, -2.0), (14.0, 0.0, -33.0), step=0.5)
     base, rest = line((9.2, 0.3, -22.9), (6.2, 0.3, -21.7), step=0.5), line((10.2, 0.3, -23.3), (16.0, 0.3, -25.6), step=0.5)
     at = len(trunk) + len(low) + int(np.argmin(np.linalg.norm(crossed - [9.7, 0.0, -23.1], axis=1)))
     mended = mending.mend(_fork(trunk, low, crossed, base, rest, starts=(40, 4, at, at)))
     assert len(mended.branches) == 4
-    assert len(trunk) <= mended.branches[3][0] < len(trunk) + len(low)
-    np.testing.assert_allclose(mended.centre_mm[mended.branches[3][-1]], rest[-1])
+    whole = next(nodes for nodes in mended.branches if np.allclose(mended.centre_mm[nodes[-1]], rest[-1]))
+    assert whole[0] < len(trunk) + len(low)
+    assert (np.linalg.norm(mended.centre_mm[whole] - base[2], axis=1) < 1e-6).any()
+
+
+def test_a_second_path_along_the_same_root_is_dropped():
+    """A root is found in two pieces that overlap by 2 mm; a lateral of the second path hangs on the first then."""
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    first, second = line((0.5, 0.0, -5.0), (10.0, 0.0, -11.0), step=0.5), line((8.5, 0.3, -10.0), (18.0, 0.3, -16.0), step=0.5)
+    twig = line((9.2, 0.8, -10.5), (9.2, 6.0, -12.0), step=0.5)
+    apart = len(trunk) + len(first)
+    mended = mending.mend(_fork(trunk, first, second, twig, starts=(10, 30, apart + 2)))
+    assert len(mended.branches) == 3
+    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], second[-1])
+    assert mended.branches[2][0] in mended.branches[1]
+    assert len(mended.centre_mm) < apart + len(second) + len(twig)
+    np.testing.assert_array_equal(np.unique(np.concatenate(mended.branches)), np.arange(len(mended.centre_mm)))
+
+
+def test_no_root_ends_where_a_lateral_leaves_it():
+    trunk, stub = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.0, -5.0), (4.0, 0.0, -7.0), step=0.5)
+    bent, straight = line((4.0, 0.5, -6.8), (4.0, 8.0, -6.8), step=0.5), line((4.2, 0.5, -7.2), (9.0, 5.0, -9.0), step=0.5)
+    last = len(trunk) + len(stub) - 2
+    joined = tubes.without_stubs(_fork(trunk, stub, bent, straight, starts=(10, last, last)))
+    assert [len(nodes) for nodes in joined.branches[:2]] == [len(trunk), len(stub) + len(straight)]
+    np.testing.assert_allclose(joined.centre_mm[joined.branches[1][-1]], straight[-1])
+    assert joined.branches[2][0] in joined.branches[1]
+    far = _fork(trunk, stub, bent, starts=(10, last - 2))  # what goes on for more than a node's distance is a tip
+    assert len(tubes.without_stubs(far).branches) == 3
 
 
 def test_what_tubes_leave_unexplained_is_hung_on_them():
@@ -287,7 +315,7 @@ def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
     left = tube_picture.unexplained(seen, depth)
     inner = crowd.branches[-1][3:-3]
     assert np.median(tube_picture.pull(seen, crowd, at, depth, left, 0.0).visible[inner]) < 0.15
-    assert not rooting._ends(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none, 0.0)[inner].any()
+    assert not ghosts.unexplaining(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none)[inner].any()
 
 
 def test_touching_roots_share_their_width_evenly():
@@ -328,10 +356,10 @@ def test_what_stands_in_the_corners_of_the_cut_top_is_the_tops():
     taproot = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
     system = strung(taproot, line((0.0, 0.0, -20.0), (0.8, 0.3, -19.8)), line((0.0, 0.0, -20.6), (6.0, 0.0, -24.0)), radius_mm=0.75)
     none = np.zeros(len(system.radius_mm), bool)
-    kept = system.keep(system.staying(rooting._inside_another(system, none, 0.25)))
+    kept = system.keep(system.staying(ghosts.inside_another(system, none, 0.25)))
     assert len(kept.branches) == 2
     np.testing.assert_allclose(kept.centre_mm[kept.branches[1][-1]], [6.0, 0.0, -24.0])
-    assert len(system.keep(system.staying(rooting._inside_another(system, none, 0.0))).branches) == 3
+    assert len(system.keep(system.staying(ghosts.inside_another(system, none, 0.0))).branches) == 3
 
 
 def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
