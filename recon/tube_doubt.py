@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
 from recon import tube_fit, tube_law, tube_picture
 from recon.evidence import Evidence
 from recon.rooting import RootSystem
-from recon.tube_picture import Pull
+from recon.tube_picture import Profiles, Pull
 from recon.tubes import Tubes
 from recon.uncertainty import NINETY, Term
 
@@ -28,6 +29,11 @@ _EXPLAINED = 0.03
 """Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
 _INSIDE = 0.3
 """Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
+_FLAT, _FLAT_PX = 0.1, 0.1
+"""A section is flat where its half-width changes from view to view by more than this share, and more than this."""
+_FLATTEST = 0.26
+"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
+_FLAT_NODES = 5
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
@@ -47,7 +53,8 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
     at = seen.project(tubes.centre_mm)
     depth = tube_picture.optical_depth(seen, tubes, at, system.blur_px)
     difference = tube_picture.unexplained(seen, depth)
-    pull = tube_picture.pull(seen, tubes, at, depth, difference, system.blur_px)
+    profiles = tube_picture.profiles(seen, tubes, at, depth, difference, system.blur_px)
+    pull = profiles.pull()
     gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
     wish = _wishes(tubes, pull, gain)
     total = float(wish.sum())
@@ -60,6 +67,7 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
     untold = _untold(tubes, pull, gain, rest.variance)
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
+    flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
     terms = (
         _even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
         _even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
@@ -67,6 +75,7 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
         _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
+        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeDoubt(terms, rest.unexplained, rest.fill)
@@ -106,6 +115,32 @@ def _lengths(tubes: Tubes) -> Array:
         np.add.at(half, nodes[1:], step)
         np.add.at(half, nodes[:-1] if k == 0 else np.concatenate([nodes[1:2], nodes[1:-1]]), step)
     return half
+
+
+def _flatness(tubes: Tubes, profiles: Profiles, px_a_mm: float) -> Array:
+    """Return by how much (N,) of its size the half-width of each node's section changes from view to view, 0 where it is round.
+
+    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike along a few nodes.
+    Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius r, drawn as a round one, have
+    the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root is two is its flatness.
+    """
+    unit = profiles.across / np.maximum(profiles.scale, 1e-9)[..., None]
+    x, y, z = np.moveaxis(unit, -1, 0)
+    parts = np.stack([x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z], axis=-1)
+    square = np.einsum("vn,vni,vnj->nij", profiles.width_2 * profiles.scale**2, parts, parts, optimize=True)
+    wish = np.einsum("vn,vni->ni", profiles.width * profiles.scale, parts)
+    for k in range(len(tubes.branches)):
+        own = tubes.own(k)
+        for value in (square, wish):
+            value[own] = uniform_filter1d(value[own], _FLAT_NODES, axis=0, mode="nearest")
+    tensor = np.linalg.solve(square + tube_fit.LEAST * np.eye(6), wish[..., None])[..., 0][:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    tangent = tubes.tangents
+    plane = np.eye(3) - tangent[:, :, None] * tangent[:, None, :]
+    section = plane @ tensor @ plane
+    trace = np.trace(section, axis1=1, axis2=2)
+    harmonic = 0.5 * np.sqrt(np.maximum(2.0 * (section**2).sum(axis=(1, 2)) - trace**2, 0.0))
+    share = harmonic / tubes.radius_mm
+    return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
 
 
 def _wishes(tubes: Tubes, pull: Pull, gain: Array) -> Array:

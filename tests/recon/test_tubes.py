@@ -427,3 +427,17 @@ def test_swollen_tubes_are_pulled_back() -> None:
     assert 0.1 * volume < terms["radii, pull"].less_mm3 < 0.3 * volume
     assert terms["radii, pull"].more_mm3 == 0.0
     assert terms["area"].less_mm3 > 0.1 * volume
+
+
+def test_two_touching_roots_taken_for_one_look_flat() -> None:
+    """Drawn as one round root of the same mean width, they have 1.34 times their volume, of which the term allows for most."""
+    beside = TRUNK + np.array([1.2, 0.0, 0.0])
+    seen = pictured(strung(TRUNK, beside, radius_mm=0.6))
+    px_a_mm = float(np.median(np.linalg.norm(seen.project(TRUNK[::50]).du, axis=-1)))
+    one = strung(0.5 * (TRUNK + beside), radius_mm=0.6 * (1.0 + 2.0 / np.pi))
+    volume = float(np.pi * one.radius_mm[0] ** 2 * one.length_mm)
+    flat = {term.name: term for term in tube_doubt.doubt(seen, _system(one, px_a_mm)).terms}["flat roots"]
+    assert 0.15 * volume < flat.less_mm3 < 0.27 * volume
+    assert flat.more_mm3 == 0.0
+    single = strung(TRUNK, radius_mm=0.3)
+    assert {term.name: term for term in tube_doubt.doubt(pictured(single), _system(single, px_a_mm)).terms}["flat roots"].less_mm3 == 0.0
