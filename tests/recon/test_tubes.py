@@ -64,13 +64,14 @@ def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
     return projection.ViewBank.of(found, Optics.of(scene)), (400, 300)
 
 
-def pictured(system: tubes.Tubes) -> Evidence:
-    """Return the coverage that tubes cast, as evidence."""
+def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
+    """Return the coverage that tubes cast, as evidence; noise with a standard deviation."""
     bank, (width, height) = cameras()
     blank = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in range(bank.count)]
     seen = Evidence.of(bank, blank)
     depth = tube_picture.optical_depth(seen, system, seen.project(system.centre_mm), 0.0)
     coverage = 1.0 - np.exp(-np.array(depth)).reshape(bank.count, height, width)
+    coverage += np.random.default_rng(0).normal(0.0, noise, coverage.shape)
     return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(picture.shape, bool)) for picture in coverage])
 
 
@@ -304,6 +305,21 @@ def test_proof_tells_a_root_from_a_ghost():
     root, ghost = true.branches[0][3:-3], true.branches[1][4:-2]
     assert np.median(share[root]) > 0.9
     assert (share[ghost] < 0.0).all()
+
+
+def test_a_leaf_that_leaves_much_about_its_tip_is_a_ghost():
+    """Four laterals are where the pictures show them; a fifth explains half of what a sixth, which was not found, shows beside it."""
+    angle = np.arange(5) * 2.0 * np.pi / 5.0
+    laterals = [line((0.0, 0.0, -24.0 - 4.0 * k), (5.0 * np.cos(a), 5.0 * np.sin(a), -27.0 - 4.0 * k)) for k, a in enumerate(angle)]
+    beside = [*laterals[:4], laterals[4] + np.array([0.0, 0.0, 0.3])]
+    found, seen = strung(TRUNK, *beside), pictured(strung(TRUNK, *laterals), noise=0.05)
+    at, none = seen.project(found.centre_mm), np.zeros(len(found.radius_mm), bool)
+    depth = tube_picture.optical_depth(seen, found, at, 0.0)
+    weighed = proof.weigh(seen, found, at, depth, tube_picture.unexplained(seen, depth), 0.0)
+    gone = ghosts.unproved_leaves(found, weighed, none)
+    np.testing.assert_array_equal(gone, found.owner == 5)
+    fifth = found.branches[5][-5:]
+    assert weighed.explained[fifth].sum() > 0.0  # it explains something, which alone would not tell
 
 
 def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
