@@ -3,6 +3,7 @@
 import io
 import statistics
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from scenes.atomic import write_bytes
 Record = Mapping[str, Any]
 
 COLOURS = {"clean": "#1b7837", "bench": "#2166ac", "harsh": "#b2182b"}
-SHIFT_DAYS = {"clean": -0.9, "bench": 0.0, "harsh": 0.9}
+APART_DAYS = 0.9
 """Profiles of one age stand side by side."""
 MARGIN_DAYS = 2.5
 
@@ -26,19 +27,22 @@ def draw(records: Sequence[Record], path: Path) -> bool:
     theirs = [record for record in plants if record["case"]["method"] == "thesis"]
     drawn = figure(13.0, 4.4)
     volume, length, both = drawn.subplots(1, 3)
-    for profile in COLOURS:
-        _signed(volume, [record for record in ours if record["case"]["profile"] == profile], profile, _volume)
-        _signed(length, [record for record in ours if record["case"]["profile"] == profile], profile, _length)
-        for records_of, marker, line in ((ours, "o", "-"), (theirs, "^", ":")):
-            chosen = [record for record in records_of if record["case"]["profile"] == profile]
-            _magnitude(both, chosen, profile, marker, line)
+    profiles = [profile for profile in COLOURS if any(record["case"]["profile"] == profile for record in ours)]
+    for number, profile in enumerate(profiles):
+        style = _Style(profile, APART_DAYS * (number - 0.5 * (len(profiles) - 1)))
+        of_ours, of_theirs = ([record for record in those if record["case"]["profile"] == profile] for those in (ours, theirs))
+        _plot(volume, _points(of_ours, _volume), style)
+        _plot(length, _points(of_ours, _length), style)
+        _plot(both, _sizes(of_ours), style)
+        _plot(both, _sizes(of_theirs), style, "^", ":")
     for axis, title in ((volume, "volume error (%)"), (length, "total length error (%)")):
         axis.axhline(0.0, color="0.5", linewidth=0.8)
         axis.set_ylabel(title)
-        axis.legend(title="line: median", fontsize=8, title_fontsize=8)
+    drawn.legend(*volume.get_legend_handles_labels(), loc="outside upper left", ncols=len(profiles), title="line: median", alignment="left")
     both.set_yscale("log")
-    both.set_ylabel("volume error without its sign (%)")
-    both.set_title("circles: ours; triangles: the thesis's method", fontsize=9)
+    both.set_ylabel("size of the volume error (%)")
+    if theirs:
+        both.set_title("circles: ours; triangles: the thesis's method", fontsize=9)
     for axis in (volume, length, both):
         axis.set_xlabel("age of the radish (days)")
         ages = sorted({round(record["case"]["age_days"]) for record in ours})
@@ -66,24 +70,26 @@ def _points(records: Sequence[Record], value: Callable[[Record], float | None]) 
     return [(float(record["case"]["age_days"]), found) for record in records if (found := value(record)) is not None]
 
 
-def _medians(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+def _sizes(records: Sequence[Record]) -> list[tuple[float, float]]:
+    return [(age, abs(found)) for age, found in _points(records, _volume)]
+
+
+@dataclass(frozen=True)
+class _Style:
+    """How one profile's runs are drawn."""
+
+    profile: str
+    shift_days: float
+
+
+def _plot(axis: Any, points: Sequence[tuple[float, float]], style: _Style, marker: str = "o", line: str = "-") -> None:
+    """Draw points, and a line through the medians of each age."""
+    if not points:
+        return
+    colour = COLOURS[style.profile]
+    axis.scatter(
+        [age + style.shift_days for age, _ in points], [found for _, found in points], s=18, marker=marker, color=colour, alpha=0.75
+    )
     ages = sorted({age for age, _ in points})
-    return ages, [statistics.median(value for age, value in points if age == wanted) for wanted in ages]
-
-
-def _signed(axis: Any, records: Sequence[Record], profile: str, value: Callable[[Record], float | None]) -> None:
-    points = _points(records, value)
-    if points:
-        shift = SHIFT_DAYS[profile]
-        axis.scatter([age + shift for age, _ in points], [found for _, found in points], s=18, color=COLOURS[profile], alpha=0.75)
-        ages, middle = _medians(points)
-        axis.plot([age + shift for age in ages], middle, color=COLOURS[profile], linewidth=1.2, label=profile)
-
-
-def _magnitude(axis: Any, records: Sequence[Record], profile: str, marker: str, line: str) -> None:
-    points = [(age, abs(found)) for age, found in _points(records, _volume)]
-    if points:
-        shift = SHIFT_DAYS[profile]
-        axis.scatter([age + shift for age, _ in points], [found for _, found in points], s=18, marker=marker, color=COLOURS[profile])
-        ages, middle = _medians(points)
-        axis.plot([age + shift for age in ages], middle, line, color=COLOURS[profile], linewidth=1.0)
+    middle = [statistics.median(value for age, value in points if age == wanted) for wanted in ages]
+    axis.plot([age + style.shift_days for age in ages], middle, line, color=colour, linewidth=1.2, label=style.profile)
