@@ -1,7 +1,6 @@
 """Tubes: strings of nodes, their volume, the pictures they cast, and how a fit finds them again."""
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from recon import (
     ghosts,
-    mending,
     projection,
     proof,
     residue,
@@ -33,15 +31,7 @@ from recon.tube_law import TubeLaw
 from scenes import plan
 from scenes.model import Camera, CapturePlan, Ring, Scene
 from scenes.rsml import Root
-
-
-def line(*corners: tuple[float, float, float], step: float = 0.1) -> np.ndarray:
-    """Return points along straight pieces."""
-    pieces = []
-    for a, b in pairwise(corners):
-        count = max(2, round(float(np.linalg.norm(np.subtract(b, a))) / step) + 1)
-        pieces.append(np.linspace(a, b, count))
-    return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
+from tests.recon.lines import line
 
 
 def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
@@ -174,112 +164,6 @@ def test_core_depth_is_signed():
     np.testing.assert_allclose(tracing.core_depth(cells, core, reach_mm=1.2), [1.5, 0.5, -0.5, -1.2])
 
 
-def _fork(*lines: np.ndarray, starts: tuple[int, ...]) -> tubes.Tubes:
-    """Put branches together whose first node is a given node."""
-    centre, branches = [lines[0]], [np.arange(len(lines[0]))]
-    for points, start in zip(lines[1:], starts, strict=True):
-        count = sum(len(part) for part in centre)
-        branches.append(np.concatenate([[start], count + np.arange(len(points))]))
-        centre.append(points)
-    nodes = np.concatenate(centre)
-    return tubes.Tubes(nodes, np.full(len(nodes), 0.1), tuple(branches))
-
-
-def test_a_root_that_was_cut_where_it_touches_another_is_joined():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
-    above, below = line((-6.0, 0.2, -6.0), (-0.5, 0.2, -9.6), step=0.5), line((0.3, 0.2, -10.2), (6.0, 0.2, -14.0), step=0.5)
-    system = _fork(trunk, above, below, starts=(2, 20))
-    mended = mending.mend(system)
-    assert len(mended.branches) == 2
-    assert mended.branches[1][0] == 2
-    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], below[-1])
-
-
-def test_tips_that_meet_head_to_head_are_joined():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
-    left, right = line((0.5, 0.0, -5.0), (6.0, 0.0, -7.0), step=0.5), line((12.0, 0.0, -9.0), (6.3, 0.0, -7.1), step=0.5)
-    other = line((0.5, 1.0, -2.0), (13.0, 0.0, -8.0), step=0.5)
-    system = _fork(trunk, left, right, other, starts=(10, len(trunk) + len(left) + len(right) + len(other) - 2, 4))
-    assert len(mending.mend(_parents_first(system)).branches) == 3
-
-
-def test_a_root_whose_way_to_the_top_was_taken_by_another_gets_it_back():
-    """Two roots cross: one was traced up to the crossing and on along the other, whose own way ends there."""
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
-    first, second = line((0.5, 0.0, -5.0), (12.0, 0.0, -17.0), step=0.5), line((0.5, 0.0, -17.0), (12.0, 0.3, -5.0), step=0.5)
-    half = len(first) // 2
-    swapped = np.concatenate([second[:half], first[half:]])
-    system = _fork(trunk, swapped, first[: half - 1], second[half:], starts=(34, 10, len(trunk) + half - 1))
-    mended = mending.mend(system)
-    assert len(mended.branches) == 3
-    tips = {(int(branch[0]), round(float(mended.centre_mm[branch[-1]][2]))) for branch in mended.branches[1:]}
-    assert tips == {(10, -17), (34, -5)}
-
-
-def test_a_root_goes_on_in_the_straighter_of_two():
-    """The traced trunk bends away into a lateral, and what is left of it hangs there."""
-    upper, lower = line((0.0, 0.0, 0.0), (0.0, 0.0, -15.0), step=0.5), line((0.0, 0.0, -15.5), (0.0, 0.0, -30.0), step=0.5)
-    side = line((0.5, 0.0, -15.3), (10.0, 0.0, -20.0), step=0.5)
-    mended = mending.mend(_fork(np.concatenate([upper, side]), lower, starts=(len(upper) - 1,)))
-    assert [round(float(mended.centre_mm[branch[-1]][2])) for branch in mended.branches] == [-30, -20]
-
-
-def test_a_root_that_was_traced_from_its_tip_is_turned_round():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
-    higher, lower = line((0.5, 0.0, -5.0), (20.0, 0.0, -20.0), step=0.5), line((19.0, 0.5, -20.0), (0.5, 0.5, -10.0), step=0.5)
-    system = _fork(trunk, higher, lower, starts=(10, len(trunk) + len(higher) - 2))
-    mended = mending.mend(system)
-    assert mended.branches[2][0] in (19, 20, 21)
-    np.testing.assert_allclose(mended.centre_mm[mended.branches[2][-1]], lower[0])
-
-
-def test_a_stub_that_ends_where_another_begins_goes_on_in_it():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
-    stub, rest = np.array([[0.4, 0.0, -5.3]]), line((0.8, 0.0, -5.6), (12.0, 0.0, -14.0), step=0.5)
-    mended = mending.mend(_fork(trunk, stub, rest, starts=(10, len(trunk))))
-    assert [int(branch[0]) for branch in mended.branches] == [0, 10]
-    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], rest[-1])
-
-
-def test_a_root_that_was_traced_from_a_crossing_both_ways_is_one():
-    """A root crosses another, on which both its halves were hung: the half that leaves against growth is its base."""
-    trunk, low = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.3, -20.0), (6.0, 0.3, -21.5), (7.5, 5.0, -23.0), step=0.5)
-    crossed = line((0.5, 0.0, -2.0), (14.0, 0.0, -33.0), step=0.5)
-    base, rest = line((9.2, 0.3, -22.9), (6.2, 0.3, -21.7), step=0.5), line((10.2, 0.3, -23.3), (16.0, 0.3, -25.6), step=0.5)
-    at = len(trunk) + len(low) + int(np.argmin(np.linalg.norm(crossed - [9.7, 0.0, -23.1], axis=1)))
-    mended = mending.mend(_fork(trunk, low, crossed, base, rest, starts=(40, 4, at, at)))
-    assert len(mended.branches) == 4
-    whole = next(nodes for nodes in mended.branches if np.allclose(mended.centre_mm[nodes[-1]], rest[-1]))
-    assert whole[0] < len(trunk) + len(low)
-    assert (np.linalg.norm(mended.centre_mm[whole] - base[2], axis=1) < 1e-6).any()
-
-
-def test_a_second_path_along_the_same_root_is_dropped():
-    """A root is found in two pieces that overlap by 2 mm; a lateral of the second path hangs on the first then."""
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
-    first, second = line((0.5, 0.0, -5.0), (10.0, 0.0, -11.0), step=0.5), line((8.5, 0.3, -10.0), (18.0, 0.3, -16.0), step=0.5)
-    twig = line((9.2, 0.8, -10.5), (9.2, 6.0, -12.0), step=0.5)
-    apart = len(trunk) + len(first)
-    mended = mending.mend(_fork(trunk, first, second, twig, starts=(10, 30, apart + 2)))
-    assert len(mended.branches) == 3
-    np.testing.assert_allclose(mended.centre_mm[mended.branches[1][-1]], second[-1])
-    assert mended.branches[2][0] in mended.branches[1]
-    assert len(mended.centre_mm) < apart + len(second) + len(twig)
-    np.testing.assert_array_equal(np.unique(np.concatenate(mended.branches)), np.arange(len(mended.centre_mm)))
-
-
-def test_no_root_ends_where_a_lateral_leaves_it():
-    trunk, stub = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5), line((0.5, 0.0, -5.0), (4.0, 0.0, -7.0), step=0.5)
-    bent, straight = line((4.0, 0.5, -6.8), (4.0, 8.0, -6.8), step=0.5), line((4.2, 0.5, -7.2), (9.0, 5.0, -9.0), step=0.5)
-    last = len(trunk) + len(stub) - 2
-    joined = tubes.without_stubs(_fork(trunk, stub, bent, straight, starts=(10, last, last)))
-    assert [len(nodes) for nodes in joined.branches[:2]] == [len(trunk), len(stub) + len(straight)]
-    np.testing.assert_allclose(joined.centre_mm[joined.branches[1][-1]], straight[-1])
-    assert joined.branches[2][0] in joined.branches[1]
-    far = _fork(trunk, stub, bent, starts=(10, last - 2))  # what goes on for more than a node's distance is a tip
-    assert len(tubes.without_stubs(far).branches) == 3
-
-
 def test_what_tubes_leave_unexplained_is_hung_on_them():
     true = strung(TRUNK, TWIG, radius_mm=0.2)
     seen = pictured(true)
@@ -376,16 +260,6 @@ def test_what_stands_in_the_corners_of_the_cut_top_is_the_tops():
     assert len(kept.branches) == 2
     np.testing.assert_allclose(kept.centre_mm[kept.branches[1][-1]], [6.0, 0.0, -24.0])
     assert len(system.keep(system.staying(ghosts.inside_another(system, none, 0.0))).branches) == 3
-
-
-def _parents_first(system: tubes.Tubes) -> tubes.Tubes:
-    return tubes.Tubes(system.centre_mm, system.radius_mm, tuple(system.branches[k] for k in (0, 1, 3, 2)))
-
-
-def test_tips_that_pass_beside_each_other_stay():
-    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
-    left, right = line((0.5, 0.0, -5.0), (6.0, 0.0, -7.0), step=0.5), line((0.5, 0.6, -6.0), (6.0, 0.6, -7.0), step=0.5)
-    assert len(mending.mend(_fork(trunk, left, right, starts=(10, 12))).branches) == 3
 
 
 def test_score_of_equal_and_of_shifted_roots():
