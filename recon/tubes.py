@@ -17,9 +17,8 @@ SPACING_MM = 0.6
 """Distance between the nodes of a branch."""
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
-
-_STUB_MM = 0.7
-_COURSE_NODES = 4
+_STUB_MM = 0.7  # a little more than the distance between nodes
+_COURSE_NODES = 4  # the course of a branch is that over so many nodes
 
 
 @dataclass(frozen=True)
