@@ -24,6 +24,10 @@ _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
 _GLARE, _RIM_PX = 0.05, 11
 """What is brighter than the smooth panel by this share is glare, with so many pixels about it."""
+_AGREED = 0.5
+"""Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
+_LEAST_SURE = 0.1
+"""Of the pixels that are bright enough: where fewer are sure, all of them begin."""
 _BLOCK_ROWS = 24
 _THREADS = 2
 
@@ -83,8 +87,8 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
 
     Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the panel in
-    every view (the taproot on the axis) that is too dark: a smooth surface through the trusted pixels, fitted row by row and
-    then over the rows, takes its place.
+    nearly every view (the taproot on the axis, a crowd of roots) that is too dark: a smooth surface through the trusted pixels takes
+    its place. It is fitted first to pixels that most views show alike, as a crowd may hide more of the panel than it leaves free.
 
     Parameters
     ----------
@@ -99,7 +103,7 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
     rows = np.flatnonzero(often.any(axis=1))
-    background = np.zeros(stack.shape[1:], np.float32)
+    background, agreed = np.zeros(stack.shape[1:], np.float32), np.zeros(stack.shape[1:], bool)
     if not len(rows):
         return background, np.zeros(background.shape, bool)
 
@@ -113,12 +117,14 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
         ranks = np.unique(rank)
         upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
         near = np.abs(part - upper) <= 0.04 * upper
-        background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(near.sum(axis=0), 1)
+        count = near.sum(axis=0)
+        background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1)
+        agreed[begin : begin + _BLOCK_ROWS] = count >= _AGREED * number
 
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
         list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
     background[~often] = 0.0
-    smooth = _smooth_surface(background, often)
+    smooth = _smooth_surface(background, often, agreed)
     spots = (smooth > 0) & (background > (1.0 + _GLARE) * smooth)
     glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
@@ -126,8 +132,11 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
 
 
-def _smooth_surface(background: Image, inside: Mask) -> Image:
-    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out."""
+def _smooth_surface(background: Image, inside: Mask, sure: Mask) -> Image:
+    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out.
+
+    It begins with the pixels (H, W) that are ``sure``; where it runs on from them, it decides on the others.
+    """
     rows, columns = np.nonzero(inside)
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
     v = 2.0 * (rows - rows.min()) / max(1, np.ptp(rows)) - 1.0
@@ -138,7 +147,9 @@ def _smooth_surface(background: Image, inside: Mask) -> Image:
     sample = sample[core[sample]]
     degrees = (8, 4)
     basis = np.polynomial.chebyshev.chebvander2d(u[sample], v[sample], degrees)
-    trusted = values[sample] > _DIM * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
+    lit = values[sample] > _DIM * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
+    first = lit & sure[rows[sample], columns[sample]]
+    trusted = first if first.sum() > _LEAST_SURE * lit.sum() else lit
     coefficients = np.zeros(basis.shape[1])
     surface = np.zeros_like(background)
     if not trusted.any():  # all black: there is no light to fit
@@ -170,6 +181,6 @@ def estimate_single(image: Image, inside: Mask) -> Image:
         np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
     )
     closed[~inside] = 0.0
-    smooth = _smooth_surface(closed, inside)
+    smooth = _smooth_surface(closed, inside, inside)
     covered = inside & (smooth > 0)
     return np.where(covered, smooth, closed).astype(np.float32)

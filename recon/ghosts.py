@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon.proof import Proof
-from recon.tube_picture import Pull
-from recon.tubes import Tubes
+from recon.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,10 +27,12 @@ _INSIDE = 0.9
 """Share of a root's radius within which another centre line is its own."""
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
-_TIP_SHOWN = 0.4
-"""... and that it is not the others' fault: this part of their tips, over all views, is hidden by none."""
-_LONG_MM, _TIP_NODES, _TIMES_USUAL = 8.0, 5, 6.0
-"""A shorter branch without laterals is a ghost where its last nodes leave so many times the share that tips usually leave."""
+_LONG_MM, _TIP_NODES = 8.0, 5
+"""Longer ends are roots, whatever speaks against their tips; what a tip leaves is that of its last nodes."""
+_FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
+"""A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
+_CERTAIN = 0.2
+"""Less evidence makes an end a ghost: where most false ends go, and few true ones (see docs/decisions/tubes-for-thin-roots.md)."""
 
 
 def flanked(tubes: Tubes, organ: Mask) -> Mask:
@@ -77,26 +78,51 @@ def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
     return gone & ~organ
 
 
-def hidden_tips(tubes: Tubes, pull: Pull) -> Mask:
-    """Tell the nodes (N,) of branches whose tip is hidden by others in most views."""
-    tips = np.array([nodes[-1] for nodes in tubes.branches])
-    hidden: Mask = (pull.visible[tips] < _TIP_SHOWN)[tubes.owner]
-    return hidden
+def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of ends, from a branch's last lateral to its tip, whose tips are likely none.
 
+    Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little of what lies about
+    it unexplained, compared with what tips usually leave (noise and blur count for all of them). They are weighed together, as a false tip
+    may pass in one of them.
 
-def unproved_leaves(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of branches that bear none, are short, and leave much of what lies about their tips unexplained.
-
-    What is left there is compared with what usually is left about tips: noise and blur count for all of them.
+    Parameters
+    ----------
+    visible : (N,) share of each node, over all views, that no other hides.
     """
     gone = np.zeros(len(organ), bool)
-    leaves = _leaves(tubes)
-    ends = [tubes.own(k)[-_TIP_NODES:] for k, _ in leaves]
-    share = np.array([proved.left[end].sum() / max(float((proved.explained + proved.left)[end].sum()), 1e-6) for end in ends])
-    for (k, length), much in zip(leaves, share > _TIMES_USUAL * np.median(share) if leaves else [], strict=True):
-        if much and length < _LONG_MM:
-            gone[tubes.own(k)] = True
+    ends = _ends(tubes)
+    if not ends:
+        return gone
+    owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
+    share, free_mm = np.zeros(len(ends)), np.full(len(ends), _FREE_MM)
+    for number, (k, nodes) in enumerate(ends):
+        last = nodes[-_TIP_NODES:]
+        share[number] = proved.left[last].sum() / max(float((proved.explained + proved.left)[last].sum()), 1e-6)
+        tip = tubes.centre_mm[nodes[-1]]
+        others = np.array([n for n in near.query_ball_point(tip, _FREE_MM + float(radius.max())) if owner[n] != k], np.int64)
+        if len(others):
+            free_mm[number] = min(_FREE_MM, float((np.linalg.norm(tubes.centre_mm[others] - tip, axis=1) - radius[others]).min()))
+    usual = max(float(np.median(share)), 1e-6)
+    shown = visible[[nodes[-1] for _, nodes in ends]]
+    evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
+    for (k, nodes), weak in zip(ends, evidence < _CERTAIN, strict=True):
+        start = tubes.branches[k][np.flatnonzero(tubes.branches[k] == nodes[0])[0] - 1]
+        if weak and float(np.linalg.norm(np.diff(tubes.centre_mm[[start, *nodes]], axis=0), axis=1).sum()) < _LONG_MM:
+            gone[nodes] = True
     return gone & ~organ
+
+
+def _ends(tubes: Tubes) -> list[tuple[int, Index]]:
+    """Return the branches but the first that go on beyond their last lateral, with the nodes from there to the tip."""
+    bearing = np.zeros(len(tubes.radius_mm), bool)
+    bearing[[nodes[0] for nodes in tubes.branches[1:]]] = True
+    found = []
+    for k in range(1, len(tubes.branches)):
+        own = tubes.own(k)
+        last = np.flatnonzero(bearing[own])
+        if not len(last) or last[-1] + 1 < len(own):
+            found.append((k, own[last[-1] + 1 :] if len(last) else own))
+    return found
 
 
 def _leaves(tubes: Tubes) -> list[tuple[int, float]]:

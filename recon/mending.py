@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from recon.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _REACH_MM = 4.0
 """Pieces farther apart than this do not meet."""
@@ -26,13 +27,16 @@ _GAP_MM, _MISS_MM = 4.0, 0.5
 """A gap this long, or a jump this far to the side, speaks against a connection as much as a bend of one radian does."""
 _OVERLAP_MM = 0.6
 """Pieces may overlap by a node's distance: where roots touch, their ends are uncertain."""
+_FRAYED_NODES, _FRAYED = 3, 0.1
+"""Ends wander where roots touch: so many nodes may be left out where pieces are joined, each at this cost."""
 _NODES = 4
 """The course of a piece is that over this many nodes."""
 _TOUCH_MM = 1.0
 """A tip this near the surface of another root may be where it leaves that root."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
 """A beginning of at most so many nodes that runs so near another branch is a second path along the same root."""
-_BRANCH = 1.0
+_BRANCH, _DOUBTFUL = 1.0, 2.0
+"""What a branch costs, and what one that ends where no root ends costs more."""
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
 _ROUNDS = 8
@@ -57,24 +61,35 @@ class _Courses:
     """(N,) number of the node in its branch."""
 
 
-def mend(tubes: Tubes) -> Tubes:
+def mend(tubes: Tubes, doubtful: Mask | None = None) -> tuple[Tubes, Mask]:
     """Connect the pieces of the tree so that it is as cheap as can be; nodes stay where they are, but second paths are dropped.
 
     Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
     takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there,
     or is dropped because it runs beside the first; a branch goes on in its child, and what followed becomes the child. Whose lateral a
     root is, `hierarchy` settles at the end.
+
+    Parameters
+    ----------
+    doubtful : (N,) nodes of ends whose tips are likely none: such an end is worth more if it goes on.
+
+    Returns
+    -------
+    tubes : connected.
+    kept : (N,) the nodes that are left.
     """
+    doubt = np.zeros(len(tubes.centre_mm), bool) if doubtful is None else doubtful
     branches = _rightly_turned(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
         courses = _courses(tubes, branches)
-        changes = sorted(_meetings(courses, branches) + _takeovers(courses, branches) + _exchanges(courses, branches))
+        worth = _worth(courses, branches, doubt)
+        changes = sorted(_meetings(courses, branches, worth) + _takeovers(courses, branches, worth) + _exchanges(courses, branches))
         touched: set[int] = set()
-        for _, first, node, third, kind in changes:
-            second = int(courses.owner[node])
+        for _, end, node, third, kind in changes:
+            first, second = int(courses.owner[end]), int(courses.owner[node])
             if touched & {first, second, third}:
                 continue
-            tried = _changed(courses, branches, first, second, int(courses.place[node]), third, kind)
+            tried = _changed(courses, branches, end, node, third, kind)
             if _whole(tried, len(tubes.centre_mm)):
                 branches = tried
                 touched |= {first, second} | ({third} if third >= 0 else set())
@@ -83,7 +98,13 @@ def mend(tubes: Tubes) -> Tubes:
     ordered = _parents_first(branches, len(tubes.centre_mm))
     used = np.zeros(len(tubes.centre_mm), bool)
     used[np.concatenate(ordered)] = True
-    return Tubes(tubes.centre_mm, tubes.radius_mm, ordered).keep(used)
+    return Tubes(tubes.centre_mm, tubes.radius_mm, ordered).keep(used), used
+
+
+def _worth(courses: _Courses, branches: list[Index | None], doubtful: Mask) -> Array:
+    """Return what it is worth (N,) that the branch that owns a node does not end."""
+    ends = np.array([nodes is not None and bool(doubtful[nodes[-1]]) for nodes in branches])
+    return np.where(ends[courses.owner], _BRANCH + _DOUBTFUL, _BRANCH)
 
 
 def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
@@ -199,35 +220,55 @@ class _Kind(IntEnum):
 
 
 _Change = tuple[float, int, int, int, _Kind]
-"""Gain (negative), the branch that ends, the node where it goes on, the branch that the interrupted one goes on in (or -1), and how."""
+"""Gain (negative), the node where a branch ends, that where it goes on, the branch that the interrupted one goes on in (or -1), and how."""
 
 
-def _meetings(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
-    """Return the tips that go on in a branch that begins near, and the tips that meet."""
-    alive = [nodes for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 1)]
-    tips = np.array([nodes[-1] for nodes in alive])
+def _meetings(courses: _Courses, branches: list[Index | None], worth: Array) -> list[_Change]:
+    """Return the tips that go on in a branch that begins near, and the tips that meet; ends may be frayed."""
+    tips, tip_fray = _ends(courses, branches, last=True)
+    starts, start_fray = _ends(courses, branches, last=False)
     found: list[_Change] = []
-    for turned in (False, True):
-        ends = tips if turned else np.array([nodes[min(1, len(nodes) - 1)] for nodes in alive])
+    for turned, (ends, fray) in enumerate(((starts, start_fray), (tips, tip_fray))):
         pairs = _pairs(courses.centre, tips, ends)
         a, b = tips[pairs[:, 0]], ends[pairs[:, 1]]
-        cost = _cost(
+        cost = _FRAYED * (tip_fray[pairs[:, 0]] + fray[pairs[:, 1]]) + _cost(
             courses.centre[b] - courses.centre[a],
             courses.arriving[a],
             -courses.arriving[b] if turned else courses.leaving[b],
             courses.log_before[a] - (courses.log_before[b] if turned else courses.log_after[b]),
         )
-        good = (cost - _BRANCH < -_GAIN) & (courses.owner[a] != courses.owner[b]) & (courses.owner[b] > 0)
+        gain = cost - (np.maximum(worth[a], worth[b]) if turned else worth[a])
+        good = (gain < -_GAIN) & (courses.owner[a] != courses.owner[b]) & (courses.owner[b] > 0)
         found += [
-            (float(c) - _BRANCH, int(courses.owner[first]), int(second), -1, _Kind.TURNED if turned else _Kind.CUT)
-            for c, first, second in zip(cost[good], a[good], b[good], strict=True)
+            (float(g), int(end), int(node), -1, _Kind.TURNED if turned else _Kind.SPLICED)
+            for g, end, node in zip(gain[good], a[good], b[good], strict=True)
         ]
     return found
 
 
-def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
+def _ends(courses: _Courses, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
+    """Return the nodes (M,) at which branches may end (or begin), and how many nodes (M,) without laterals are left out there."""
+    bearing = np.zeros(len(courses.centre), bool)
+    bearing[[nodes[0] for k, nodes in enumerate(branches) if nodes is not None and k > 0]] = True
+    ends: list[int] = []
+    fray: list[int] = []
+    for k, nodes in enumerate(branches):
+        if nodes is None or (k > 0 and len(nodes) < 2):
+            continue
+        own = nodes[:0:-1] if last else nodes[1:]
+        if not len(own):  # the first branch may be a single node
+            own = nodes
+        for out in range(max(1, min(_FRAYED_NODES + 1, len(own) - _NODES))):
+            ends.append(int(own[out]))
+            fray.append(out)
+            if bearing[own[out]]:
+                break
+    return np.array(ends, np.int64), np.array(fray, np.int64)
+
+
+def _takeovers(courses: _Courses, branches: list[Index | None], worth: Array) -> list[_Change]:
     """Return the tips that take over what follows of a branch that they run into."""
-    tips = np.array([nodes[-1] for k, nodes in enumerate(branches) if nodes is not None and (k == 0 or len(nodes) > 1)])
+    tips, fray = _ends(courses, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
     if not len(inner):
@@ -240,18 +281,22 @@ def _takeovers(courses: _Courses, branches: list[Index | None]) -> list[_Change]
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
     cost = _cost(centre[b] - centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]) - held[at]
+    cost += _FRAYED * fray[pairs[:, 0]]
     found: list[_Change] = []
-    for c, first, node, number in zip(cost, owner[a], b, at, strict=True):
-        if c >= _BRANCH - _GAIN or first == owner[node]:
+    for c, end, node, number in zip(cost, a, b, at, strict=True):
+        first = int(owner[end])
+        if c >= worth[end] - _GAIN or first == owner[node]:
             continue
-        if _is_second_path(courses, branches, int(first), int(node)):
-            found.append((float(c) - _BRANCH, int(first), int(node), -1, _Kind.SPLICED))
+        if _is_second_path(courses, branches, first, int(node)):
+            found.append((float(c - worth[end]), int(end), int(node), -1, _Kind.SPLICED))
             continue
         best, third = min(
             ((more, k) for more, k in rest.get(int(previous[number]), []) if k not in (first, owner[node])), default=(0.0, -1)
         )
+        if third >= 0:
+            best -= worth[end] - _BRANCH
         if c + best < -_GAIN:
-            found.append((float(c + best), int(first), int(node), third, _Kind.CUT))
+            found.append((float(c + best), int(end), int(node), third, _Kind.CUT))
     return found
 
 
@@ -285,7 +330,7 @@ def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]
             courses.log_before[here] - courses.log_after[ways],
         )
         if cost[0] - cost[1] < -_GAIN:
-            found.append((float(cost[0] - cost[1]), k, int(parent[place]), -1, _Kind.EXCHANGED))
+            found.append((float(cost[0] - cost[1]), int(line[1]), int(parent[place]), -1, _Kind.EXCHANGED))
     return found
 
 
@@ -318,17 +363,19 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(courses: _Courses, branches: list[Index | None], a: int, b: int, place: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return branches of which a goes on in b from a node on, and what is left of b in a third, if any."""
+def _changed(courses: _Courses, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
+    """Return branches of which one goes on from a node of its own in another's node, and what is left of that one in a third, if any."""
     changed = list(branches)
-    first, second = branches[a], branches[b]
-    assert first is not None
+    a, b, place = int(courses.owner[end]), int(courses.owner[node]), int(courses.place[node])
+    whole, second = branches[a], branches[b]
+    assert whole is not None
     assert second is not None
-    if kind is _Kind.TURNED:
-        changed[a], changed[b] = np.concatenate([first, second[:0:-1]]), None
-        return changed
     if kind is _Kind.EXCHANGED:
-        changed[b], changed[a] = np.concatenate([second[: place + 1], first[1:]]), second[place:]
+        changed[b], changed[a] = np.concatenate([second[: place + 1], whole[1:]]), second[place:]
+        return changed
+    first = whole[: courses.place[end] + 1]  # what is frayed is left out
+    if kind is _Kind.TURNED:
+        changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None
         return changed
     changed[a] = np.concatenate([first, second[place:]])
     if kind is _Kind.SPLICED:

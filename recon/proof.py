@@ -31,6 +31,10 @@ class Proof:
     left: Array
     """The squared difference that is left with it, where it covers."""
 
+    def of(self, nodes: NDArray[np.bool_]) -> Proof:
+        """Return that of some of the nodes."""
+        return Proof(self.explained[nodes], self.left[nodes])
+
 
 def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Proof:
     """Weigh what every node explains.

@@ -39,6 +39,7 @@ from recon.root_calibration import Sights
 from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_law import TubeLaw
+from recon.tube_picture import Pull
 from recon.tubes import SPACING_MM, Tubes
 from scenes.rsml import Root
 
@@ -60,6 +61,8 @@ _ORGAN_PX = 3.0
 """Roots of a larger radius are thick organs."""
 _GAP_NODES = 3
 """Gaps of fewer nodes do not end an organ."""
+_COURSE_NODES = 3
+"""An organ's direction is that of its balls, smoothed over so many nodes."""
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
@@ -143,7 +146,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         start, _, _ = _thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
         core = _thick(core, balls, _ORGAN_PX / px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        start, buried, organ = _thicken(start, core, balls, near_mm)
+        start, buried, organ = _centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
     with run.stage("translucency"):
@@ -170,10 +173,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        gone = ghosts.short_leaves(fitted, organ) & ghosts.hidden_tips(fitted, pull)
-        gone |= ghosts.inside_another(fitted, organ, settle.flank_mm) | ghosts.unproved_leaves(fitted, settle.proof(fitted), organ)
-        stays = fitted.staying(gone)
-        fitted, buried, organ = settle.joined(fitted.keep(stays))
+        fitted, buried, organ = settle.ended(fitted, pull, organ)
     if law.mu_per_mm is not None:
         with run.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
@@ -200,9 +200,23 @@ class _Settling:
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
-        tree, _, organ = _thicken(tree, self.core, self.balls, self.near_mm)
+        tree, _, organ = _centred(tree, self.core, self.balls, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         gone = ghosts.unexplaining(tree, self.proof(tree), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
+        return self.joined(tree.keep(tree.staying(gone)))
+
+    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
+        """Join the ends that are none where they can go on, and cut the others back; return as `settled` does.
+
+        Parameters
+        ----------
+        pull : what the pictures said of each node of the tree at rest.
+        organ : (N,) nodes of organs.
+        """
+        proved, visible = self.proof(tree), pull.visible
+        tree, kept = mending.mend(tree, ghosts.doubtful_ends(tree, visible, proved, organ))
+        organ = organ[kept]
+        gone = ghosts.doubtful_ends(tree, visible[kept], proved.of(kept), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
 
     def proof(self, tree: Tubes) -> Proof:
@@ -213,7 +227,7 @@ class _Settling:
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        return _thicken(tubes.without_gaps(tubes.without_stubs(mending.mend(tree))), self.core, self.balls, self.near_mm)
+        return _centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
 
 
 def _scale(seen: Evidence, water: Water) -> float:
@@ -298,6 +312,37 @@ def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
             nodes = own[run == number]
             organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
     return tubes.moved(start, start.centre_mm, np.where(organ, radius, start.radius_mm)), buried, organ
+
+
+def _centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
+    """Give the nodes of thick organs the radius of the nearest ball, and its centre sideways of the organ.
+
+    Where some pictures end at an organ, at the rim of sight, its core is torn, and the path through it strays towards the flank.
+
+    Parameters
+    ----------
+    core : of organs only, as from `_thick`.
+
+    Returns
+    -------
+    As from `_thicken`.
+    """
+    thick, buried, organ = _thicken(start, core, balls, near_mm)
+    if not organ.any():
+        return thick, buried, organ
+    centre = thick.centre_mm.copy()
+    for k in range(len(thick.branches)):
+        run, count = ndimage.label(organ[thick.own(k)])
+        for number in range(1, count + 1):
+            nodes = thick.own(k)[run == number]
+            if len(nodes) < 2:
+                continue
+            ball = balls.centre_mm[cKDTree(balls.centre_mm).query(centre[nodes])[1]]
+            course = np.gradient(gaussian_filter1d(ball, _COURSE_NODES, axis=0, mode="nearest"), axis=0)
+            course /= np.maximum(np.linalg.norm(course, axis=1, keepdims=True), 1e-9)
+            off = ball - centre[nodes]
+            centre[nodes] += gaussian_filter1d(off - (off * course).sum(axis=1, keepdims=True) * course, 1.0, axis=0, mode="nearest")
+    return tubes.moved(thick, centre, thick.radius_mm), buried, organ
 
 
 def _blur(seen: Evidence, fitted: Tubes) -> float:

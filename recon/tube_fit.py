@@ -30,6 +30,9 @@ With less, crowds made one root fat and its neighbour thin from node to node, on
 """
 _DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
 """Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
+_RELAXED = 0.6
+"""Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing without end between
+too wide and too thin."""
 LEAST = 0.5
 _LARGEST_STEP_MM = 0.15
 _THINNEST_MM = 0.02
@@ -78,7 +81,7 @@ def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tu
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = 0.3 * tubes.radius_mm + 0.01
-    radius = np.maximum(tubes.radius_mm + np.clip(step[:, 3], -most, most), _THINNEST_MM)
+    radius = np.maximum(tubes.radius_mm + np.clip(_RELAXED * step[:, 3], -most, most), _THINNEST_MM)
     return moved(tubes, centre, np.where(fixed, tubes.radius_mm, radius))
 
 
