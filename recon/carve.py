@@ -188,7 +188,11 @@ def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, a
     if dr.width(chosen) == 0:
         return result
     part = dr.gather(mi.Point3f, point, chosen)
-    some = dr.zeros(mi.Bool, dr.width(chosen))
+    some, least = dr.zeros(mi.Bool, dr.width(chosen)), dr.opaque(mi.UInt32, min_votes)
+
+    def undecided(view: Any, votes: Any) -> Any:
+        return (view < bank.count) & (votes < least) & (votes + (bank.count - view) >= least)
+
     for corner in np.ndindex(2, 2, 2):
         at = part + mi.Vector3f(*(half_mm * (2.0 * c - 1.0) for c in corner))
 
@@ -196,8 +200,8 @@ def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, a
             seen = look(bank, maps, view, at, mi.Bool(True))[2]
             return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
-        state = (mi.UInt32(0), dr.zeros(mi.UInt32, dr.width(chosen)))
-        some |= dr.while_loop(state, lambda view, _: view < bank.count, body)[1] >= min_votes
+        state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))
+        some |= dr.while_loop(state, undecided, body)[1] >= least
         dr.eval(some)
     dr.scatter(result, some, chosen)
     return result

@@ -114,16 +114,16 @@ def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
     against its growth and end at a root that they would leave onward.
     """
     centre = tubes.centre_mm
+    owner, way = _ways(tubes, branches)
     for _ in range(_ROUNDS):
-        owner, way = _ways(tubes, branches)
         turned = False
         tips = np.array([nodes[-1] for nodes in branches if nodes is not None])
         near = cKDTree(centre).query_ball_point(centre[tips], _TOUCH_MM + float(tubes.radius_mm.max()))
         for tip, those in zip(tips, near, strict=True):
-            k = int(owner[tip])
-            if k == 0 or owner[tip] < 0:
+            k, around = int(owner[tip]), np.array(those, np.int64)
+            if k <= 0:
                 continue
-            others = np.array([n for n in those if owner[n] not in (k, -1)], np.int64)
+            others = around[(owner[around] != k) & (owner[around] >= 0)]
             if not len(others):
                 continue
             gap = np.linalg.norm(centre[others] - centre[tip], axis=1) - tubes.radius_mm[others]
@@ -133,14 +133,38 @@ def _rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | 
             nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
             if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
                 continue
-            tried = list(branches)
-            tried[k] = np.concatenate([[parent], line[:0:-1]])
-            if _whole(tried, len(centre)):
-                branches, turned = tried, True
-                owner, way = _ways(tubes, branches)
+            if not _hangs_on(branches, owner, parent, k):
+                branches[k] = np.concatenate([[parent], line[:0:-1]])
+                _find_ways_anew(centre, branches, owner, way, k)
+                turned = True
         if not turned:
             break
     return branches
+
+
+def _hangs_on(branches: list[Index | None], owner: Index, node: int, branch: int) -> bool:
+    """Tell whether a node belongs to a branch or to one that, by its parents, hangs on it."""
+    k = int(owner[node])
+    while k > 0 and k != branch:
+        nodes = branches[k]
+        assert nodes is not None
+        k = int(owner[nodes[0]])
+    return k == branch
+
+
+def _find_ways_anew(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
+    """Write the ways to the top of a branch that was hung elsewhere, and of all that hang on it."""
+    children: dict[int, list[int]] = {}
+    for k, nodes in enumerate(branches):
+        if nodes is not None and k > 0:
+            children.setdefault(int(owner[nodes[0]]), []).append(k)
+    waiting = [branch]
+    while waiting:
+        k = waiting.pop()
+        nodes = branches[k]
+        assert nodes is not None
+        way[nodes[1:]] = way[nodes[0]] + np.cumsum(np.linalg.norm(np.diff(centre[nodes], axis=0), axis=1))
+        waiting += children.get(k, [])
 
 
 def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:

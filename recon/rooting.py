@@ -57,6 +57,8 @@ _FLANK_PX = 0.5
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+_BLUR_VIEWS = 24
+"""Views in which blurs are tried: they come in an order that spreads neighbours over the turn."""
 _ORGAN_PX = 3.0
 """Roots of a larger radius are thick organs."""
 _GAP_NODES = 3
@@ -96,6 +98,8 @@ class RootSystem:
     """How much light roots let through, and how blurred the pictures are."""
     seen: Evidence
     """What it was fitted to, with cameras and water as the roots corrected them."""
+    cut_mm3: float
+    """Volume of the ends that were cut back, as their tips were likely none."""
 
     @property
     def blur_px(self) -> float:
@@ -173,7 +177,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        fitted, buried, organ = settle.ended(fitted, pull, organ)
+        fitted, buried, organ, cut_mm3 = settle.ended(fitted, pull, organ)
     if law.mu_per_mm is not None:
         with run.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
@@ -183,7 +187,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
     with run.stage("last tubes"):
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, cut_mm3)
 
 
 @dataclass(frozen=True)
@@ -205,8 +209,8 @@ class _Settling:
         gone = ghosts.unexplaining(tree, self.proof(tree), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
 
-    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
-        """Join the ends that are none where they can go on, and cut the others back; return as `settled` does.
+    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask, float]:
+        """Join the ends that are none where they can go on, and cut the others back; return as `settled` does, and the volume cut.
 
         Parameters
         ----------
@@ -216,8 +220,11 @@ class _Settling:
         proved, visible = self.proof(tree), pull.visible
         tree, kept = mending.mend(tree, ghosts.doubtful_ends(tree, visible, proved, organ))
         organ = organ[kept]
-        gone = ghosts.doubtful_ends(tree, visible[kept], proved.of(kept), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
-        return self.joined(tree.keep(tree.staying(gone)))
+        inner = ghosts.inside_another(tree, organ, self.flank_mm)
+        doubtful = ghosts.doubtful_ends(tree, visible[kept], proved.of(kept), organ)
+        stays = tree.staying(doubtful | inner)
+        cut_mm3 = float(np.pi * SPACING_MM * np.square(tree.radius_mm[doubtful & ~inner & ~stays]).sum())
+        return *self.joined(tree.keep(stays)), cut_mm3
 
     def proof(self, tree: Tubes) -> Proof:
         """Weigh what every node explains."""
@@ -245,7 +252,7 @@ def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tup
         cells = density.even_cells(_carve(seen, generous, grid, water))
         if len(cells.index) <= _MOST_CELLS:
             break
-        size_mm *= 1.26
+        size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # each 1.26 halves their number
     del generous
     core = density.even_cells(_carve(seen, _outlines(run, seen, evidence.core_outline, "core"), grid, water))
     return cells, core
@@ -347,6 +354,7 @@ def _centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[T
 
 def _blur(seen: Evidence, fitted: Tubes) -> float:
     """Find the blur with which the tubes explain the pictures best."""
+    seen = seen.of_views(range(min(seen.bank.count, _BLUR_VIEWS)))
     at = seen.project(fitted.centre_mm)
     cost = []
     for blur_px in _BLURS_PX:

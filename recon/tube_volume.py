@@ -22,7 +22,7 @@ _DENSE_MM = 0.15
 _NEAR = 24
 _MOST_REACH_MM = 1.0
 """Thicker roots than half of this are no tubes: the trimmed hull gives their shape."""
-_SAMPLES_A_NODE = 2.5
+_SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 _SLACK_PX = 0.05
 """Uncertainty of a tube's radius that the volume's interval allows for."""
@@ -101,7 +101,9 @@ def _in_earlier(tubes: Tubes, point: Array, branch: Index) -> Mask:
     nearest = tree.query(point, workers=-1)[1]
     doubted = np.flatnonzero(mixed[nearest])
     if len(doubted):
-        distance, near = tree.query(point[doubted], k=min(_NEAR, len(centre)), workers=-1)
+        widest = float(radius.max())
+        distance, near = tree.query(point[doubted], k=min(_NEAR, len(centre)), distance_upper_bound=widest, workers=-1)
+        near = np.minimum(near, len(centre) - 1)  # farther ones come as infinitely far
         covered = (distance < radius[near]) & (owner[near] < branch[doubted][:, None])
         inside[doubted] = covered.any(axis=1)
     return inside

@@ -17,6 +17,7 @@ SPACING_MM = 0.6
 """Distance between the nodes of a branch."""
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
+_FEW = 16
 _STUB_MM = 0.7  # a little more than the distance between nodes
 _COURSE_NODES = 4  # the course of a branch is that over so many nodes
 
@@ -105,21 +106,27 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     paths : points (n, 3) of each branch, from a point of its parent to its tip; parents before children.
     radius_mm : radii (n,) at these points.
     """
-    centres, radii, count = [np.zeros((0, 3))], [np.zeros(0)], 0
-    branches: list[Index] = []
-    for path, radius in zip(paths, radius_mm, strict=True):
-        points, thickness = _even(path, radius)
-        if not branches:
-            nodes = np.arange(len(points))
-        else:
-            parent = int(cKDTree(np.concatenate(centres)).query(path[0])[1])
-            points, thickness = points[1:], thickness[1:]
-            nodes = np.concatenate([[parent], count + np.arange(len(points))])
-        branches.append(nodes.astype(np.int64))
-        centres.append(points)
-        radii.append(thickness)
-        count += len(points)
-    return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
+    strung = [_even(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
+    own = [slice(k > 0, None) for k in range(len(strung))]
+    centre = np.concatenate([points[part] for (points, _), part in zip(strung, own, strict=True)])
+    radius = np.concatenate([thickness[part] for (_, thickness), part in zip(strung, own, strict=True)])
+    first = np.concatenate([[0], np.cumsum([len(points[part]) for (points, _), part in zip(strung, own, strict=True)])])
+    parents = _nearest_before(centre, np.array([path[0] for path in paths]), first[:-1])
+    branches = tuple(
+        np.arange(first[k], first[k + 1]) if k == 0 else np.concatenate([[parents[k]], np.arange(first[k], first[k + 1])])
+        for k in range(len(strung))
+    )
+    return Tubes(centre, radius, branches)
+
+
+def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
+    """Return for each point (M, 3) the nearest of the first ``count`` (M,) centres; 0 where there is none."""
+    near = cKDTree(centre).query(points, k=min(_FEW, len(centre)))[1].reshape(len(points), -1)
+    allowed = near < count[:, None]
+    found = np.where(allowed.any(axis=1), near[np.arange(len(near)), allowed.argmax(axis=1)], 0)
+    for k in np.flatnonzero(~allowed.any(axis=1) & (count > 0)):  # all that are near come later
+        found[k] = np.linalg.norm(centre[: count[k]] - points[k], axis=1).argmin()
+    return np.asarray(found, np.int64)
 
 
 def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parents: Sequence[int]) -> Tubes:

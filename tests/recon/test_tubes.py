@@ -106,11 +106,11 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
-    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system))
+    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), 0.0)
     united = tube_volume.unite(solid, found)
     assert united.thick_mm3 == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen)
+    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, 0.0)
     assert tube_volume.unite(solid, far).thick_mm3 == 0.0
 
 
@@ -287,7 +287,7 @@ def test_nothing_seen_gives_no_density():
 
 def _system(found: tubes.Tubes, px_a_mm: float) -> rooting.RootSystem:
     return rooting.RootSystem(
-        found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found)
+        found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found), 0.0
     )
 
 
