@@ -58,6 +58,19 @@ def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> No
     assert not calm.any()
 
 
+def test_a_crowd_that_hides_most_of_the_panel_most_of_the_time_bends_nothing() -> None:
+    """Roots before half of the panel in nine of ten views: what they leave free is the panel, and not a reflection on a darker one."""
+    rng = np.random.default_rng(1)
+    empty, views = panel(), 40
+    stack = np.repeat(empty[None], views, axis=0)
+    hidden = rng.random((views, *empty.shape)) < 0.9
+    stack[:, 15:105, 30:130] *= np.where(hidden, rng.uniform(0.05, 0.9, hidden.shape), 1.0)[:, 15:105, 30:130].astype(np.float32)
+    stack[:, 60:100, 70:90] *= 0.05  # and always before some
+    found, glare = background.estimate(stack, np.ones(empty.shape, bool))
+    assert not glare.any()
+    assert np.abs(found / empty - 1).max() < 0.04
+
+
 def test_estimate_of_one_picture_bridges_roots() -> None:
     stack, empty = turned(10, 0.0)
     found = background.estimate_single(stack[3], np.ones(empty.shape, bool))

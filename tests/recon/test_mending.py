@@ -120,3 +120,31 @@ def test_tips_that_pass_beside_each_other_stay():
     trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5)
     left, right = line((0.5, 0.0, -5.0), (6.0, 0.0, -7.0), step=0.5), line((0.5, 0.6, -6.0), (6.0, 0.6, -7.0), step=0.5)
     assert len(mending.mend(_fork(trunk, left, right, starts=(10, 12)))[0].branches) == 3
+
+
+def _torn(gap_mm: float, aside_mm: float, frayed_mm: float) -> tubes.Tubes:
+    """Return a lateral that ends beside the beginning of what goes on in its course, which hangs on another; its last nodes bend away."""
+    trunk, other = line((0.0, 0.0, 0.0), (0.0, 0.0, -20.0), step=0.5), line((0.0, 0.5, -9.0), (9.0, 9.0, -9.0), step=0.5)
+    upper = line((0.5, 0.0, -5.0), (5.0, 0.0, -5.0), (5.0 + 0.7 * frayed_mm, 0.0, -5.0 + 0.7 * frayed_mm), step=0.5)
+    rest = line((5.0 + gap_mm, aside_mm, -5.0), (14.0, aside_mm, -5.0), step=0.5)
+    return _fork(trunk, upper, other, rest, starts=(8, 18, len(trunk) + len(upper) + 4))
+
+
+def test_a_frayed_end_is_joined_without_what_is_frayed():
+    system = _torn(gap_mm=1.0, aside_mm=0.0, frayed_mm=1.4)
+    mended, kept = mending.mend(system)
+    assert len(mended.branches) == 3
+    assert 2 <= (~kept).sum() <= 3
+    joined = next(nodes for nodes in mended.branches if np.allclose(mended.centre_mm[nodes[-1]], (14.0, 0.0, -5.0)))
+    assert mended.centre_mm[joined][:, 2].max() < -3.9 or mended.centre_mm[joined][1:, 2].max() < -4.7
+    assert np.abs(np.diff(mended.centre_mm[joined][1:, 2])).max() < 0.3
+
+
+def test_an_end_that_is_likely_none_is_joined_at_a_higher_price():
+    system = _torn(gap_mm=2.0, aside_mm=0.6, frayed_mm=0.0)
+    assert len(mending.mend(system)[0].branches) == 4
+    doubtful = system.owner == 1
+    mended, kept = mending.mend(system, doubtful)
+    assert len(mended.branches) == 3
+    assert kept.all()
+    assert len(mending.mend(_torn(gap_mm=2.0, aside_mm=1.5, frayed_mm=0.0), doubtful)[0].branches) == 4

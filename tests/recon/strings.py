@@ -1,0 +1,40 @@
+"""Tubes strung on polylines, and the pictures they cast, for tests."""
+
+from functools import cache
+
+import numpy as np
+
+from recon import projection, tube_picture, tubes
+from recon.cameras import View
+from recon.evidence import Evidence
+from recon.refraction import Optics
+from recon.silhouettes import Silhouette
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.lines import line
+
+TRUNK = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
+TWIG = line((0.0, 0.0, -30.0), (9.0, 0.0, -42.0))
+
+
+def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
+    return tubes.string(paths, [np.full(len(path), radius_mm) for path in paths])
+
+
+@cache
+def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
+    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views),)))
+    planned = plan.views(scene)
+    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
+    return projection.ViewBank.of(found, Optics.of(scene)), (400, 300)
+
+
+def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
+    """Return the coverage that tubes cast, as evidence; noise with a standard deviation."""
+    bank, (width, height) = cameras()
+    blank = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in range(bank.count)]
+    seen = Evidence.of(bank, blank)
+    depth = tube_picture.optical_depth(seen, system, seen.project(system.centre_mm), 0.0)
+    coverage = 1.0 - np.exp(-np.array(depth)).reshape(bank.count, height, width)
+    coverage += np.random.default_rng(0).normal(0.0, noise, coverage.shape)
+    return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(picture.shape, bool)) for picture in coverage])
