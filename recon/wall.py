@@ -170,7 +170,8 @@ def _quantile(observed: Image) -> Image:
 def _bubbles(dark: Image, views: Image) -> Mask:
     """Tell the small dark places of the unrolled wall (rows, columns) that stand alone, with a texel about them.
 
-    Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear ring round the place.
+    Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear ring round the place;
+    and where a crowd of roots inside makes it dark, it is as clear as its ring in those views that look past them.
     """
     rows, columns = dark.shape
     square = np.ones((3, 3), bool)
@@ -181,13 +182,13 @@ def _bubbles(dark: Image, views: Image) -> Mask:
             continue
         high, low = max(0, row.start - 2), min(rows, row.stop + 2)
         place = np.mod(np.arange(column.start - 2, column.stop + 2), columns)
-        body = np.zeros((low - high, len(place)), bool)
-        body[row.start - high : row.stop - high, 2:-2] = label[row, column] == number
-        body = ndimage.binary_dilation(body, structure=square)
+        dots = np.zeros((low - high, len(place)), bool)
+        dots[row.start - high : row.stop - high, 2:-2] = label[row, column] == number
+        body = ndimage.binary_dilation(dots, structure=square)
         ring = ndimage.binary_dilation(body, structure=square) & ~body
-        around = views[:, high:low][:, :, place][:, ring]
-        clear = (around < _CLEAR).all(axis=1)  # NaN is not clear
-        if clear.sum() >= _CLEAR_VIEWS:
+        here = views[:, high:low][:, :, place]
+        clear = (here[:, ring] < _CLEAR).all(axis=1)  # NaN is not clear
+        if clear.sum() >= _CLEAR_VIEWS and np.nanmedian(here[clear][:, dots]) > _BUBBLE:
             found[high:low, place] |= body
     return found
 
