@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from recon import (
     carve,
@@ -20,6 +18,7 @@ from recon import (
     ghosts,
     hierarchy,
     mending,
+    organs,
     parsimony,
     proof,
     residue,
@@ -59,12 +58,6 @@ _BEYOND_PX = 1.25
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 _BLUR_VIEWS = 24
 """Views in which blurs are tried: they come in an order that spreads neighbours over the turn."""
-_ORGAN_PX = 3.0
-"""Roots of a larger radius are thick organs."""
-_GAP_NODES = 3
-"""Gaps of fewer nodes do not end an organ."""
-_COURSE_NODES = 3
-"""An organ's direction is that of its balls, smoothed over so many nodes."""
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
@@ -147,10 +140,10 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with run.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
-        start, _, _ = _thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
-        core = _thick(core, balls, _ORGAN_PX / px_a_mm)
+        start, _, _ = organs.thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
+        core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        start, buried, organ = _centred(start, core, balls, near_mm)
+        start, buried, organ = organs.centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
     with run.stage("translucency"):
@@ -204,7 +197,7 @@ class _Settling:
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
-        tree, _, organ = _centred(tree, self.core, self.balls, self.near_mm)
+        tree, _, organ = organs.centred(tree, self.core, self.balls, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         gone = ghosts.unexplaining(tree, self.proof(tree), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
@@ -234,7 +227,7 @@ class _Settling:
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        return _centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
+        return organs.centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
 
 
 def _scale(seen: Evidence, water: Water) -> float:
@@ -281,75 +274,12 @@ def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carv
     return hull.leaves
 
 
-def _thick(core: Cells, balls: Balls, least_mm: float) -> Cells:
-    """Return the cells of a core that lie inside balls of at least some radius: what is thinner is a tube, or a crowd of them."""
-    large = balls.radius_mm >= least_mm
-    near = cKDTree(core.centre_mm).query_ball_point(balls.centre_mm[large], balls.radius_mm[large]) if len(core.index) else []
-    return core.chosen(np.unique(np.concatenate([np.zeros(0, np.int64), *(np.array(those, np.int64) for those in near)])))
-
-
 def _first_radius(path: tracing.Path) -> Array:
     """Guess radii along a path: the shadow of a millimetre of root is its diameter."""
     way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
     share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
     radius: Array = np.clip(0.5 * share, *_THIN_MM)
     return radius
-
-
-def _thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest ball.
-
-    A branch that runs within the core for more than the organ's width is the organ itself; others only begin inside it.
-
-    Returns
-    -------
-    tubes : with the organs' radii.
-    buried : (N,) nodes inside thick organs.
-    organ : (N,) those of them that belong to the organ's own centre line.
-    """
-    none = np.zeros(len(start.radius_mm), bool)
-    if not len(core.index) or not len(balls.radius_mm):
-        return start, none, none
-    buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < near_mm
-    radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
-    for k in range(len(start.branches)):
-        own = start.own(k)
-        run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_GAP_NODES, bool)))
-        for number in range(1, count + 1):
-            nodes = own[run == number]
-            organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
-    return tubes.moved(start, start.centre_mm, np.where(organ, radius, start.radius_mm)), buried, organ
-
-
-def _centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest ball, and its centre sideways of the organ.
-
-    Where some pictures end at an organ, at the rim of sight, its core is torn, and the path through it strays towards the flank.
-
-    Parameters
-    ----------
-    core : of organs only, as from `_thick`.
-
-    Returns
-    -------
-    As from `_thicken`.
-    """
-    thick, buried, organ = _thicken(start, core, balls, near_mm)
-    if not organ.any():
-        return thick, buried, organ
-    centre = thick.centre_mm.copy()
-    for k in range(len(thick.branches)):
-        run, count = ndimage.label(organ[thick.own(k)])
-        for number in range(1, count + 1):
-            nodes = thick.own(k)[run == number]
-            if len(nodes) < 2:
-                continue
-            ball = balls.centre_mm[cKDTree(balls.centre_mm).query(centre[nodes])[1]]
-            course = np.gradient(gaussian_filter1d(ball, _COURSE_NODES, axis=0, mode="nearest"), axis=0)
-            course /= np.maximum(np.linalg.norm(course, axis=1, keepdims=True), 1e-9)
-            off = ball - centre[nodes]
-            centre[nodes] += gaussian_filter1d(off - (off * course).sum(axis=1, keepdims=True) * course, 1.0, axis=0, mode="nearest")
-    return tubes.moved(thick, centre, thick.radius_mm), buried, organ
 
 
 def _blur(seen: Evidence, fitted: Tubes) -> float:

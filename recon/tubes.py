@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -220,3 +221,20 @@ def without_gaps(tubes: Tubes) -> Tubes:
 def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
     """Return tubes with other centres and radii."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
+
+
+def hanging_order(branches: list[Index | None], count: int) -> list[int]:
+    """Return the branches that hang on the first, parents before children."""
+    owner = np.full(count, -1)
+    for k, nodes in enumerate(branches):
+        if nodes is not None:
+            owner[nodes if k == 0 else nodes[1:]] = k
+    children: dict[int, list[int]] = {}
+    for k, nodes in enumerate(branches):
+        if nodes is not None and k > 0:
+            children.setdefault(int(owner[nodes[0]]), []).append(k)
+    order, waiting = [], deque([0])
+    while waiting:
+        order.append(waiting.popleft())
+        waiting.extend(children.get(order[-1], []))
+    return order
