@@ -35,7 +35,8 @@ CLAIM_CELLS = 1.5
 _CORE_CLAIM_MM = 0.65
 """Cells this far beyond the core about a path in a thick organ are claimed with it."""
 _LEAST_MM = 1.0
-_TOP_MM = 1.0
+_TOP_MM, _RISE_MM = 1.0, 6.0
+"""The plant's top is sought in its highest millimetre; laterals rise so far above what is seen of the stem, at most."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
     plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
     plant = plant[dense[plant]]
-    high = plant[centre[plant, 2] > centre[plant, 2].max() - _TOP_MM]
+    high = _top(plant, centre[:, 2], depth_mm)
     heavy = high[density[high] > 0.5 * density[high].max()]
     start = heavy[centre[heavy, 2].argmax()]
     cost, before = dijkstra(joined, directed=False, indices=start, return_predecessors=True)
@@ -107,6 +108,15 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     total = np.bincount(nearest, weights=cells.shadow_mm2, minlength=sum(len(line) for line in lines)).astype(np.float64)
     shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
     return [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
+
+
+def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
+    """Return the highest cells of a plant; where its laterals alone reach a little higher, those of its thick organ."""
+    highest = float(height_mm[plant].max())
+    core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
+    if highest - _RISE_MM < core_mm < highest - _TOP_MM:
+        highest = core_mm
+    return plant[(height_mm[plant] > highest - _TOP_MM) & (height_mm[plant] <= highest)]
 
 
 def _smooth(cells: Cells) -> Array:

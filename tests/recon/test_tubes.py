@@ -121,6 +121,17 @@ def test_density_and_tracing_find_thin_roots():
     assert (score.tip_recall, score.tips) == (1.0, 2)
 
 
+def test_a_plants_top_is_its_stem_though_a_lateral_reaches_higher():
+    """The stem ends 1.5 mm below a lateral's tip; one that reaches 0.5 mm higher changes nothing, nor does one that no stem belongs to."""
+    height = np.arange(-30.0, -10.0, 0.25)
+    plant = np.arange(len(height))
+    for rise_mm, top_mm in ((1.5, -11.75), (0.5, -10.25), (8.0, -10.25)):
+        deep = np.where(height <= -10.25 - rise_mm, 0.3, -1.0)
+        highest = tracing._top(plant, height, deep)
+        assert height[highest].max() == top_mm
+        assert height[highest].min() == top_mm - 0.75
+
+
 def test_core_depth_is_signed():
     grid = Grid(np.zeros(3), 0.5, 0, (20, 20, 20))
     core = np.stack(np.meshgrid(*[np.arange(5, 10)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
