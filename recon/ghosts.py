@@ -72,9 +72,9 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
 def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
     """Tell the nodes (N,) of branches that bear none and are so short that they may be an artefact of their neighbours."""
     gone = np.zeros(len(organ), bool)
-    for k, length in _leaves(tubes):
-        if length < _SHORT_MM + tubes.radius_mm[tubes.branches[k][0]]:
-            gone[tubes.own(k)] = True
+    for k, line in _ends(tubes):
+        if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
+            gone[line[1:]] = True
     return gone & ~organ
 
 
@@ -95,41 +95,34 @@ def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> M
         return gone
     owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
     share, free_mm = np.zeros(len(ends)), np.full(len(ends), _FREE_MM)
-    for number, (k, nodes) in enumerate(ends):
-        last = nodes[-_TIP_NODES:]
+    for number, (k, line) in enumerate(ends):
+        last = line[1:][-_TIP_NODES:]
         share[number] = proved.left[last].sum() / max(float((proved.explained + proved.left)[last].sum()), 1e-6)
-        tip = tubes.centre_mm[nodes[-1]]
+        tip = tubes.centre_mm[line[-1]]
         others = np.array([n for n in near.query_ball_point(tip, _FREE_MM + float(radius.max())) if owner[n] != k], np.int64)
         if len(others):
             free_mm[number] = min(_FREE_MM, float((np.linalg.norm(tubes.centre_mm[others] - tip, axis=1) - radius[others]).min()))
     usual = max(float(np.median(share)), 1e-6)
-    shown = visible[[nodes[-1] for _, nodes in ends]]
+    shown = visible[[line[-1] for _, line in ends]]
     evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
-    for (k, nodes), weak in zip(ends, evidence < _CERTAIN, strict=True):
-        start = tubes.branches[k][np.flatnonzero(tubes.branches[k] == nodes[0])[0] - 1]
-        if weak and float(np.linalg.norm(np.diff(tubes.centre_mm[[start, *nodes]], axis=0), axis=1).sum()) < _LONG_MM:
-            gone[nodes] = True
+    for (_, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
+        if weak and _length(tubes, line) < _LONG_MM:
+            gone[line[1:]] = True
     return gone & ~organ
 
 
 def _ends(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return the branches but the first that go on beyond their last lateral, with the nodes from there to the tip."""
+    """Return the branches but the first that go on beyond their last lateral, with the nodes from where that leaves, or from their base."""
     bearing = np.zeros(len(tubes.radius_mm), bool)
     bearing[[nodes[0] for nodes in tubes.branches[1:]]] = True
     found = []
     for k in range(1, len(tubes.branches)):
-        own = tubes.own(k)
-        last = np.flatnonzero(bearing[own])
-        if not len(last) or last[-1] + 1 < len(own):
-            found.append((k, own[last[-1] + 1 :] if len(last) else own))
+        last = int(np.flatnonzero(bearing[tubes.own(k)]).max(initial=-1)) + 1
+        if last + 1 < len(tubes.branches[k]):
+            found.append((k, tubes.branches[k][last:]))
     return found
 
 
-def _leaves(tubes: Tubes) -> list[tuple[int, float]]:
-    """Return the branches that bear none, with their lengths, mm."""
-    bearing = {int(nodes[0]) for nodes in tubes.branches[1:]}
-    return [
-        (k, float(np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1).sum()))
-        for k, nodes in enumerate(tubes.branches)
-        if k > 0 and not bearing & set(nodes[1:].tolist())
-    ]
+def _length(tubes: Tubes, line: Index) -> float:
+    """Return the length of a line of nodes (n,), mm."""
+    return float(np.linalg.norm(np.diff(tubes.centre_mm[line], axis=0), axis=1).sum())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon import turning
-from recon.tubes import Index, Tubes, hanging_order
+from recon.tubes import COURSE_NODES, Index, Tubes, hanging_order
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,8 +29,6 @@ _OVERLAP_MM = 0.6
 """Pieces may overlap by a node's distance: where roots touch, their ends are uncertain."""
 _FRAYED_NODES, _FRAYED = 3, 0.1
 """Ends wander where roots touch: so many nodes may be left out where pieces are joined, each at this cost."""
-_NODES = 4
-"""The course of a piece is that over this many nodes."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
 """A beginning of at most so many nodes that runs so near another branch is a second path along the same root."""
 _BRANCH, _DOUBTFUL = 1.0, 2.0
@@ -116,7 +114,7 @@ def _courses(tubes: Tubes, branches: list[Index | None]) -> _Courses:
         if nodes is None:
             continue
         number = np.arange(len(nodes))
-        first, last = np.maximum(number - _NODES, 0), np.minimum(number + _NODES, len(nodes) - 1)
+        first, last = np.maximum(number - COURSE_NODES, 0), np.minimum(number + COURSE_NODES, len(nodes) - 1)
         own = number if k == 0 else number[1:]
         arriving[nodes[own]] = (centre[nodes] - centre[nodes[first]])[own]
         leaving[nodes[own]] = (centre[nodes[last]] - centre[nodes])[own]
@@ -192,7 +190,7 @@ def _ends(courses: _Courses, branches: list[Index | None], *, last: bool) -> tup
         own = nodes[:0:-1] if last else nodes[1:]
         if not len(own):  # the first branch may be a single node
             own = nodes
-        for out in range(max(1, min(_FRAYED_NODES + 1, len(own) - _NODES))):
+        for out in range(max(1, min(_FRAYED_NODES + 1, len(own) - COURSE_NODES))):
             ends.append(int(own[out]))
             fray.append(out)
             if bearing[own[out]]:
@@ -249,12 +247,12 @@ def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]
     """Return the branches that go on in a child of theirs rather than in what follows of their own."""
     found: list[_Change] = []
     for k, line in enumerate(branches):
-        if line is None or k == 0 or len(line) <= _NODES:
+        if line is None or k == 0 or len(line) <= COURSE_NODES:
             continue
         parent = branches[int(courses.owner[line[0]])]
         place = int(courses.place[line[0]])
         assert parent is not None
-        if place < 2 or place + _NODES >= len(parent):
+        if place < 2 or place + COURSE_NODES >= len(parent):
             continue
         here, ways = line[[0, 0]], np.array([line[1], parent[place + 1]])
         cost = _cost(

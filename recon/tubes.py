@@ -16,11 +16,12 @@ Index = NDArray[np.int64]
 
 SPACING_MM = 0.6
 """Distance between the nodes of a branch."""
+COURSE_NODES = 4
+"""The course of a branch is that over so many nodes."""
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
-_FEW = 16
+_FEW = 16  # nodes near a path's beginning, among which one that came before it is sought first
 _STUB_MM = 0.7  # a little more than the distance between nodes
-_COURSE_NODES = 4  # the course of a branch is that over so many nodes
 
 
 @dataclass(frozen=True)
@@ -108,16 +109,12 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
     radius_mm : radii (n,) at these points.
     """
     strung = [_even(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
-    own = [slice(k > 0, None) for k in range(len(strung))]
-    centre = np.concatenate([points[part] for (points, _), part in zip(strung, own, strict=True)])
-    radius = np.concatenate([thickness[part] for (_, thickness), part in zip(strung, own, strict=True)])
-    first = np.concatenate([[0], np.cumsum([len(points[part]) for (points, _), part in zip(strung, own, strict=True)])])
+    strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first is the parent's
+    centre, radius = (np.concatenate(part) for part in zip(*strung, strict=True))
+    first = np.concatenate([[0], np.cumsum([len(points) for points, _ in strung])])
     parents = _nearest_before(centre, np.array([path[0] for path in paths]), first[:-1])
-    branches = tuple(
-        np.arange(first[k], first[k + 1]) if k == 0 else np.concatenate([[parents[k]], np.arange(first[k], first[k + 1])])
-        for k in range(len(strung))
-    )
-    return Tubes(centre, radius, branches)
+    nodes = np.split(np.arange(len(centre)), first[1:-1])
+    return Tubes(centre, radius, (nodes[0], *(np.concatenate([[parent], own]) for parent, own in zip(parents[1:], nodes[1:], strict=True))))
 
 
 def _nearest_before(centre: Array, points: Array, count: Index) -> Index:
@@ -177,20 +174,18 @@ def without_stubs(tubes: Tubes) -> Tubes:
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
-    children: dict[int, list[int]] = {}
-    for j, nodes in enumerate(tubes.branches[1:], start=1):
-        children.setdefault(int(owner[nodes[0]]), []).append(j)
+    children = children_of(branches, owner)
     for k in sorted(children, reverse=True):  # children before parents
         line = tubes.branches[k]
         starts = np.array([int(np.flatnonzero(line == tubes.branches[j][0])[0]) for j in children[k]])
         last = int(starts.max())
         if last == 0 or np.linalg.norm(np.diff(centre[line[last:]], axis=0), axis=1).sum() > _STUB_MM:
             continue
-        course = centre[line[last]] - centre[line[max(last - _COURSE_NODES, 0)]]
+        course = centre[line[last]] - centre[line[max(last - COURSE_NODES, 0)]]
         onward: list[tuple[float, int]] = []
         for j in np.array(children[k])[starts == last].tolist():
             nodes = tubes.branches[j]
-            way = centre[nodes[min(_COURSE_NODES, len(nodes) - 1)]] - centre[nodes[0]]
+            way = centre[nodes[min(COURSE_NODES, len(nodes) - 1)]] - centre[nodes[0]]
             onward.append((float(course @ way) / max(float(np.linalg.norm(way)), 1e-9), j))
         following = branches[max(onward)[1]]
         assert following is not None
@@ -223,16 +218,37 @@ def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
 
 
-def hanging_order(branches: list[Index | None], count: int) -> list[int]:
-    """Return the branches that hang on the first, parents before children."""
+def owners(branches: Sequence[Index | None], count: int) -> Index:
+    """Return the branch that each of ``count`` nodes belongs to, -1 where it is in none; some branches may be gone."""
     owner = np.full(count, -1)
     for k, nodes in enumerate(branches):
         if nodes is not None:
             owner[nodes if k == 0 else nodes[1:]] = k
+    return owner
+
+
+def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
+    """Return the branches that hang on each branch that bears any.
+
+    Parameters
+    ----------
+    owner : (N,) branch of each node.
+    """
     children: dict[int, list[int]] = {}
     for k, nodes in enumerate(branches):
         if nodes is not None and k > 0:
             children.setdefault(int(owner[nodes[0]]), []).append(k)
+    return children
+
+
+def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
+    """Return the branches that hang, by their parents, on the first, parents before children.
+
+    Parameters
+    ----------
+    count : number of nodes.
+    """
+    children = children_of(branches, owners(branches, count))
     order, waiting = [], deque([0])
     while waiting:
         order.append(waiting.popleft())

@@ -6,14 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.tubes import Index, Tubes, hanging_order
+from recon.tubes import COURSE_NODES, Index, Tubes, children_of, owners
 
 Array = NDArray[np.float64]
 
 _TOUCH_MM = 1.0
 """A tip this near the surface of another root may be where it leaves that root."""
-_NODES = 4
-"""The course of a branch is that over this many nodes."""
 _ROUNDS = 8
 
 
@@ -22,9 +20,14 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
 
     These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent
     against its growth and end at a root that they would leave onward.
+
+    Parameters
+    ----------
+    branches : node numbers of each, None where one is gone; changed in place, and returned.
     """
     centre = tubes.centre_mm
-    owner, way = _ways(tubes, branches)
+    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
+    _find_ways(centre, branches, owner, way, 0)
     for _ in range(_ROUNDS):
         turned = False
         tips = np.array([nodes[-1] for nodes in branches if nodes is not None])
@@ -45,7 +48,7 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
                 continue
             if not _hangs_on(branches, owner, parent, k):
                 branches[k] = np.concatenate([[parent], line[:0:-1]])
-                _find_ways_anew(centre, branches, owner, way, k)
+                _find_ways(centre, branches, owner, way, k)
                 turned = True
         if not turned:
             break
@@ -62,12 +65,9 @@ def _hangs_on(branches: list[Index | None], owner: Index, node: int, branch: int
     return k == branch
 
 
-def _find_ways_anew(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
-    """Write the ways to the top of a branch that was hung elsewhere, and of all that hang on it."""
-    children: dict[int, list[int]] = {}
-    for k, nodes in enumerate(branches):
-        if nodes is not None and k > 0:
-            children.setdefault(int(owner[nodes[0]]), []).append(k)
+def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
+    """Write the ways to the top of a branch, from its first node's, and of all that hang on it."""
+    children = children_of(branches, owner)
     waiting = [branch]
     while waiting:
         k = waiting.pop()
@@ -79,7 +79,7 @@ def _find_ways_anew(centre: Array, branches: list[Index | None], owner: Index, w
 
 def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
     """Tell whether a branch leaves its parent against growth, and would leave another root, at a node near its tip, onward."""
-    centre, reach = tubes.centre_mm, min(_NODES, len(line) - 1)
+    centre, reach = tubes.centre_mm, min(COURSE_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]
     return bool(away @ _growth(tubes, branches, owner, int(line[0])) < 0.0 < back @ _growth(tubes, branches, owner, root))
 
@@ -89,17 +89,4 @@ def _growth(tubes: Tubes, branches: list[Index | None], owner: Index, node: int)
     line = branches[int(owner[node])]
     assert line is not None
     place = int(np.flatnonzero(line == node)[0])
-    return np.asarray(tubes.centre_mm[line[min(place + _NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - _NODES, 0)]])
-
-
-def _ways(tubes: Tubes, branches: list[Index | None]) -> tuple[Index, Array]:
-    """Return the branch (N,) of each node, and its way (N,) along the roots to the top, mm."""
-    owner, way = np.full(len(tubes.centre_mm), -1), np.zeros(len(tubes.centre_mm))
-    for k in hanging_order(branches, len(tubes.centre_mm)):
-        nodes = branches[k]
-        assert nodes is not None
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1))])
-        own = slice(0 if k == 0 else 1, None)
-        way[nodes[own]] = (way[nodes[0]] * (k > 0) + along)[own]
-        owner[nodes[own]] = k
-    return owner, way
+    return np.asarray(tubes.centre_mm[line[min(place + COURSE_NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - COURSE_NODES, 0)]])

@@ -188,7 +188,9 @@ def _bubbles(dark: Image, views: Image) -> Mask:
         ring = ndimage.binary_dilation(body, structure=square) & ~body
         here = views[:, high:low][:, :, place]
         clear = (here[:, ring] < _CLEAR).all(axis=1)  # NaN is not clear
-        if clear.sum() >= _CLEAR_VIEWS and np.nanmedian(here[clear][:, dots]) > _BUBBLE:
+        inside = here[clear][:, dots]
+        inside = inside[np.isfinite(inside)]
+        if clear.sum() >= _CLEAR_VIEWS and len(inside) and np.median(inside) > _BUBBLE:
             found[high:low, place] |= body
     return found
 
