@@ -114,7 +114,8 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
             begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
         order = made[parent].order + 1 if parent >= 0 else 0
         points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])
-        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label))
+        seen = roots[line].tip_seen  # of the line in which it ends
+        made.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=label, tip_seen=seen))
     return made
 
 

@@ -81,14 +81,16 @@ def mend(tubes: Tubes, doubtful: Mask | None = None) -> tuple[Tubes, Mask]:
         worth = _worth(courses, branches, doubt)
         changes = sorted(_meetings(courses, branches, worth) + _takeovers(courses, branches, worth) + _exchanges(courses, branches))
         touched: set[int] = set()
+        owner = courses.owner.copy()
         for _, end, node, third, kind in changes:
-            first, second = int(courses.owner[end]), int(courses.owner[node])
-            if touched & {first, second, third}:
+            those = {int(courses.owner[end]), int(courses.owner[node])} | ({third} if third >= 0 else set())
+            if touched & those:
                 continue
             tried = _changed(courses, branches, end, node, third, kind)
-            if _whole(tried, len(tubes.centre_mm)):
-                branches = tried
-                touched |= {first, second} | ({third} if third >= 0 else set())
+            now = _owner_now(owner, branches, tried, those)
+            if all(_hangs(tried, now, k) for k in those):
+                branches, owner = tried, now
+                touched |= those
         if not touched:
             break
     ordered = _parents_first(branches, len(tubes.centre_mm))
@@ -208,17 +210,17 @@ def _takeovers(courses: _Courses, branches: list[Index | None], worth: Array) ->
     centre, owner = courses.centre, courses.owner
     bend = np.arccos(np.clip((courses.arriving[previous] * courses.leaving[inner]).sum(axis=1), -1.0, 1.0))
     held = bend**2 + (courses.log_before[previous] - courses.log_after[inner]) ** 2
-    rest = _continuations(courses, branches, previous)
     pairs = _pairs(centre, tips, inner)
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
     cost = _cost(centre[b] - centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]) - held[at]
     cost += _FRAYED * fray[pairs[:, 0]]
+    good = (cost < worth[a] - _GAIN) & (owner[a] != owner[b])
+    a, b, at, cost = a[good], b[good], at[good], cost[good]
+    rest = _continuations(courses, branches, np.unique(previous[at]))
     found: list[_Change] = []
     for c, end, node, number in zip(cost, a, b, at, strict=True):
         first = int(owner[end])
-        if c >= worth[end] - _GAIN or first == owner[node]:
-            continue
         if _is_second_path(courses, branches, first, int(node)):
             found.append((float(c - worth[end]), int(end), int(node), -1, _Kind.SPLICED))
             continue
@@ -285,9 +287,9 @@ def _continuations(courses: _Courses, branches: list[Index | None], nodes: Index
 
 def _pairs(centre: Array, first: Index, second: Index) -> Index:
     """Return pairs (M, 2) of numbers of nodes of two lists that are near each other."""
-    near = cKDTree(centre[second]).query_ball_point(centre[first], _REACH_MM)
-    pairs = [(i, j) for i, those in enumerate(near) for j in those if first[i] != second[j]]
-    return np.array(pairs, np.int64).reshape(-1, 2)
+    near = cKDTree(centre[first]).sparse_distance_matrix(cKDTree(centre[second]), _REACH_MM, output_type="ndarray")
+    pairs = np.stack([near["i"], near["j"]], axis=1)[np.lexsort((near["j"], near["i"]))]
+    return pairs[first[pairs[:, 0]] != second[pairs[:, 1]]]
 
 
 def _unit(vectors: Array) -> Array:
@@ -330,9 +332,26 @@ def _rehung(centre: Array, branches: list[Index | None], dropped: Index, line: I
     ]
 
 
-def _whole(branches: list[Index | None], count: int) -> bool:
-    """Tell whether every branch still hangs, by its parents, on the first."""
-    return len(hanging_order(branches, count)) == sum(nodes is not None for nodes in branches)
+def _owner_now(owner: Index, before: list[Index | None], after: list[Index | None], changed: set[int]) -> Index:
+    """Return the branch (N,) that owns each node after some branches changed, -1 where a node was dropped."""
+    now = owner.copy()
+    for branches, gone in ((before, True), (after, False)):
+        for k in changed:
+            nodes = branches[k]
+            if nodes is not None:
+                now[nodes[k > 0 :]] = -1 if gone else k
+    return now
+
+
+def _hangs(branches: list[Index | None], owner: Index, branch: int) -> bool:
+    """Tell whether a branch, if it is still there, hangs by its parents on the first."""
+    above: set[int] = set()
+    while branch > 0 and (nodes := branches[branch]) is not None:
+        if branch in above:
+            return False
+        above.add(branch)
+        branch = int(owner[nodes[0]])
+    return branch == 0 or not above
 
 
 def _parents_first(branches: list[Index | None], count: int) -> tuple[Index, ...]:

@@ -161,7 +161,7 @@ class Result:
             "root_mu_per_mm": shape.mu_per_mm,
             "root_mu_sigma_per_mm": shape.mu_sigma_per_mm,
             "length_mm": shape.length_mm,
-            "tips": len(shape.roots),
+            "tips": sum(root.tip_seen for root in shape.roots),
             "mass_g": self.mass_g,
             "extents_min_mm": shape.extents_min_mm,
             "extents_max_mm": shape.extents_max_mm,

@@ -39,7 +39,7 @@ from recon.run import Run
 from recon.silhouettes import Image, Silhouette, Window
 from recon.tube_law import TubeLaw
 from recon.tube_picture import Pull
-from recon.tubes import SPACING_MM, Tubes
+from recon.tubes import Tubes
 from scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -91,8 +91,8 @@ class RootSystem:
     """How much light roots let through, and how blurred the pictures are."""
     seen: Evidence
     """What it was fitted to, with cameras and water as the roots corrected them."""
-    cut_mm3: float
-    """Volume of the ends that were cut back, as their tips were likely none."""
+    doubtful: Mask
+    """(N,) nodes of ends whose tips are likely none."""
 
     @property
     def blur_px(self) -> float:
@@ -106,8 +106,8 @@ class RootSystem:
         for k, nodes in enumerate(self.tubes.branches):
             parent = int(owner[nodes[0]]) if k else -1
             orders.append(orders[parent] + 1 if k else 0)
-            diameters = 2.0 * self.tubes.radii(k)
-            roots.append(Root(points_mm=self.tubes.centre_mm[nodes], diameters_mm=diameters, order=orders[k], parent=parent))
+            points, diameters, tip_seen = self.tubes.centre_mm[nodes], 2.0 * self.tubes.radii(k), not self.doubtful[nodes[-1]]
+            roots.append(Root(points_mm=points, diameters_mm=diameters, order=orders[k], parent=parent, tip_seen=tip_seen))
         return hierarchy.arrange(roots)
 
 
@@ -170,7 +170,7 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
             grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
             fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        fitted, buried, organ, cut_mm3 = settle.ended(fitted, pull, organ)
+        fitted, buried, organ = settle.ended(fitted, pull, organ)
     if law.mu_per_mm is not None:
         with run.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
@@ -179,8 +179,9 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
     with run.stage("index"):
         seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
     with run.stage("last tubes"):
-        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, cut_mm3)
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
+        doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(seen, fitted, blur_px), organ)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, doubtful)
 
 
 @dataclass(frozen=True)
@@ -199,35 +200,32 @@ class _Settling:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
         tree, _, organ = organs.centred(tree, self.core, self.balls, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
-        gone = ghosts.unexplaining(tree, self.proof(tree), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
+        gone = ghosts.unexplaining(tree, _proof(self.seen, tree, self.blur_px), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
 
-    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask, float]:
-        """Join the ends that are none where they can go on, and cut the others back; return as `settled` does, and the volume cut.
+    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
+        """Join the ends that are none where they can go on; return as `settled` does.
 
         Parameters
         ----------
         pull : what the pictures said of each node of the tree at rest.
         organ : (N,) nodes of organs.
         """
-        proved, visible = self.proof(tree), pull.visible
-        tree, kept = mending.mend(tree, ghosts.doubtful_ends(tree, visible, proved, organ))
-        organ = organ[kept]
-        inner = ghosts.inside_another(tree, organ, self.flank_mm)
-        doubtful = ghosts.doubtful_ends(tree, visible[kept], proved.of(kept), organ)
-        stays = tree.staying(doubtful | inner)
-        cut_mm3 = float(np.pi * SPACING_MM * np.square(tree.radius_mm[doubtful & ~inner & ~stays]).sum())
-        return *self.joined(tree.keep(stays)), cut_mm3
-
-    def proof(self, tree: Tubes) -> Proof:
-        """Weigh what every node explains."""
-        at = self.seen.project(tree.centre_mm)
-        depth = tube_picture.optical_depth(self.seen, tree, at, self.blur_px)
-        return proof.weigh(self.seen, tree, at, depth, tube_picture.unexplained(self.seen, depth), self.blur_px)
+        doubtful = ghosts.doubtful_ends(tree, pull.visible, _proof(self.seen, tree, self.blur_px), organ)
+        tree, kept = mending.mend(tree, doubtful)
+        inner = ghosts.inside_another(tree, organ[kept], self.flank_mm)
+        return self.joined(tree.keep(tree.staying(inner)))
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
         return organs.centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
+
+
+def _proof(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:
+    """Weigh what every node explains."""
+    at = seen.project(tree.centre_mm)
+    depth = tube_picture.optical_depth(seen, tree, at, blur_px)
+    return proof.weigh(seen, tree, at, depth, tube_picture.unexplained(seen, depth), blur_px)
 
 
 def _scale(seen: Evidence, water: Water) -> float:

@@ -47,7 +47,7 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     missed = cKDTree(found_mm).query(true_mm)[0]
     near = away < NEAR_MM
     ratio = found_radius[near] / np.maximum(true_radius[nearest[near]], 1e-9)
-    tips, true_tips = (np.array([root.points_mm[-1] for root in roots]) for roots in (found, true))
+    tips, true_tips = (np.array([root.points_mm[-1] for root in roots if root.tip_seen]).reshape(-1, 3) for roots in (found, true))
     length, true_length = _length(found), _length(true)
     return RootScore(
         length_mm=length,

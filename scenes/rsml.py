@@ -29,6 +29,7 @@ _UNITS_MM = {
     **dict.fromkeys(("inch", "inches", "in"), 25.4),
 }
 _SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
+_TIP_SEEN = "tip-seen"
 _THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
@@ -44,6 +45,8 @@ class Root:
     parent: int
     """Index of the parent in the list of roots, -1 for a taproot."""
     label: str = ""
+    tip_seen: bool = True
+    """Whether its last point is where it ends; False: other roots hide where it goes on."""
 
 
 def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
@@ -107,7 +110,7 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
     for name, text in {**entries, "file-key": path.stem}.items():
         ET.SubElement(metadata, name).text = text
     definitions = ET.SubElement(metadata, "property-definitions")
-    for label, kind, unit in (("diameter", "real", "mm"), ("parent-node", "integer", "")):
+    for label, kind, unit in (("diameter", "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", "")):
         definition = ET.SubElement(definitions, "property-definition")
         for name, text in {"label": label, "type": kind, "unit": unit}.items():
             ET.SubElement(definition, name).text = text
@@ -130,7 +133,10 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
         raise ValueError(f"{root.points_mm.shape=} {root.diameters_mm.shape=} but expected (N, 3) and (N,)")
     element = ET.Element("root", {"id": f"1.{index + 1}", "label": root.label})
     node = 0 if parent is None else int(np.argmin(np.sum((parent.points_mm - root.points_mm[0]) ** 2, axis=1)))
-    ET.SubElement(ET.SubElement(element, "properties"), "parent-node", {"value": str(node)})
+    properties = ET.SubElement(element, "properties")
+    ET.SubElement(properties, "parent-node", {"value": str(node)})
+    if not root.tip_seen:
+        ET.SubElement(properties, _TIP_SEEN, {"value": "false"})
     polyline = ET.SubElement(ET.SubElement(element, "geometry"), "polyline")
     for point in root.points_mm:
         ET.SubElement(polyline, "point", dict(zip("xyz", map(_decimal, point), strict=True)))
@@ -194,7 +200,8 @@ class _Reader:
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
-        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label)
+        seen = _property(own, _TIP_SEEN) != "false"
+        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen)
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
         """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""
@@ -207,14 +214,11 @@ class _Reader:
                     continue
                 scale_mm = to_diameter * (self._unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
                 return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
-            for holder in (element for element in own if _local(element) == "properties"):
-                for child in holder:
-                    called = (_attribute(child, "name") or "").lower() or _local(child)
-                    text = _attribute(child, "value") or child.text or ""
-                    if called == word and text.strip():
-                        value = self._number(text, f"{word} of {name}")
-                        scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
-                        return self._checked(np.full(len(points_mm), value * scale_mm), name)
+            text = _property(own, word)
+            if text:
+                value = self._number(text, f"{word} of {name}")
+                scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
+                return self._checked(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
             raise UserError(
                 f"{self.path}: {name} has no diameter; give one for such roots: --specimen-diameter-mm D, or diameter_mm in a scene file"
@@ -310,6 +314,17 @@ class _Reader:
         if not math.isfinite(value):
             raise UserError(f'{self.path}: the {what} is "{text or ""}", which is no finite number')
         return value
+
+
+def _property(own: list[ET.Element], name: str) -> str:
+    """Return the text of a root's first property of a name that has one; empty where it has none."""
+    for holder in (element for element in own if _local(element) == "properties"):
+        for child in holder:
+            called = (_attribute(child, "name") or "").lower() or _local(child)
+            text = (_attribute(child, "value") or child.text or "").strip()
+            if called == name and text:
+                return text
+    return ""
 
 
 def _parse(path: Path) -> ET.Element:

@@ -133,7 +133,7 @@ def measure_traits(
         bushiness=most / median if most is not None and median else None,
         lower_length_share=_below(pieces, top_mm - UPPER_SHARE * (top_mm - bottom_mm)) / total_mm if known else None,
         roots=len(roots) if known else None,
-        tips=len(roots) if known else None,
+        tips=sum(root.tip_seen for root in roots) if known else None,
         branch_points=_branch_points(roots) if known else None,
         length_by_order_mm=_binned(pieces.order, pieces.length) if known else (),
         length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
