@@ -1,6 +1,7 @@
 """Which parts of a tree of tubes are no roots: what explains nothing, what lies inside others, and short ends that prove nothing.
 
-All functions tell nodes (N,) that should go; `Tubes.staying` turns them into cuts from the tips.
+All functions tell nodes (N,) that should go, which `Tubes.staying` turns into cuts from the tips; but for `doubtful_ends`: these are
+mostly pieces of true roots, whose ends others hide. They stay, without a tip.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ _INSIDE = 0.9
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
 _LONG_MM, _TIP_NODES = 8.0, 5
-"""Longer ends are roots, whatever speaks against their tips; what a tip leaves is that of its last nodes."""
+"""The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
 """A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
 _CERTAIN = 0.1
-"""Less evidence makes an end a ghost: where most false ends go, and few true ones (see docs/decisions/tubes-for-thin-roots.md)."""
+"""With less evidence a tip is none: here as many true ones are lost as false ones stay (see docs/decisions/tubes-for-thin-roots.md)."""
 
 
 def flanked(tubes: Tubes, organ: Mask) -> Mask:

@@ -75,7 +75,7 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
         _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
-        _even("doubtful ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends without a tip to be seen may be no roots, or more"),
+        _even("doubtful ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )

@@ -46,7 +46,7 @@ class Root:
     """Index of the parent in the list of roots, -1 for a taproot."""
     label: str = ""
     tip_seen: bool = True
-    """Whether its last point is where it ends; False: other roots hide where it goes on."""
+    """Whether its last point is where it ends; False: others hide where it ends or goes on."""
 
 
 def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
@@ -84,7 +84,8 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
 
     Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property ``parent-node``, the index of
     its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots have 0 there, because both want a number for every
-    root. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
+    root. Roots whose tips nobody saw have the property ``tip-seen``, false. `read_rsml` gives the roots back depth first, which is their
+    order here only if it was so.
 
     Parameters
     ----------

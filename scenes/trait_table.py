@@ -66,7 +66,7 @@ DEFINITIONS = (
         "share of the length in the lower two thirds of the depth (GiA Roots: length distribution)",
     ),
     Definition("roots", "roots", "", "number of roots, taproots and laterals of every order"),
-    Definition("tips", "tips", "", "number of root ends, but those that a picture could not show"),
+    Definition("tips", "tips", "", "number of root ends; a root whose end others hide has none"),
     Definition("branch_points", "branch_points", "", "places where laterals leave; several at one place count once"),
     Definition("angle_to_gravity_deg", "angle_to_gravity", "deg", "mean over the length; 0 grows straight down, 90 level"),
     Definition("angle_to_parent_deg", "angle_to_parent", "deg", "mean over the laterals, their first 5 mm against the parent there"),
