@@ -79,3 +79,17 @@ def test_several_plants_and_order_of_parents():
     found = arrange([TAP, LATERAL, other, line([30, 0, -10], [40, 0, -15], order=1, parent=2)])
     assert all(root.parent < index for index, root in enumerate(found))
     assert sorted(root.order for root in found) == [0, 0, 1, 1]
+
+
+def test_a_tip_is_seen_where_its_line_ends_though_the_line_began_as_another():
+    upper = Root(points_mm=TAP.points_mm[:41], diameters_mm=TAP.diameters_mm[:41], order=0, parent=-1)
+    aside = line([0, 0, -20], [10, 0, -26])
+    wrong = Root(
+        points_mm=np.concatenate([upper.points_mm, aside.points_mm[1:]]),
+        diameters_mm=np.concatenate([upper.diameters_mm, aside.diameters_mm[1:]]),
+        order=0,
+        parent=-1,
+        tip_seen=False,
+    )
+    rest = line([0, 0, -20], [0, 0, -40], diameter_mm=1.5, order=1, parent=0)
+    assert [(root.tip_seen, round(float(root.points_mm[-1, 0]))) for root in arrange([wrong, rest])] == [(True, 0), (False, 10)]

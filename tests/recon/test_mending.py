@@ -1,5 +1,7 @@
 """Pieces of roots are connected by their courses."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from recon import mending, tubes
@@ -148,3 +150,14 @@ def test_an_end_that_is_likely_none_is_joined_at_a_higher_price():
     assert len(mended.branches) == 3
     assert kept.all()
     assert len(mending.mend(_torn(gap_mm=2.0, aside_mm=1.5, frayed_mm=0.0), doubtful)[0].branches) == 4
+
+
+def test_nothing_is_hung_on_itself():
+    """A lateral comes round to its parent's tip head to head: were it the one to go on, nothing would hold either of them."""
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    lateral = line((5.0, 0.4, -10.5), (5.0, 0.4, -16.0), (20.0, 0.4, -16.0), (20.0, 0.1, -10.0), (14.5, 0.0, -10.0), step=0.5)
+    parent = line((0.5, 0.0, -10.0), (14.0, 0.0, -10.0), step=0.5)
+    system = _fork(trunk, lateral, parent, starts=(len(trunk) + len(lateral) + 8, 20))
+    mended, kept = mending.mend(replace(system, branches=tuple(system.branches[k] for k in (0, 2, 1))))
+    assert kept.all()
+    assert len(mended.branches) == 2

@@ -1,5 +1,7 @@
 """Tubes: strings of nodes, their volume, the pictures they cast, and how a fit finds them again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -197,6 +199,9 @@ def test_score_of_equal_and_of_shifted_roots():
     assert score.precision == 1.0
     assert score.radius_error_median == pytest.approx(0.25)
     assert score.tip_recall == 0.0
+    unseen = score_roots.compare_roots([root, replace(half, tip_seen=False)], [root])
+    assert (unseen.tips, unseen.tip_precision) == (1, 1.0)
+    assert unseen.length_error == pytest.approx(0.5, abs=0.01)
 
 
 def test_nothing_seen_gives_no_density():

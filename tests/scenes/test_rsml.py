@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -285,7 +286,8 @@ def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: s
         diameters = np.array(data.draw(st.lists(st.floats(1e-3, 20.0), min_size=n, max_size=n)))
         parent = data.draw(st.integers(-1, index - 1))
         order = roots[parent].order + 1 if parent >= 0 else 0
-        roots.append(Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=f'r{index} <&">ß'))
+        root = Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=f'r{index} <&">ß')
+        roots.append(replace(root, tip_seen=data.draw(st.booleans())))
     path = tmp_path_factory.mktemp("rsml") / "ours.rsml"
     write_rsml(path, roots)
     found = read_rsml(path)
@@ -295,7 +297,7 @@ def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: s
         other = by_label[root.label]
         np.testing.assert_array_equal(other.points_mm, root.points_mm)
         np.testing.assert_array_equal(other.diameters_mm, root.diameters_mm)
-        assert other.order == root.order
+        assert (other.order, other.tip_seen) == (root.order, root.tip_seen)
         assert (found[other.parent].label if other.parent >= 0 else None) == (roots[root.parent].label if root.parent >= 0 else None)
 
 
@@ -319,6 +321,11 @@ def test_written_file_has_the_schemas_form(tmp_path: Path) -> None:
     assert function is not None
     assert function.attrib == {"name": "diameter", "domain": "polyline"}
     assert [sample.attrib for sample in function] == [{"value": "0.5"}, {"value": "0.4"}]
+
+
+def test_the_tips_of_other_peoples_roots_are_tips(write: Write) -> None:
+    told = ('<properties><tip-seen value="true"/></properties>', "<properties><tip-seen/></properties>", "")
+    assert all(read_rsml(write(f"<root>{how}{LINE}{THICK}</root>"))[0].tip_seen for how in told)
 
 
 @pytest.mark.parametrize("parents", [(0,), (1, 0), (5,), (-2,)])

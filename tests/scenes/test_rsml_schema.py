@@ -23,7 +23,7 @@ TAP = Root(
     label='tap <&">ß',
 )
 LATERAL = Root(points_mm=np.array([[0.0, 0.1, -2.0], [5.0, 0.0, -2.0]]), diameters_mm=np.array([0.2, 0.1]), order=1, parent=0)
-SECOND = Root(points_mm=LATERAL.points_mm + 1.0, diameters_mm=LATERAL.diameters_mm, order=2, parent=1)
+SECOND = Root(points_mm=LATERAL.points_mm + 1.0, diameters_mm=LATERAL.diameters_mm, order=2, parent=1, tip_seen=False)
 
 
 @pytest.fixture
