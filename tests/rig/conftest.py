@@ -7,6 +7,9 @@ from functools import reduce
 
 import pytest
 
+from rig.marlin import MarlinLink
+from tests.rig.marlin_script import GREETING, Script, Talk
+
 Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
 Fault = Callable[[bytes], list[Piece]]
@@ -235,3 +238,14 @@ def serial_board(board: Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[Boar
     """Return a board that every serial port leads to."""
     monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: BoardSerial(board))
     return board
+
+
+@pytest.fixture
+def talk(make_board: Callable[..., Board]) -> Talk:
+    """Return a link that was started on a script."""
+    script = Script(make_board().clock, *GREETING)
+    link = MarlinLink(script)
+    link.start()
+    assert not script.steps
+    script.clock.at_s = 0.0
+    return Talk(script, link)

@@ -1,0 +1,292 @@
+"""Devices of a few lines each for the tests of the scan, and the world that they share."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from rig import kinematics
+from rig.devices import Shot
+from rig.errors import LostError
+from rig.open import Devices
+from rig.rig_file import ArmPart, RigFile
+from rig.scan import scan
+from rig.twin.sketch import Sketch
+from rig.twin.world import Sight
+from scenes import frames, plan
+from scenes.dataset import Dataset
+from scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+
+LENS = Camera(image_wh=(400, 300), focal_px=(650.0, 650.0), principal_px=(199.5, 149.5))
+STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)
+"""Fewer markers, which are read sooner."""
+SCENE = Scene(camera=LENS, strip=STRIP, plan=CapturePlan(rings=(Ring(views=4),)))
+BLIND = replace(SCENE, strip=replace(SCENE.strip, bottom_mm=400.0))
+"""Its strip is out of the picture."""
+
+
+ARM_ERROR_DEG = (0.0, 1.5, -2.0, 1.0, 1.5)
+"""By which the arm goes beside every place."""
+
+
+@dataclass
+class World:
+    """What the fakes share: what the table's mechanics, the lamps and the clock really do, and every call."""
+
+    scene: Scene = SCENE
+    table_true_deg: float = 77.0
+    counter_deg: float | None = None
+    """What the board believes; None after power-up."""
+    panel: float = 0.0
+    front: float = 0.0
+    now_s: float = 0.0
+    motor: bool = False
+    joints_deg: tuple[float, ...] | None = None
+    """Where the arm really is; None: the camera stands on a tripod where the first ring wants it."""
+    torque: bool = False
+    moved_s: float = 0.0
+    rested_s: float = 1e9
+    """Shortest rest of the arm before a picture."""
+    reset: bool = False
+    """Whether the board was reset since it was connected, which the driver notices at the next call."""
+    calls: list[str] = field(default_factory=list)
+    on_call: Callable[[str], None] = lambda _: None
+
+    def call(self, name: str) -> None:
+        """Note a call of a device, and let happen what is to happen at it."""
+        self.calls.append(name)
+        self.on_call(name)
+        if self.reset and name.startswith(("table", "lights")):
+            raise LostError("turntable: was reset")
+
+    def reset_unnoticed(self) -> None:
+        """Reset the board so that only its counter tells."""
+        self.reset_board()
+        self.reset = False
+
+    @property
+    def cam_from_rig(self) -> np.ndarray:
+        """Where the camera really stands."""
+        if self.joints_deg is not None:
+            return kinematics.cam_from_rig(ArmPart(), self.joints_deg)
+        ring = self.scene.plan.rings[0]
+        return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+
+    def lamps_out(self) -> None:
+        """Let the lamps go out."""
+        self.panel = self.front = 0.0
+
+    def reset_board(self) -> None:
+        """Let the board forget everything, the rotor jump and the lamps go out."""
+        self.reset = True
+        self.counter_deg, self.panel, self.front = None, 0.0, 0.0
+        self.table_true_deg += 2.6
+
+
+@dataclass
+class _FakeClock:
+    world: World
+
+    def now_s(self) -> float:
+        return self.world.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.world.now_s += max(0.0, seconds)
+
+
+@dataclass
+class _FakeTable:
+    world: World
+    closed: bool = False
+
+    def describe(self) -> str:
+        return "a fake board"
+
+    def prepare(self) -> None:
+        self.world.reset = False
+        self.world.call("table.prepare")
+        self.world.motor = True
+
+    def position_deg(self) -> float:
+        self.world.call("table.position")
+        return -360.0 if self.world.counter_deg is None else self.world.counter_deg
+
+    def declare(self, angle_deg: float) -> None:
+        self.world.call("table.declare")
+        self.world.counter_deg = angle_deg
+
+    def knows_zero(self) -> bool:
+        self.world.call("table.knows")
+        return self.world.counter_deg is not None
+
+    def move_to(self, angle_deg: float) -> float:
+        self.world.call("table.move")
+        if self.world.counter_deg is None:
+            return angle_deg - 360.0
+        self.world.table_true_deg += angle_deg - self.world.counter_deg
+        self.world.counter_deg = angle_deg
+        self.world.now_s += 0.3
+        return angle_deg
+
+    def release(self) -> None:
+        self.world.call("table.release")
+        self.world.motor = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class _FakeLights:
+    world: World
+
+    def set(self, *, panel: float, front: float) -> None:
+        self.world.call("lights.set")
+        self.world.panel, self.world.front = panel, front
+
+    def off(self) -> None:
+        self.world.call("lights.off")
+        self.world.panel = self.world.front = 0.0
+
+
+@dataclass
+class _FakeCamera:
+    world: World
+
+    def describe(self) -> str:
+        return "a fake camera"
+
+    def prepare(self) -> None:
+        self.world.call("camera.prepare")
+
+    def capture(self) -> Shot:
+        self.world.call("camera.capture")
+        self.world.now_s += 0.01
+        world = self.world
+        world.rested_s = min(world.rested_s, world.now_s - world.moved_s)
+        return Shot(
+            image=drawn(world.scene, world.cam_from_rig.tobytes(), round(world.table_true_deg % 360.0, 6), world.panel, world.front),
+            exposure_s=0.01,
+            gain=1.0,
+        )
+
+    def close(self) -> None:
+        self.world.call("camera.close")
+
+
+@dataclass
+class _FakeArm:
+    """Goes beside every place by the same error."""
+
+    world: World
+    error_deg: tuple[float, ...] = ARM_ERROR_DEG
+    settled: bool = True
+
+    def describe(self) -> str:
+        return "a fake arm"
+
+    def prepare(self) -> None:
+        self.world.call("arm.prepare")
+        self.world.torque = True
+
+    def read_joints(self) -> tuple[float, ...]:
+        self.world.call("arm.read")
+        return tuple(a - b for a, b in zip(self.world.joints_deg, self.error_deg, strict=True))
+
+    def holds(self) -> bool:
+        self.world.call("arm.holds")
+        return self.world.torque
+
+    def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
+        self.world.call("arm.move")
+        assert self.world.torque
+        self.world.joints_deg = tuple(round(a / 0.24) * 0.24 + b for a, b in zip(joints_deg, self.error_deg, strict=True))
+        self.world.now_s += 2.0
+        self.world.moved_s = self.world.now_s
+        return self.read_joints()
+
+    def health(self) -> None:
+        self.world.call("arm.health")
+
+    def relax(self) -> None:
+        self.world.call("arm.relax")
+        self.world.torque = False
+
+    def close(self) -> None:
+        self.world.call("arm.close")
+
+
+@cache
+def sketch(scene: Scene) -> Sketch:
+    return Sketch(scene, distortion=scene.camera.distortion, canister_from_strip=np.eye(4))
+
+
+@cache
+def drawn(scene: Scene, camera: bytes, table_deg: float, panel: float, front: float) -> np.ndarray:
+    """Draw the strip before the panel."""
+    canister = plan.rig_from_table(scene, table_deg)
+    cam_from_rig = np.frombuffer(camera).reshape(4, 4)
+    sight = Sight(cam_from_rig=cam_from_rig, rig_from_canister=canister, table_deg=table_deg, panel=panel, front=front)
+    return sketch(scene).picture(sight)
+
+
+def devices(world: World) -> Devices:
+    with_arm = world.joints_deg is not None
+    return Devices(
+        rig=RigFile(arm=ArmPart() if with_arm else None),
+        clock=_FakeClock(world),
+        table=_FakeTable(world),
+        lights=_FakeLights(world),
+        camera=_FakeCamera(world),
+        arm=_FakeArm(world) if with_arm else None,
+        open_board=lambda: (_FakeTable(world), _FakeLights(world)),
+    )
+
+
+def run(world: World, folder: Path, *, said: list[str] | None = None, **options) -> Dataset:
+    return scan(devices(world), world.scene, folder, say=(said if said is not None else []).append, progress=False, **options)
+
+
+def angles(dataset: Dataset) -> list[float]:
+    return [frame.table_deg for frame in dataset.frames]
+
+
+def with_rings(*rings: Ring) -> Scene:
+    return replace(SCENE, plan=CapturePlan(rings=rings))
+
+
+def stop_at(number: int) -> Callable[[str], None]:
+    """Return what presses Ctrl-C at a call."""
+    left = [number]
+
+    def count(_: str) -> None:
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    return count
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Something that goes wrong once, at a call of a device."""
+
+    name: str
+    call: str
+    at: int
+    """Which of these calls."""
+    happens: Callable[[World], None]
+
+    def arm(self, world: World) -> None:
+        """Let it happen in a world."""
+        left = [self.at]
+
+        def on_call(name: str) -> None:
+            if name == self.call:
+                left[0] -= 1
+                if left[0] == 0:
+                    self.happens(world)
+
+        world.on_call = on_call
