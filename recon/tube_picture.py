@@ -43,7 +43,10 @@ _INTERPOLATION_VARIANCE = 0.1
 _LEAST_SPEED_PX = 0.3
 """A tube seen end-on (px/mm along its axis) shows no strip."""
 OUTLIER = 0.05
-"""Sum of squared differences over a profile, px, from which a view loses weight: something else is there."""
+"""Sum of squared differences over a profile, px, from which a view loses weight: something else is there.
+
+Only what the tubes leave uncovered counts: that may be another root. What they cover and the picture shows empty is wrong for certain.
+"""
 
 
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
@@ -307,7 +310,7 @@ def _profiles(
         c = dr.minimum(c, _FULLEST)
         visible = dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
         shift, width = shift * visible, width * visible
-        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, d * d)
+        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, dr.square(dr.maximum(d, 0.0)))
         sums = [total + term for total, term in zip(sums, terms, strict=True)]
     step = reach * (2.0 / (_PROFILE - 1))
     weight = step / (1.0 + sums.pop() * step / OUTLIER)
