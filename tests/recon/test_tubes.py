@@ -188,6 +188,21 @@ def test_touching_roots_share_their_width_evenly():
     assert np.abs(fitted.radius_mm / 0.25 - 1.0).max() < 0.06
 
 
+def test_what_a_tube_covers_in_vain_counts_in_full_and_what_it_lacks_little():
+    """Two roots of other widths than their tubes: too wide is wrong for certain, what is not covered may be another root."""
+    narrow, wide = strung(TRUNK, radius_mm=0.3), strung(TRUNK, radius_mm=0.6)
+
+    def pulled(true: tubes.Tubes, drawn: tubes.Tubes) -> np.ndarray:
+        seen = pictured(true)
+        at = seen.project(drawn.centre_mm)
+        depth = tube_picture.optical_depth(seen, drawn, at, 0.0)
+        return tube_picture.pull(seen, drawn, at, depth, tube_picture.unexplained(seen, depth), 0.0).gradient[5:-5, 3]
+
+    inward, outward = pulled(narrow, wide), pulled(wide, narrow)
+    assert inward.max() < 0.0 < outward.min()
+    assert -inward.mean() > 4.0 * outward.mean()
+
+
 def test_score_of_equal_and_of_shifted_roots():
     root = Root(points_mm=TRUNK, diameters_mm=np.full(len(TRUNK), 0.4), order=0, parent=-1)
     same = score_roots.compare_roots([root], [root])
