@@ -36,22 +36,27 @@ def test_a_right_tree_stays_as_it_is():
         np.testing.assert_array_equal(root.diameters_mm, original.diameters_mm)
 
 
-def test_the_thick_line_is_the_taproot():
-    upper = Root(points_mm=TAP.points_mm[:41], diameters_mm=TAP.diameters_mm[:41], order=0, parent=-1)
+def bent_aside(*, tip_seen: bool = True) -> list[Root]:
+    """Return a taproot that was traced on into a lateral, and what is left of it."""
     aside = line([0, 0, -20], [10, 0, -26])
     wrong = Root(
-        points_mm=np.concatenate([upper.points_mm, aside.points_mm[1:]]),
-        diameters_mm=np.concatenate([upper.diameters_mm, aside.diameters_mm[1:]]),
+        points_mm=np.concatenate([TAP.points_mm[:41], aside.points_mm[1:]]),
+        diameters_mm=np.concatenate([TAP.diameters_mm[:41], aside.diameters_mm[1:]]),
         order=0,
         parent=-1,
+        tip_seen=tip_seen,
     )
-    rest = line([0, 0, -20], [0, 0, -40], diameter_mm=1.5, order=1, parent=0)
-    tap, lateral = arrange([wrong, rest])
+    return [wrong, line([0, 0, -20], [0, 0, -40], diameter_mm=1.5, order=1, parent=0)]
+
+
+def test_the_thick_line_is_the_taproot():
+    traced = bent_aside()
+    tap, lateral = arrange(traced)
     assert tap.points_mm[-1] == pytest.approx([0.0, 0.0, -40.0])
     assert tap.diameters_mm.min() == 1.5
     assert lateral.diameters_mm.max() == 0.3
     assert (lateral.order, lateral.parent) == (1, 0)
-    assert length([tap, lateral]) == pytest.approx(length([wrong, rest]))
+    assert length([tap, lateral]) == pytest.approx(length(traced))
 
 
 def test_a_root_traced_from_its_tip_is_turned_round():
@@ -82,14 +87,5 @@ def test_several_plants_and_order_of_parents():
 
 
 def test_a_tip_is_seen_where_its_line_ends_though_the_line_began_as_another():
-    upper = Root(points_mm=TAP.points_mm[:41], diameters_mm=TAP.diameters_mm[:41], order=0, parent=-1)
-    aside = line([0, 0, -20], [10, 0, -26])
-    wrong = Root(
-        points_mm=np.concatenate([upper.points_mm, aside.points_mm[1:]]),
-        diameters_mm=np.concatenate([upper.diameters_mm, aside.diameters_mm[1:]]),
-        order=0,
-        parent=-1,
-        tip_seen=False,
-    )
-    rest = line([0, 0, -20], [0, 0, -40], diameter_mm=1.5, order=1, parent=0)
-    assert [(root.tip_seen, round(float(root.points_mm[-1, 0]))) for root in arrange([wrong, rest])] == [(True, 0), (False, 10)]
+    found = arrange(bent_aside(tip_seen=False))
+    assert [(root.tip_seen, round(float(root.points_mm[-1, 0]))) for root in found] == [(True, 0), (False, 10)]
