@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recon import turning
-from recon.tubes import COURSE_NODES, Index, Tubes, hanging_order
+from recon.tubes import COURSE_NODES, Index, Tubes, above, hanging_order
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -88,7 +88,7 @@ def mend(tubes: Tubes, doubtful: Mask | None = None) -> tuple[Tubes, Mask]:
                 continue
             tried = _changed(courses, branches, end, node, third, kind)
             now = _owner_now(owner, branches, tried, those)
-            if all(_hangs(tried, now, k) for k in those):
+            if all(above(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
                 branches, owner = tried, now
                 touched |= those
         if not touched:
@@ -341,17 +341,6 @@ def _owner_now(owner: Index, before: list[Index | None], after: list[Index | Non
             if nodes is not None:
                 now[nodes[k > 0 :]] = -1 if gone else k
     return now
-
-
-def _hangs(branches: list[Index | None], owner: Index, branch: int) -> bool:
-    """Tell whether a branch, if it is still there, hangs by its parents on the first."""
-    above: set[int] = set()
-    while branch > 0 and (nodes := branches[branch]) is not None:
-        if branch in above:
-            return False
-        above.add(branch)
-        branch = int(owner[nodes[0]])
-    return branch == 0 or not above
 
 
 def _parents_first(branches: list[Index | None], count: int) -> tuple[Index, ...]:

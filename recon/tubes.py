@@ -227,6 +227,20 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
     return owner
 
 
+def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
+    """Return a branch, that on which it hangs, and so on to the first (0); it ends before 0 where a parent is gone, or in a circle.
+
+    Parameters
+    ----------
+    owner : (N,) branch of each node, -1 where it is in none.
+    """
+    found: list[int] = []
+    while branch >= 0 and branch not in found and (nodes := branches[branch]) is not None:
+        found.append(branch)
+        branch = int(owner[nodes[0]]) if branch > 0 else -1
+    return found
+
+
 def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, list[int]]:
     """Return the branches that hang on each branch that bears any.
 

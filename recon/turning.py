@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.tubes import COURSE_NODES, Index, Tubes, children_of, owners
+from recon.tubes import COURSE_NODES, Index, Tubes, above, children_of, owners
 
 Array = NDArray[np.float64]
 
@@ -46,23 +46,13 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
             nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
             if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
                 continue
-            if not _hangs_on(branches, owner, parent, k):
+            if k not in above(branches, owner, int(owner[parent])):
                 branches[k] = np.concatenate([[parent], line[:0:-1]])
                 _find_ways(centre, branches, owner, way, k)
                 turned = True
         if not turned:
             break
     return branches
-
-
-def _hangs_on(branches: list[Index | None], owner: Index, node: int, branch: int) -> bool:
-    """Tell whether a node belongs to a branch or to one that, by its parents, hangs on it."""
-    k = int(owner[node])
-    while k > 0 and k != branch:
-        nodes = branches[k]
-        assert nodes is not None
-        k = int(owner[nodes[0]])
-    return k == branch
 
 
 def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:

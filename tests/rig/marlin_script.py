@@ -32,6 +32,7 @@ class Script:
         self.steps = list(steps)
         self.waiting: list[tuple[float, bytes]] = []
         self.interrupt = False
+        self.sent_s: list[float] = []
 
     def answer(self, *answers: Any) -> None:
         """Let the board say something."""
@@ -45,6 +46,7 @@ class Script:
     def write(self, data: bytes) -> None:
         """Demand the next line of the script."""
         assert self.steps, f"nothing more was to be sent, but {data!r} was"
+        self.sent_s.append(self.clock.now_s())
         wanted, answers = self.steps.pop(0)
         checksum = 0
         for byte in wanted.encode():
