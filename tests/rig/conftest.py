@@ -8,6 +8,7 @@ from functools import reduce
 import pytest
 
 from rig.marlin import MarlinLink
+from tests.rig.fake_time import Time
 from tests.rig.marlin_script import GREETING, Script, Talk
 
 Piece = tuple[float, bytes]
@@ -15,21 +16,6 @@ Piece = tuple[float, bytes]
 Fault = Callable[[bytes], list[Piece]]
 SPEED_DEG_PER_S = 30.0
 COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114, 115, 150, 154, 155, 211, 400, 410))}
-
-
-class Time:
-    """Time that passes only when somebody waits."""
-
-    def __init__(self) -> None:
-        self.at_s = 0.0
-
-    def now_s(self) -> float:
-        """Return the time."""
-        return self.at_s
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        self.at_s += max(seconds, 0.0)
 
 
 @dataclass

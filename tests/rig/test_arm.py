@@ -1,6 +1,6 @@
-"""The arm on servos that misbehave in every way that they can."""
+"""The arm's moves on a fake bus: what is sent, what is refused, every way a move may go wrong."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,223 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.arm import ServoArm, open_arm
-from rig.devices import Arm
 from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from rig.rig_file import ArmPart, Joint
-
-IDS = (6, 5, 4, 3, 2)
-PART = ArmPart(
-    joints=(
-        Joint(servo=6, min_deg=-90.0, max_deg=90.0),
-        Joint(servo=5, min_deg=-86.0, max_deg=91.0, sign=-1, zero_counts=510.0),
-        Joint(servo=4, min_deg=-88.0, max_deg=88.0),
-        Joint(servo=3, min_deg=-119.0, max_deg=119.0, zero_counts=490.0),
-        Joint(servo=2, min_deg=-112.0, max_deg=112.0),
-    ),
-    max_speed_deg_per_s=60.0,
-    tolerance_deg=3.0,
-)
-MIDDLE = (0.0, 0.0, 0.0, 0.0, 0.0)
-MIDDLE_COUNTS = {6: 500, 5: 510, 4: 500, 3: 490, 2: 500}
-COUNTS_PER_DEG = 1000.0 / 240.0
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.time_s = 0.0
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def sleep(self, seconds: float) -> None:
-        self.time_s += seconds
-
-
-class _Bus:
-    """Servos that run at uniform speed and do what the tests set; everything that changes something is in ``log``."""
-
-    least_move_s = 0.2
-
-    def __init__(self, clock: _Clock, *, tells: bool = True) -> None:
-        self.clock = clock
-        self.tells = tells
-        self.at: dict[int, float] = dict(MIDDLE_COUNTS)
-        self.on = dict.fromkeys(IDS, False)
-        self.celsius = dict.fromkeys(IDS, 30)
-        self.volt = 7.5
-        self.log: list[tuple[str, object]] = []
-        self.moves: list[tuple[dict[int, int], float]] = []
-        self.polled_in_motion = 0
-        self.lose_moves = 0
-        self.blocked: dict[int, float] = {}
-        self.drift: dict[int, float] = {}
-        self.sag: dict[int, int] = {}
-        self.fail: dict[str, RigError | KeyboardInterrupt] = {}
-        self.limp_on_move: int | None = None
-        self._from: dict[int, float] = {}
-        self._to: dict[int, float] = {}
-        self._began_s = self._ends_s = 0.0
-
-    def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        self._call("move", dict(targets))
-        assert 0.0 <= duration_s <= 30.0
-        assert all(0 <= counts <= 1000 for counts in targets.values())
-        self.moves.append((dict(targets), duration_s))
-        if self.lose_moves:
-            self.lose_moves -= 1
-            return
-        self._settle()
-        self._from = dict(self.at)
-        self._to = {servo: self.blocked.get(servo, counts) for servo, counts in targets.items()}
-        self._began_s, self._ends_s = self.clock.time_s, self.clock.time_s + duration_s
-        self.on = dict.fromkeys(IDS, True)
-        if self.limp_on_move is not None:
-            self.on[self.limp_on_move] = False
-            self._to[self.limp_on_move] = self.at[self.limp_on_move] - 60.0
-
-    def positions(self, ids: Collection[int]) -> dict[int, int]:
-        self._call("positions")
-        self.polled_in_motion += self.clock.time_s < self._ends_s - 1e-9
-        self._settle()
-        for servo, counts_per_read in self.drift.items():
-            self.at[servo] += counts_per_read
-        return {servo: round(self.at[servo]) + self.sag.get(servo, 0) for servo in ids}
-
-    def voltage_v(self, ids: Collection[int]) -> float:
-        assert tuple(ids) == IDS
-        return self.volt
-
-    def temperatures_c(self, ids: Collection[int]) -> dict[int, int] | None:
-        return {servo: self.celsius[servo] for servo in ids} if self.tells else None
-
-    def loaded(self, ids: Collection[int]) -> dict[int, bool] | None:
-        return {servo: self.on[servo] for servo in ids} if self.tells else None
-
-    def load(self, ids: Collection[int], on: bool) -> None:
-        self._call("load", on)
-        self.on.update(dict.fromkeys(ids, on))
-
-    def stop(self, ids: Collection[int]) -> None:
-        self._call("stop", tuple(ids))
-        self._settle()
-        self._to = {}
-
-    def describe(self) -> str:
-        return "servos"
-
-    def close(self) -> None:
-        self._call("close")
-
-    def names(self) -> list[str]:
-        return [name for name, _ in self.log if name != "positions"]
-
-    def _call(self, name: str, what: object = None) -> None:
-        self.log.append((name, what))
-        if name in self.fail:
-            raise self.fail[name]
-
-    def _settle(self) -> None:
-        duration_s = self._ends_s - self._began_s
-        part = 1.0 if duration_s <= 0.0 else min((self.clock.time_s - self._began_s) / duration_s, 1.0)
-        for servo, to in self._to.items():
-            self.at[servo] = self._from[servo] + (to - self._from[servo]) * part
-
-
-def arm_and_bus(*, tells: bool = True, prepared: bool = True, part: ArmPart = PART) -> tuple[ServoArm, _Bus]:
-    clock = _Clock()
-    bus = _Bus(clock, tells=tells)
-    arm = ServoArm(bus, part, clock)
-    if prepared:
-        arm.prepare()
-        bus.log.clear()
-        bus.moves.clear()
-    return arm, bus
-
-
-BOTH = pytest.mark.parametrize("tells", [True, False], ids=["tells torque", "cannot tell"])
-
-
-def test_satisfies_the_protocol() -> None:
-    arm: Arm = arm_and_bus()[0]
-    assert arm.describe()
-
-
-# ---------------------------------------------------------------------------------------------------------------- preparing
-
-
-@BOTH
-def test_prepare_commands_the_present_place_before_the_torque(tells: bool) -> None:
-    arm, bus = arm_and_bus(tells=tells, prepared=False)
-    bus.at = {6: 437.0, 5: 520.0, 4: 611.0, 3: 480.0, 2: 502.0}
-    present = {servo: round(at) for servo, at in bus.at.items()}
-    arm.prepare()
-    assert [(name, what) for name, what in bus.log if name != "positions"] == [("move", present), ("load", True)]
-    assert bus.moves[0][1] >= 1.0
-    assert bus.at == present
-    assert arm.holds()
-
-
-@pytest.mark.parametrize(
-    ("servo", "counts", "says"),
-    [
-        (4, -3, r"elbow \(servo 4\) stands at -120\.7 deg \(-3 counts\).*by hand"),
-        (4, 1004, r"elbow \(servo 4\).*1004 counts"),
-        (6, 60, r"base \(servo 6\) stands at -105\.6 deg.*-90 to 90 deg"),
-    ],
-)
-def test_prepare_refuses_a_servo_that_stands_where_it_may_not(servo: int, counts: int, says: str) -> None:
-    arm, bus = arm_and_bus(prepared=False)
-    bus.at[servo] = counts
-    with pytest.raises(UnsafeError, match=says):
-        arm.prepare()
-    assert bus.names() == []
-    assert not arm.holds()
-
-
-def test_prepare_accepts_a_joint_that_sagged_just_beyond_its_limit() -> None:
-    arm, bus = arm_and_bus(prepared=False)
-    bus.at[6] = 500 + 92 * COUNTS_PER_DEG
-    arm.prepare()
-    assert arm.holds()
-
-
-@pytest.mark.parametrize(("volt", "shown"), [(6.4, "6.40 V"), (8.6, "8.60 V")])
-def test_prepare_refuses_a_wrong_supply(volt: float, shown: str) -> None:
-    arm, bus = arm_and_bus(prepared=False)
-    bus.volt = volt
-    with pytest.raises(UnsafeError, match=rf"{shown}, outside 6\.5 to 8\.4 V"):
-        arm.prepare()
-    assert bus.log == []
-
-
-def test_prepare_refuses_an_arm_that_is_being_moved() -> None:
-    arm, bus = arm_and_bus(prepared=False)
-    bus.drift = {4: 2.0}
-    with pytest.raises(UnsafeError, match=r"elbow .* does not come to rest"):
-        arm.prepare()
-    assert bus.names() == []
-
-
-@BOTH
-def test_prepare_stops_when_a_joint_leaves_its_place(tells: bool) -> None:
-    arm, bus = arm_and_bus(tells=tells, prepared=False)
-    bus.blocked = {5: 550.0}
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) went from 0\.0 to -9\.6 deg"):
-        arm.prepare()
-    assert bus.names()[-1] == "stop"
-    assert not arm.holds()
-
-
-def test_prepare_names_a_servo_whose_torque_stays_off() -> None:
-    arm, bus = arm_and_bus(prepared=False)
-    bus.load = lambda ids, on: bus.on.update({3: False})  # type: ignore[method-assign] # noqa: ARG005
-    with pytest.raises(LostError, match=r"wrist pitch \(servo 3\) has lost its torque"):
-        arm.prepare()
-    assert not arm.holds()
-
-
-# ---------------------------------------------------------------------------------------------------------------- moving
+from tests.rig.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, arm_and_bus
 
 
 @BOTH
@@ -358,7 +143,7 @@ def test_an_arm_that_still_creeps_when_its_time_is_over_is_waited_for() -> None:
     clock = bus.clock
 
     def late(seconds: float) -> None:
-        clock.time_s += seconds if seconds < 0.2 else seconds - 0.5
+        clock.at_s += seconds if seconds < 0.2 else seconds - 0.5
 
     clock.sleep = late  # type: ignore[method-assign]
     np.testing.assert_allclose(arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0)), (60.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
@@ -390,9 +175,6 @@ def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError |
     assert raised.value is error
     assert bus.log[-1] == ("stop", IDS)
     assert bus.names().count("stop") == 1
-
-
-# ---------------------------------------------------------------------------------------------------------------- health
 
 
 def test_torque_lost_on_the_way_is_told_as_such() -> None:
@@ -427,86 +209,3 @@ def test_where_torque_cannot_be_read_a_fallen_joint_tells_it() -> None:
     assert bus.moves == []
     arm.prepare()
     arm.move_to(MIDDLE)
-
-
-def test_health_watches_temperature_supply_and_torque() -> None:
-    arm, bus = arm_and_bus()
-    arm.health()
-    bus.celsius[3] = 66
-    with pytest.raises(UnsafeError, match=r"wrist pitch \(servo 3\) is at 66 °C, above 65 °C"):
-        arm.health()
-    bus.celsius[3] = 65
-    bus.volt = 6.0
-    with pytest.raises(UnsafeError, match=r"6\.00 V"):
-        arm.health()
-    bus.volt = 7.0
-    bus.on[6] = False
-    with pytest.raises(LostError, match=r"base \(servo 6\)"):
-        arm.health()
-
-
-def test_health_of_a_limp_arm_is_no_matter_of_torque() -> None:
-    arm, bus = arm_and_bus()
-    arm.relax()
-    arm.health()
-    assert not any(bus.on.values())
-
-
-def test_a_servo_that_grew_too_warm_on_the_way_is_the_cause_that_is_told() -> None:
-    arm, bus = arm_and_bus()
-    bus.limp_on_move = 5
-    bus.celsius[5] = 86
-    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) is at 86 °C"):
-        arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def test_describe_tells_voltage_and_the_warmest_servo() -> None:
-    arm, bus = arm_and_bus()
-    bus.celsius[4] = 41
-    assert arm.describe() == "servos, 5 servos, 7.5 V, warmest elbow (servo 4) 41 °C"
-    assert arm_and_bus(tells=False)[0].describe() == "servos, 5 servos, 7.5 V, temperatures unknown"
-
-
-# ---------------------------------------------------------------------------------------------------------------- on the wire
-
-
-class _Wire:
-    """A line on which nothing answers; keeps what was written."""
-
-    def __init__(self) -> None:
-        self.clock = _Clock()
-        self.sent = b""
-        self.closed = False
-
-    def write(self, data: bytes) -> None:
-        self.sent += data
-
-    def read(self, timeout_s: float) -> bytes:
-        self.clock.sleep(timeout_s)
-        return b""
-
-    def discard_input(self) -> None:
-        pass
-
-    def close(self) -> None:
-        self.closed = True
-
-
-@pytest.mark.parametrize(
-    ("part", "first_frame", "says"),
-    [
-        (replace(PART, protocol="lx"), "55 55 06 03 1c da", "servo 6 does not answer"),
-        (replace(PART, protocol="lx", echo="yes"), "55 55 06 03 1c da", "adapter's echo"),
-        (replace(PART, protocol="lsc"), "55 55 08 15 05 06 05 04 03 02", "board does not answer"),
-    ],
-    ids=["lx", "lx with echo", "lsc"],
-)
-def test_open_arm_talks_the_protocol_of_the_rig_file(part: ArmPart, first_frame: str, says: str) -> None:
-    wire = _Wire()
-    arm = open_arm(wire, part, wire.clock)
-    assert wire.sent == b""
-    with pytest.raises(NoAnswerError, match=says):
-        arm.read_joints()
-    assert wire.sent.startswith(bytes.fromhex(first_frame))
-    arm.close()
-    assert wire.closed
