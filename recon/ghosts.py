@@ -32,7 +32,7 @@ _LONG_MM, _TIP_NODES = 8.0, 5
 """The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
 """A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
-_CERTAIN = 0.15
+_CERTAIN = 0.13
 """With less evidence a tip is none: here as many true ones are lost as false ones stay (see docs/decisions/tubes-for-thin-roots.md)."""
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import median_filter
 from scipy.sparse.linalg import spsolve
 
 from recon import tube_picture
@@ -77,7 +76,7 @@ def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tu
     hessian[fixed] += _STIFF * np.eye(4)
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
-    step = spsolve((blocks + prior).tocsc(), pull.gradient.ravel() - prior @ state).reshape(count, 4)
+    step = spsolve((blocks + prior).tocsc(), pull.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = 0.3 * tubes.radius_mm + 0.01
@@ -93,10 +92,13 @@ def _even(tubes: Tubes) -> Array:
 
 def _typical(tubes: Tubes) -> Array:
     """Return the median radius (N,) of each node's stretch of its branch."""
+    line, first, last = tubes.strung
+    first = first + (first > 0)  # a branch's first node has its parent's radius
+    own = np.arange(len(line))
+    own = own[own >= first]
+    stretch = own[:, None] + np.arange(_STRETCH_NODES) - _STRETCH_NODES // 2
     typical = tubes.radius_mm.copy()
-    for k in range(len(tubes.branches)):
-        own = tubes.own(k)
-        typical[own] = median_filter(tubes.radius_mm[own], size=_STRETCH_NODES, mode="nearest")
+    typical[line[own]] = np.median(tubes.radius_mm[line[np.clip(stretch, first[own][:, None], last[own][:, None])]], axis=1)
     return typical
 
 

@@ -53,11 +53,12 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
     a, b = tubes.segments.T
     first, second = at.px[:, a], at.px[:, b]
-    length = np.linalg.norm(second - first, axis=-1)
-    along = (second - first) / np.maximum(length, 1e-6)[..., None]
-    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    half = [
-        tubes.radius_mm[end] * np.linalg.norm(normal[..., :1] * at.du[:, end] + normal[..., 1:] * at.dv[:, end], axis=-1) for end in (a, b)
+    length = np.sqrt(np.einsum("vsi,vsi->vs", second - first, second - first))
+    t_u, t_v = np.moveaxis(second - first, -1, 0) / np.maximum(length, 1e-6)
+    column, row, both = (np.einsum("vni,vni->vn", p, q) for p, q in ((at.du, at.du), (at.dv, at.dv), (at.du, at.dv)))
+    half = [  # across the segment the scale is that of t_u dv - t_v du
+        tubes.radius_mm[end] * np.sqrt(np.maximum(t_u**2 * row[:, end] + t_v**2 * column[:, end] - 2.0 * t_u * t_v * both[:, end], 0.0))
+        for end in (a, b)
     ]
     strips = _ends(evidence, tubes, at)
     reach = np.maximum(*half)[..., None] + _MARGIN_PX
@@ -73,7 +74,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     def whole(values: NDArray[Any]) -> Any:
         return wholes(values[drawn])
 
-    x, y, t_x, t_y, reach_px = number(first[..., 0]), number(first[..., 1]), number(along[..., 0]), number(along[..., 1]), number(length)
+    x, y, t_x, t_y, reach_px = number(first[..., 0]), number(first[..., 1]), number(t_u), number(t_v), number(length)
     if strips is None:
         edges, heights = [(number(half[0]), number(half[1]))], None
     else:
@@ -226,11 +227,11 @@ def sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.b
     used : (V, N) whether the node is seen, and not end-on.
     """
     tangent = tubes.tangents
-    t_u, t_v = (at.du * tangent).sum(axis=-1), (at.dv * tangent).sum(axis=-1)
+    t_u, t_v = (np.einsum("vni,ni->vn", slope, tangent) for slope in (at.du, at.dv))
     speed = np.hypot(t_u, t_v)
     normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
     across = at.across(normal)
-    return across, normal, np.linalg.norm(across, axis=-1), at.seen & (speed > _LEAST_SPEED_PX)
+    return across, normal, np.sqrt(np.einsum("vni,vni->vn", across, across)), at.seen & (speed > _LEAST_SPEED_PX)
 
 
 def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:

@@ -49,6 +49,13 @@ class Tubes:
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
+    def strung(self) -> tuple[Index, Index, Index]:
+        """Return the nodes (M,) of all branches in a row, and the places (M,) in it where each one's branch begins and ends."""
+        count = np.array([len(branch) for branch in self.branches])
+        end = np.cumsum(count)
+        return np.concatenate(self.branches), np.repeat(end - count, count), np.repeat(end - 1, count)
+
+    @property
     def owner(self) -> Index:
         """Return the branch (N,) that each node belongs to."""
         owner = np.zeros(len(self.centre_mm), np.int64)
@@ -59,10 +66,12 @@ class Tubes:
     @property
     def tangents(self) -> Array:
         """Return unit vectors (N, 3) along the branches, towards their tips."""
+        line, first, last = self.strung
+        place = np.arange(len(line))
+        slope = self.centre_mm[line[np.minimum(place + 1, last)]] - self.centre_mm[line[np.maximum(place - 1, first)]]
+        own = (place > first) | (first == 0)
         tangent = np.zeros_like(self.centre_mm)
-        for k, branch in enumerate(self.branches):
-            slope = np.gradient(self.centre_mm[branch], axis=0)
-            tangent[self.own(k)] = slope if k == 0 else slope[1:]
+        tangent[line[own]] = slope[own]
         return np.asarray(tangent / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12))
 
     def radii(self, branch: int) -> Array:
