@@ -175,7 +175,16 @@ def bright_enough(background: Image, inside: Mask) -> Mask:
 def estimate_single(image: Image, inside: Mask) -> Image:
     """Estimate the empty backlight of one picture from itself: dark things up to 31 px wide are closed, wider ones bridged.
 
-    For cameras that moved from view to view. Parameters and result as in `estimate`.
+    For cameras that moved from view to view.
+
+    Parameters
+    ----------
+    image : (H, W) one picture, linear in light.
+    inside : (H, W) pixels that look through the water.
+
+    Returns
+    -------
+    background : (H, W) in the scale of the image.
     """
     closed = cv2.morphologyEx(
         np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))

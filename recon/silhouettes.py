@@ -149,7 +149,7 @@ _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
 def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
 
-    Where the picture says nothing, and within half a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as inside.
+    Where the picture says nothing, and within a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as inside.
     Sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)

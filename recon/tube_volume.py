@@ -25,7 +25,7 @@ _MOST_REACH_MM = 1.0
 _SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 _SLACK_PX = 0.05
-"""Uncertainty of a tube's radius that the volume's interval allows for."""
+"""Uncertainty of a tube's radius that the volume's bounds allow for."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 DATASET/  dataset.json   this module's `Dataset`
           images/*.png   one a frame, named by the frame
-          truth/         only from sim; see `scenes.truth`
+          truth/         only from sim and the rendered twin; see `scenes.truth`
 """
 
 import hashlib

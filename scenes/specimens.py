@@ -27,7 +27,7 @@ class RsmlSpecimen:
 
     file: str
     unit: str | None = None
-    """mm, cm, m, inch; None: as the file's metadata say (refused when they do not)."""
+    """mm, cm, m, um, inch, or a step such as "0.1 mm"; None: as the file's metadata say (refused when they do not)."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
     """Diameter of every root where the file gives none; None: refuse such a file."""
 

@@ -1,6 +1,6 @@
 """The rig as a Mitsuba scene, in the canister's frame and in millimetres: one surface for every optical interface.
 
-The canister stands still; camera and lights move round it, so that turning the table rebuilds nothing but three rectangles.
+The canister stands still; camera and lights move round it, so that turning the table rebuilds nothing but two rectangles.
 """
 
 from __future__ import annotations
