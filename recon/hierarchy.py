@@ -28,7 +28,10 @@ _TOUCH_MM = 1.0
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
-    """Return the same centre lines with other bases, orders and parents; parents before children."""
+    """Return the same centre lines with other bases, orders and parents; parents before children.
+
+    Where a root goes on in a lateral that only began near it, a straight piece joins the two.
+    """
     turned = list(roots)
     for index in range(len(turned)):
         _turn(turned, index)
@@ -55,7 +58,8 @@ def _turn(roots: list[Root], index: int) -> None:
         if away.min() < least_mm and _onward(candidate, backward) > 0.0:
             best, least_mm = other, float(away.min())
     if best >= 0:
-        roots[index] = replace(root, points_mm=backward.copy(), diameters_mm=root.diameters_mm[::-1].copy(), parent=best)
+        # its tip is what was taken for its base, and nobody has doubted that
+        roots[index] = replace(root, points_mm=backward.copy(), diameters_mm=root.diameters_mm[::-1].copy(), parent=best, tip_seen=True)
 
 
 def _move_up(roots: list[Root]) -> None:
@@ -100,6 +104,15 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
     for index, root in enumerate(roots):
         if root.parent >= 0:
             leaving.setdefault((root.parent, _nearest(roots[root.parent], root.points_mm[0])), []).append(index)
+
+    def meeting(line: int, at: int) -> list[int]:
+        """Return the lines that leave from a point, and those that leave from their bases there."""
+        found = list(leaving.get((line, at), []))
+        for k in found:  # which grows on the way
+            if np.array_equal(roots[k].points_mm[0], roots[line].points_mm[at]):
+                found += leaving.get((k, 0), [])
+        return found
+
     made: list[Root] = []
     # (line, its next point, new parent, points and diameters that it begins with)
     begun: list[tuple[int, int, int, list[_Point]]] = []
@@ -110,7 +123,7 @@ def _rejoin(roots: Sequence[Root]) -> list[Root]:
         while at < len(roots[line].points_mm):
             here = (roots[line].points_mm[at], float(roots[line].diameters_mm[at]))
             path.append(here)
-            line, at, others = _fork(roots, line, at, leaving.get((line, at), []))
+            line, at, others = _fork(roots, line, at, meeting(line, at))
             begun += [(k, first, number, [(here[0], _own_diameter(roots[k], first))] if first else []) for k, first in others[::-1]]
         order = made[parent].order + 1 if parent >= 0 else 0
         points, diameters = np.stack([point for point, _ in path]), np.array([diameter for _, diameter in path])

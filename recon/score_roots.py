@@ -59,9 +59,14 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
         radius_error_median=float(np.median(ratio)) - 1.0 if near.any() else float("nan"),
         tips=len(tips),
         tips_true=len(true_tips),
-        tip_recall=float((cKDTree(tips).query(true_tips)[0] < TIP_MM).mean()),
-        tip_precision=float((cKDTree(true_tips).query(tips)[0] < TIP_MM).mean()),
+        tip_recall=_near_share(true_tips, tips),
+        tip_precision=_near_share(tips, true_tips),
     )
+
+
+def _near_share(these: Array, others: Array) -> float:
+    """Return the share of tips (A, 3) with one of the others (B, 3) within `TIP_MM`; 0 where there are none."""
+    return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0
 
 
 def _length(roots: Sequence[Root]) -> float:

@@ -151,7 +151,7 @@ def _budget(
     """Gather what every part of the shape leaves open."""
     half, found = 0.0, None
     if system is None:
-        half = solid_doubt.half_excess(carved.bank, carved.maps, carved.hull, trimmed, carved.water)
+        half = solid_doubt.half_excess(carved.bank, carved.sights.frames, carved.maps, carved.hull, trimmed, carved.water)
     else:
         found = tube_doubt.doubt(system.seen, system)
     terms = (

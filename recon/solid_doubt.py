@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import drjit as dr
@@ -73,11 +74,15 @@ def doubt(hull: Hull, trimmed: Trimmed, *, share: float, slack_px: float, half_e
     )
 
 
-def half_excess(bank: ViewBank, maps: DistanceMaps, hull: Hull, trimmed: Trimmed, water: Water) -> float:
+def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, trimmed: Trimmed, water: Water) -> float:
     """Return by how much a hull grows, as a share, when every other view carves it; 0 where little of it is kept.
 
     A flat face that no view looks along is bounded by the two views beside: its excess goes with one over the number of views, so that
     what half of the views add is what all of them have too much. (Round bodies' goes with its square: a third of that.)
+
+    Parameters
+    ----------
+    frames : number of each view's frame, which rise round the turn.
     """
     if trimmed.kept_mm3 < _MUCH_KEPT * trimmed.leaves.volume_mm3():
         return 0.0
@@ -85,7 +90,7 @@ def half_excess(bank: ViewBank, maps: DistanceMaps, hull: Hull, trimmed: Trimmed
     low = np.asarray(fine.origin_mm)
     high = low + np.array(fine.coarse_shape) * fine.size_mm * 2**fine.levels
     grid = Grid.over(low, high, fine.size_mm * _COARSER)
-    every_other = list(range(0, bank.count, 2))
+    every_other = every_second(frames)
     half_maps = replace(maps, values=mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()))
     volumes = [
         carve.carve(
@@ -100,6 +105,11 @@ def half_excess(bank: ViewBank, maps: DistanceMaps, hull: Hull, trimmed: Trimmed
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
+
+
+def every_second(frames: Sequence[int]) -> list[int]:
+    """Return the places, rising, of every other frame in the order of their numbers."""
+    return sorted(np.argsort(frames)[::2].tolist())
 
 
 def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
@@ -127,9 +137,9 @@ def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wate
 
 
 def water(volume_mm3: float) -> Term:
-    """Return what the water's index leaves open: it is not found from the pictures."""
+    """Return what the water's index leaves open: what a thermometer or the pictures do not tell."""
     half = _INDEX * volume_mm3
-    return Term(name="water", less_mm3=half, more_mm3=half, why="the water's index is taken to be pure water's")
+    return Term(name="water", less_mm3=half, more_mm3=half, why="the water's index may differ from the one that was used")
 
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:

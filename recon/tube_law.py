@@ -246,7 +246,7 @@ def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _
     at = np.log(ratio) * np.array([-1.0, 0.0, 1.0])
     bend, slope, level = np.polyfit(at, loss.sum(axis=(1, 2)), 2)
     if bend <= 0.0:
-        return _Least(mu_per_mm * ratio**best, blur_px, trial(best).cost, np.inf)
+        return _Least(mu_per_mm * ratio**best, blur_px, trial(best).cost, float(np.log(_DARKEST / _FAINTEST)))  # anything that was tried
     off = float(np.clip(-slope / (2.0 * bend), at[0], at[-1]))
     # sandwich: the slope at the least that every root and every view has by itself
     variance = 0.0

@@ -57,8 +57,8 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     t_u, t_v = np.moveaxis(second - first, -1, 0) / np.maximum(length, 1e-6)
     column, row, both = (np.einsum("vni,vni->vn", p, q) for p, q in ((at.du, at.du), (at.dv, at.dv), (at.du, at.dv)))
     half = [  # across the segment the scale is that of t_u dv - t_v du
-        tubes.radius_mm[end] * np.sqrt(np.maximum(t_u**2 * row[:, end] + t_v**2 * column[:, end] - 2.0 * t_u * t_v * both[:, end], 0.0))
-        for end in (a, b)
+        radius_mm * np.sqrt(np.maximum(t_u**2 * row[:, end] + t_v**2 * column[:, end] - 2.0 * t_u * t_v * both[:, end], 0.0))
+        for radius_mm, end in zip(tubes.segment_radii, (a, b), strict=True)
     ]
     strips = _ends(evidence, tubes, at)
     reach = np.maximum(*half)[..., None] + _MARGIN_PX
@@ -126,7 +126,8 @@ def _ends(evidence: Evidence, tubes: Tubes, at: Nodes) -> list[Strips] | None:
     a, b = tubes.segments.T
     way = tubes.centre_mm[b] - tubes.centre_mm[a]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    return [seen_from(evidence.mu_per_mm, tubes.radius_mm[end], at.of(end).sine(way)) for end in (a, b)]
+    radii = zip(tubes.segment_radii, (a, b), strict=True)
+    return [seen_from(evidence.mu_per_mm, radius_mm, at.of(end).sine(way)) for radius_mm, end in radii]
 
 
 def unexplained(evidence: Evidence, depth: Any) -> Any:

@@ -20,8 +20,8 @@ _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _LEAST_SAMPLES = 6
 _DENSE_MM = 0.15
 _NEAR = 24
-_MOST_REACH_MM = 1.0
-"""Thicker roots than half of this are no tubes: the trimmed hull gives their shape."""
+_THICK_MM = 0.5
+"""Tubes of more than this radius are few: they are looked up by themselves."""
 _SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 _SLACK_PX = 0.05
@@ -49,7 +49,7 @@ def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Fi
     """
     a, b = tubes.segments.T
     branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
-    r_a, r_b = (np.concatenate([tubes.radii(k)[part] for k in range(len(tubes.branches))]) for part in (np.s_[:-1], np.s_[1:]))
+    r_a, r_b = tubes.segment_radii
     if left_out is not None:
         stays = ~(left_out[a] & left_out[b])
         a, b, r_a, r_b, branch = a[stays], b[stays], r_a[stays], r_b[stays], branch[stays]
@@ -92,20 +92,25 @@ def _in_earlier(tubes: Tubes, point: Array, branch: Index) -> Mask:
     if not len(point):
         return inside
     # only points near two branches need a closer look: those whose node's neighbourhood holds another branch
-    tree = cKDTree(centre)
-    reach = min(2.0 * float(np.quantile(radius, 0.99)) + 2.0 * _DENSE_MM, _MOST_REACH_MM)
+    tree, thick = cKDTree(centre), radius > _THICK_MM
+    reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
     mixed = np.zeros(len(centre), bool)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
     mixed[pairs.ravel()] = True
-    nearest = tree.query(point, workers=-1)[1]
-    doubted = np.flatnonzero(mixed[nearest])
-    if len(doubted):
-        widest = float(radius.max())
-        distance, near = tree.query(point[doubted], k=min(_NEAR, len(centre)), distance_upper_bound=widest, workers=-1)
-        near = np.minimum(near, len(centre) - 1)  # farther ones come as infinitely far
-        covered = (distance < radius[near]) & (owner[near] < branch[doubted][:, None])
-        inside[doubted] = covered.any(axis=1)
+    if thick.any():
+        close = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
+        one, other = np.flatnonzero(thick)[close["i"]], close["j"]
+        touch = (close["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
+        mixed[one[touch]] = mixed[other[touch]] = True
+    doubted = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]])
+    for part in (thick, ~thick):
+        if not part.any() or not len(doubted):
+            continue
+        tree, width, before = cKDTree(centre[part]), radius[part], owner[part]
+        distance, near = tree.query(point[doubted], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
+        near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
+        inside[doubted] |= ((distance < width[near]) & (before[near] < branch[doubted][:, None])).any(axis=1)
     return inside
 
 

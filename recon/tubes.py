@@ -44,6 +44,15 @@ class Tubes:
         """Return the pairs of nodes (S, 2) that a tube joins."""
         return np.concatenate([np.stack([b[:-1], b[1:]], axis=1) for b in self.branches])
 
+    @property
+    def segment_radii(self) -> tuple[Array, Array]:
+        """Return the radii (S,) with which each segment begins and ends; a branch's first one is as thick as its second node."""
+        a, b = self.segments.T
+        begin, end = self.radius_mm[a], self.radius_mm[b]
+        first = np.cumsum([len(branch) - 1 for branch in self.branches[:-1]], dtype=np.int64)
+        begin[first] = end[first]
+        return begin, end
+
     def own(self, branch: int) -> Index:
         """Return the nodes of a branch that are not its parent's."""
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
@@ -102,7 +111,7 @@ class Tubes:
         for k in range(len(self.branches) - 1, -1, -1):  # children before parents
             own = self.own(k)
             kept = np.flatnonzero(stays[own])
-            last = kept[-1] + 1 if len(kept) else 2 * (k == 0)  # the first branch keeps a segment
+            last = max(kept.max(initial=-1) + 1, 2 * (k == 0))  # the first branch keeps a segment
             stays[own[:last]], stays[own[last:]] = True, False
             if last and k > 0:
                 stays[self.branches[k][0]] = True

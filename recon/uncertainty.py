@@ -61,8 +61,9 @@ class Budget:
             found.append(f"the shape leaves {100.0 * self.unexplained:.0f} % of what the pictures show unexplained")
         if self.fill > MOST_FILL:
             found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view tells them from gaps")
-        if max(high - self.volume_mm3, self.volume_mm3 - low) > WIDEST * self.volume_mm3:
-            worst = max(self.terms, key=lambda term: max(term.less_mm3, term.more_mm3))
+        under, over = (reach > WIDEST * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
+        if under or over:
+            worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(
                 f"the 90 % interval reaches from {low:.3g} to {high:.3g} mm3, farther than {100.0 * WIDEST:.0f} % to one side, "
                 f"most of all for this reason: {worst.why}"

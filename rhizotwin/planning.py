@@ -172,8 +172,10 @@ def run_plans(
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:
-    """Return the plan whose pictures have the fewest pixels in all, then the shortest capture, of those whose worst volume error stays
-    within a fraction; None when no plan does."""
+    """Return the plan with the fewest pixels in all pictures, then the shortest capture, whose worst volume error stays within a fraction.
+
+    None when no plan does.
+    """
     good = [row for row in rows if row.volume_error_worst <= within]
     return min(good, key=lambda row: (row.pictures * row.variant.image_wh[0] * row.variant.image_wh[1], row.capture_min), default=None)
 

@@ -201,7 +201,7 @@ class _Reader:
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
-        seen = _property(own, _TIP_SEEN) != "false"
+        seen = (_property(own, _TIP_SEEN) or "").lower() not in ("false", "0")
         return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen)
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
@@ -229,15 +229,15 @@ class _Reader:
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
         """Return a function's values at the points (N,): one a point, or spread over the root's length."""
         values = np.array([self._number(_attribute(s, "value") or s.text, what) for s in samples])
-        if len(values) == len(points_mm):
+        positions, by_point = [_attribute(s, "position") for s in samples], (_attribute(function, "domain") or "").lower() == "polyline"
+        if len(values) == len(points_mm) and (by_point or None in positions):
             return values
         if len(values) == 1:
             return np.full(len(points_mm), values[0])
-        if (_attribute(function, "domain") or "").lower() == "polyline":
+        if by_point:
             raise UserError(f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points; it must have one for each")
         length_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
-        positions = [_attribute(s, "position") for s in samples]
-        if any(position is None for position in positions):
+        if None in positions:
             at_mm = np.linspace(0.0, length_mm[-1], len(values))
         else:
             at_mm = np.array([self._number(position, f"position in {what}") for position in positions]) * self.step_mm

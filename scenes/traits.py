@@ -137,7 +137,7 @@ def measure_traits(
         branch_points=_branch_points(roots) if known else None,
         length_by_order_mm=_binned(pieces.order, pieces.length) if known else (),
         length_by_depth_mm=_by_depth(pieces, top_mm) if known else (),
-        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM).astype(np.int64), pieces.length) if known else (),
+        length_by_diameter_mm=_binned(np.floor(pieces.diameter / DIAMETER_BIN_MM + 1e-9).astype(np.int64), pieces.length) if known else (),
         angle_to_gravity_deg=_gravity_deg(pieces) if known else None,
         angle_to_parent_deg=float(np.mean(angles)) if len(angles) else None,
         specific_root_length_m_per_g=total_mm / 1000.0 / mass_g if known and mass_g is not None else None,

@@ -61,7 +61,7 @@ def load_truth(folder: Path | str) -> Truth:
     """
     path = Path(folder) / "truth" / "truth.json"
     if not path.is_file():
-        raise UserError(f"{folder}: has no truth/truth.json; only datasets of `rhizotwin simulate` have a truth to score against")
+        raise UserError(f"{folder}: has no truth/truth.json; only what the twin rendered (`rhizotwin simulate` or `scan`) can be scored")
     mapping = read_versioned_json(path, SCHEMA_VERSION)
     place = Place(str(path))
     truth = from_plain(Truth, {key: value for key, value in mapping.items() if key != "schema_version"}, place)

@@ -185,7 +185,8 @@ def test_touching_roots_share_their_width_evenly():
     wave = 0.08 * np.sin(np.arange(len(true.radius_mm)) / 3.0)
     wave[true.owner == 1] *= -1.0
     fitted, _ = tube_fit.fit(seen, tubes.moved(true, true.centre_mm, true.radius_mm + wave), fixed, blur_px=0.0, steps=8)
-    assert np.abs(fitted.radius_mm / 0.25 - 1.0).max() < 0.06
+    below = true.centre_mm[:, 2] < TRUNK[0, 2] - 2.0  # the other's way to the trunk covers the trunk's first nodes twice
+    assert np.abs(fitted.radius_mm[below] / 0.25 - 1.0).max() < 0.05
 
 
 def test_what_a_tube_covers_in_vain_counts_in_full_and_what_it_lacks_little():
