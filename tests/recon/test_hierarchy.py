@@ -1,5 +1,6 @@
 """Small trees whose roots were joined wrongly, and what they should be."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -61,11 +62,22 @@ def test_the_thick_line_is_the_taproot():
 
 def test_a_root_traced_from_its_tip_is_turned_round():
     beside = line([0, 0, -5], [14, 0, -30], order=1, parent=0)
-    backward = line([14, 0, -30], [8, 5, -20], [1, 0, -10], diameter_mm=0.2, order=2, parent=1)
+    backward = replace(line([14, 0, -30], [8, 5, -20], [1, 0, -10], diameter_mm=0.2, order=2, parent=1), tip_seen=False)
     found = arrange([TAP, beside, backward])
     turned = next(root for root in found if root.diameters_mm[0] == 0.2)
     assert (turned.order, turned.parent) == (1, 0)
     assert turned.points_mm[-1] == pytest.approx([14.0, 0.0, -30.0])
+    assert turned.tip_seen  # what was doubted is its base now
+
+
+def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():
+    """The main root goes on in a thick lateral; what hangs on its lateral is nearest to that one's base, which both have in common."""
+    main = line([0, 0, 0], [0, 0, -40])
+    thick = line([0, 0, -15], [15, 0, -15], diameter_mm=2.4, order=1, parent=0)
+    round_it = line([4, 0, -15], [4, 4, -15], [-2.5, 4, -15], [-2.5, -4, -15], order=2, parent=1)
+    last = line([-2.5, 0, -15], [-9, 0, -18], order=3, parent=2)
+    traced = [main, thick, round_it, last]
+    assert sorted(tuple(root.points_mm[-1]) for root in arrange(traced)) == sorted(tuple(root.points_mm[-1]) for root in traced)
 
 
 def test_a_root_that_grows_up_far_from_others_is_left():

@@ -138,7 +138,7 @@ def test_a_frayed_end_is_joined_without_what_is_frayed():
     assert len(mended.branches) == 3
     assert 2 <= (~kept).sum() <= 3
     joined = next(nodes for nodes in mended.branches if np.allclose(mended.centre_mm[nodes[-1]], (14.0, 0.0, -5.0)))
-    assert mended.centre_mm[joined][:, 2].max() < -3.9 or mended.centre_mm[joined][1:, 2].max() < -4.7
+    assert mended.centre_mm[joined][1:, 2].max() < -4.5
     assert np.abs(np.diff(mended.centre_mm[joined][1:, 2])).max() < 0.3
 
 
@@ -150,6 +150,29 @@ def test_an_end_that_is_likely_none_is_joined_at_a_higher_price():
     assert len(mended.branches) == 3
     assert kept.all()
     assert len(mending.mend(_torn(gap_mm=2.0, aside_mm=1.5, frayed_mm=0.0), doubtful)[0].branches) == 4
+
+
+def test_a_tip_takes_over_what_follows_of_a_branch_that_bends_into_its_course():
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    bent = line((0.5, 0.0, -10.0), (6.0, 0.0, -10.0), (6.0, 0.0, -20.0), step=0.5)
+    upper = line((0.5, 2.0, -2.0), (6.0, 2.0, -4.0), (6.0, 0.2, -9.5), step=0.5)
+    mended = mending.mend(_fork(trunk, bent, upper, starts=(20, 4)))[0]
+    ends = {tuple(np.round(mended.centre_mm[branch[-1]], 1)): branch for branch in mended.branches}
+    assert len(ends) == 3
+    assert int(ends[6.0, 0.0, -20.0][0]) == 4
+
+
+def test_where_two_roots_cross_each_goes_on_in_its_own_course():
+    """One was traced on into the other's course, whose tip ends before the crossing; what the first should go on in hangs elsewhere."""
+    trunk = line((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), step=0.5)
+    aslant = np.array([np.cos(0.55), 0.0, -np.sin(0.55)])
+    crossing = np.array([5.0, 0.0, -10.0])
+    swapped = line((0.5, 0.0, -10.0), tuple(crossing), tuple(crossing + 8.0 * aslant), step=0.5)
+    second = line(tuple(crossing - 5.5 * aslant + [0.0, 0.2, 0.0]), tuple(crossing - 1.6 * aslant + [0.0, 0.2, 0.0]), step=0.5)
+    onward = line((5.6, 0.0, -10.0), (14.0, 0.0, -10.0), step=0.5)
+    mended = mending.mend(_fork(trunk, swapped, second, onward, starts=(20, 14, 50)))[0]
+    begins = {tuple(np.round(mended.centre_mm[branch[-1]], 1)): int(branch[0]) for branch in mended.branches[1:]}
+    assert begins == {(14.0, 0.0, -10.0): 20, tuple(np.round(swapped[-1], 1)): 14}
 
 
 def test_nothing_is_hung_on_itself():

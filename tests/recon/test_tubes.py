@@ -14,10 +14,9 @@ from recon import (
     tube_doubt,
     tube_fit,
     tube_picture,
-    tube_volume,
     tubes,
 )
-from recon.carve import Grid, Leaves
+from recon.carve import Grid
 from recon.density import Cells, estimate
 from recon.evidence import Evidence
 from recon.silhouettes import Silhouette
@@ -47,37 +46,33 @@ def test_cutting_keeps_what_bears_a_branch():
     np.testing.assert_allclose(cut.centre_mm[cut.branches[1]], system.centre_mm[system.branches[1][:6]])
 
 
-def test_filled_volume_is_that_of_the_frustum():
-    path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
-    system = tubes.string([path], [np.linspace(0.4, 0.1, len(path))])
-    length = float(np.linalg.norm(path[-1] - path[0]))
-    filled = tube_volume.fill(system, 0.05)
-    assert filled.volume_mm3.sum() == pytest.approx(np.pi * length / 3.0 * (0.16 + 0.04 + 0.01), rel=2e-3)
+def test_the_first_branch_keeps_a_segment_where_only_its_first_node_bears_a_branch():
+    system = tubes.Tubes(
+        np.array([[0.0, 0.0, -10.0 - 0.6 * k] for k in range(5)] + [[0.6 * k, 0.0, -10.0] for k in range(1, 5)]),
+        np.full(9, 0.2),
+        (np.arange(5), np.array([0, 5, 6, 7, 8])),
+    )
+    cut = system.keep(system.staying(system.owner == 0))
+    assert [len(branch) for branch in cut.branches] == [2, 5]
 
 
-def test_crossing_tubes_count_their_overlap_once():
-    a, b = line((-5.0, 0.0, -30.0), (5.0, 0.0, -30.0)), line((0.0, -5.0, -30.0), (0.0, 5.0, -30.0))
-    system = strung(a, b, radius_mm=0.3)
-    straight = tubes.Tubes(system.centre_mm, system.radius_mm, (system.branches[0], system.branches[1][1:]))
-    steinmetz = 16.0 / 3.0 * 0.3**3
-    ends = np.pi * 0.09 * np.linalg.norm(np.diff(system.centre_mm[straight.branches[1]], axis=0), axis=1).sum()
-    expected = np.pi * 0.09 * 10.0 + ends - steinmetz
-    assert tube_volume.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
-
-
-def test_uniting_keeps_thick_organs_and_adds_tubes():
-    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
-    index = np.array([[64, 64, 200]], np.int32)
-    solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
-    core = grid.origin_mm + (index + 4) * 0.125
-    path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
-    system = strung(path)
-    found = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), 0.0)
-    united = tube_volume.unite(solid, found)
-    assert united.thick_mm3 == pytest.approx(1.0)
-    assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, np.zeros(len(system.radius_mm), bool), core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, 0.0)
-    assert tube_volume.unite(solid, far).thick_mm3 == 0.0
+def test_a_lateral_is_drawn_as_thick_as_it_is_from_its_parents_axis_on():
+    """Its first segment reaches from the axis of a thick parent to beyond the skin: no cone of the parent's width."""
+    thick = strung(TRUNK, radius_mm=0.7)
+    at = int(np.argmin(np.abs(thick.centre_mm[:, 2] + 30.0)))
+    way = thick.centre_mm[at] + np.array([[1.4, 0.0, 0.0], [2.0, 0.0, 0.0], [2.6, 0.0, 0.0], [3.2, 0.0, 0.0]])
+    count = len(thick.centre_mm)
+    both = tubes.Tubes(
+        np.concatenate([thick.centre_mm, way]),
+        np.concatenate([thick.radius_mm, np.full(4, 0.15)]),
+        (*thick.branches, np.array([at, count, count + 1, count + 2, count + 3])),
+    )
+    alone = tubes.Tubes(np.concatenate([thick.centre_mm[at : at + 1], way]), np.full(5, 0.15), (np.arange(5),))
+    begin, end = both.segment_radii
+    np.testing.assert_array_equal(begin[-4:], 0.15)
+    np.testing.assert_array_equal(end, both.radius_mm[both.segments[:, 1]])
+    parent, lateral, drawn = (np.array(pictured(system).coverage) for system in (thick, alone, both))
+    np.testing.assert_allclose(drawn, 1.0 - (1.0 - parent) * (1.0 - lateral), atol=1e-3)
 
 
 def test_coverage_of_a_thin_tube_is_its_projected_area():
@@ -170,9 +165,11 @@ def test_radii_of_tubes_that_share_pixels_do_not_swing():
 
 def test_a_branch_is_strung_to_the_nearest_that_came_before_it():
     """Seventeen later branches begin nearer to the point than the trunk does; only the trunk came before."""
-    start = np.array([0.3, 0.0, -30.0])
+    start = np.array([2.0, 0.0, -30.0])
     later = [np.stack([start, start + np.array([3.0 * np.cos(a), 3.0 * np.sin(a), -1.0])]) for a in np.linspace(0.0, 3.0, 17)]
     system = strung(TRUNK, line(tuple(start), (5.0, 0.0, -33.0)), *[np.concatenate([part[:1], part]) for part in later])
+    nearest = np.argsort(np.linalg.norm(system.centre_mm - start, axis=1))
+    assert (system.owner[nearest[:17]] > 0).all()
     first = system.branches[1][0]
     assert system.owner[first] == 0
     np.testing.assert_allclose(system.centre_mm[first], (0.0, 0.0, -30.0), atol=0.31)
@@ -218,6 +215,8 @@ def test_score_of_equal_and_of_shifted_roots():
     unseen = score_roots.compare_roots([root, replace(half, tip_seen=False)], [root])
     assert (unseen.tips, unseen.tip_precision) == (1, 1.0)
     assert unseen.length_error == pytest.approx(0.5, abs=0.01)
+    none = score_roots.compare_roots([replace(root, tip_seen=False)], [root])
+    assert (none.tips, none.tip_precision, none.tip_recall) == (0, 0.0, 0.0)
 
 
 def test_nothing_seen_gives_no_density():
@@ -231,9 +230,8 @@ def test_nothing_seen_gives_no_density():
 
 
 def _system(found: tubes.Tubes, px_a_mm: float) -> rooting.RootSystem:
-    return rooting.RootSystem(
-        found, np.zeros(len(found.radius_mm), bool), np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found), 0.0
-    )
+    no_nodes = np.zeros(len(found.radius_mm), bool)
+    return rooting.RootSystem(found, no_nodes, np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found), no_nodes)
 
 
 def test_doubt_about_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from recon import solid_doubt
+from recon import shaping, solid_doubt
 from recon.carve import DistanceMaps, Grid, Leaves
 from recon.projection import ViewBank
 from recon.rooting import Water
@@ -35,13 +35,21 @@ def test_the_interval_never_reaches_below_nothing() -> None:
         ({"unexplained": 0.3}, "30 % of what the pictures show"),
         ({"fill": 0.6}, "60 % of the root zone"),
         ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
+        ({"terms": (term(20.0, 0.0, "hull"), term(20.0, 0.0, "faces"), term(0.0, 24.0, "missing roots"))}, "of the hull"),
     ],
-    ids=["views", "unexplained", "fill", "interval"],
+    ids=["views", "unexplained", "fill", "interval", "side"],
 )
 def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object], says: str) -> None:
     budget = Budget(**({"volume_mm3": 100.0, "terms": (term(3.0, 3.0),), "views": 40} | changes))  # type: ignore[arg-type]
     assert budget.verdict.startswith("this scan cannot give a volume: ")
     assert says in budget.verdict
+
+
+@pytest.mark.parametrize("count", [20, 40, 41, 80])
+def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
+    frames = [10 + place for place in shaping._spread(count)]
+    chosen = sorted(frames[place] for place in solid_doubt.every_second(frames))
+    assert chosen == list(range(10, 10 + count, 2))
 
 
 @pytest.mark.parametrize(("top_mm", "goes_on"), [(-11.8, True), (-13.0, False)])

@@ -213,6 +213,17 @@ def test_samples_that_do_not_match_the_points(write: Write) -> None:
     np.testing.assert_allclose(one(write(f"<root>{LINE}{at}</root>")).diameters_mm, [1.0, 1.0, 0.4])
 
 
+def test_samples_with_positions_are_spread_by_them_though_they_are_as_many_as_the_points(write: Write) -> None:
+    samples = "<sample position='0' value='2'/><sample position='1.5' value='1'/><sample position='3' value='0.4'/>"
+    root = one(write(f'<root>{LINE}<functions><function name="diameter" domain="length">{samples}</function></functions></root>'))
+    np.testing.assert_allclose(root.diameters_mm, [2.0, 2.0 - 1.0 / 1.5, 0.4])
+
+
+@pytest.mark.parametrize(("value", "seen"), [("false", False), ("False", False), ("0", False), ("true", True), ("1", True)])
+def test_a_tip_that_nobody_saw(write: Write, value: str, seen: bool) -> None:
+    assert one(write(f'<root>{LINE}{THICK}<properties><tip-seen value="{value}"/></properties></root>')).tip_seen is seen
+
+
 @pytest.mark.parametrize(
     ("bad", "says"), [("-0.5", "diameters must be above 0"), ("thick", "no finite number"), ("nan", "no finite number")]
 )

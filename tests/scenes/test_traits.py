@@ -83,6 +83,29 @@ def test_a_ring_of_laterals_at_a_known_angle():
     assert found.convex_hull_mm3 == pytest.approx(octagon * 60.0 / 3.0)
 
 
+def test_the_angle_to_the_parent_is_that_of_the_first_five_millimetres():
+    """A lateral leaves level for 5 mm and then hangs straight down."""
+    level, down = line([0.0, 0.0, -20.0], [5.0, 0.0, -20.0], 0.3, count=11), line([5.0, 0.0, -20.0], [5.0, 0.0, -40.0], 0.3)
+    bent = replace(level, points_mm=np.concatenate([level.points_mm, down.points_mm[1:]]), diameters_mm=np.full(51, 0.3), order=1, parent=0)
+    found = measure_traits([TAP, bent], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    assert found.angle_to_parent_deg == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize("diameter_mm", [0.1, 0.3, 0.6, 0.7, 1.2, 1.4])
+def test_a_round_diameter_falls_into_the_bin_that_begins_with_it(diameter_mm):
+    found = measure_traits([line([0, 0, 0], [0, 0, -30], diameter_mm)], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    assert np.flatnonzero(found.length_by_diameter_mm).tolist() == [round(10.0 * diameter_mm)]
+
+
+def test_roots_are_counted_at_planes_a_millimetre_apart():
+    """Of ten planes two meet the short root too: the 84th percentile lies at 7.56 of 0 to 9."""
+    long = line([0.0, 0.0, 0.0], [0.0, 0.0, -10.0], 1.0)
+    found = measure_traits([long, line([2.0, 0.0, 0.0], [2.0, 0.0, -2.0], 1.0)], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    assert (found.max_root_count, found.median_root_count) == (pytest.approx(1.56), 1.0)
+    found = measure_traits([long, line([2.0, 0.0, 0.0], [2.0, 0.0, -0.6], 1.0)], BOX, volume_mm3=1.0, surface_mm2=1.0)
+    assert found.max_root_count == 1.0
+
+
 def test_the_lower_share_divides_pieces():
     tap = line([0.0, 0.0, 0.0], [0.0, 0.0, -30.0], 1.0, count=2)
     found = measure_traits([tap], tap.points_mm, volume_mm3=1.0, surface_mm2=1.0)
