@@ -32,7 +32,7 @@ _LONG_MM, _TIP_NODES = 8.0, 5
 """The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
 """A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
-_CERTAIN = 0.13
+_CERTAIN = 0.15
 """With less evidence a tip is none: here as many true ones are lost as false ones stay (see docs/decisions/tubes-for-thin-roots.md)."""
 
 
@@ -84,7 +84,7 @@ def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> M
 
     Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little of what lies about
     it unexplained, compared with what tips usually leave (noise and blur count for all of them). They are weighed together, as a false tip
-    may pass in one of them.
+    may pass in one of them. What stands out of its parent by less than its own diameter is a bulge and has no tip, whatever speaks for it.
 
     Parameters
     ----------
@@ -106,10 +106,18 @@ def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> M
     usual = max(float(np.median(share)), 1e-6)
     shown = visible[[line[-1] for _, line in ends]]
     evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
-    for (_, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
+    for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
         if weak and _length(tubes, line) < _LONG_MM:
+            gone[line[1:]] = ~organ[line[1:]]
+        if _is_bulge(tubes, k, line):  # on thick organs too
             gone[line[1:]] = True
-    return gone & ~organ
+    return gone
+
+
+def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
+    """Tell whether an end is a whole branch that stands out by less than its own diameter."""
+    whole = len(line) == len(tubes.branches[branch])
+    return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
 
 
 def _ends(tubes: Tubes) -> list[tuple[int, Index]]:

@@ -55,6 +55,18 @@ def test_only_what_goes_on_beyond_the_last_lateral_is_doubtful_and_long_ends_are
     np.testing.assert_array_equal(np.flatnonzero(gone), after)
 
 
+def test_what_stands_out_by_less_than_its_diameter_is_a_bulge_and_has_no_tip():
+    """On thick organs too; as long a lateral that is thinner has a tip, and so has the end of a root beyond its last lateral."""
+    bulge, twig = line((0.0, 0.0, -30.0), (0.8, 0.0, -30.0)), line((0.0, 0.0, -40.0), (0.8, 0.0, -40.0))
+    system = strung(TRUNK, bulge, twig, line((0.0, 0.0, -49.7), (8.0, 0.0, -49.7)))
+    radius = np.select([system.owner == 1, system.owner == 2], [0.35, 0.15], 0.3)
+    system = tubes.moved(system, system.centre_mm, radius)
+    good, everything = np.full(len(radius), 0.5), np.ones(len(radius), bool)
+    for organ in (everything, ~everything):
+        judged = ghosts.doubtful_ends(system, good, proof.Proof(good, 0.02 * good), organ)
+        np.testing.assert_array_equal(judged, system.owner == 1)
+
+
 def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
     around = [line((x, y, -20.0), (x, y, -50.0)) for x, y in ((0.8, 0.0), (-0.8, 0.0), (0.4, 0.7), (-0.4, 0.7), (0.4, -0.7), (-0.4, -0.7))]
     crowd = strung(*around, TRUNK, radius_mm=0.35)
