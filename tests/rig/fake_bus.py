@@ -47,6 +47,7 @@ class _Bus:
         self.sag: dict[int, int] = {}
         self.fail: dict[str, RigError | KeyboardInterrupt] = {}
         self.limp_on_move: int | None = None
+        self.limp_always: set[int] = set()
         self._from: dict[int, float] = {}
         self._to: dict[int, float] = {}
         self._began_s = self._ends_s = 0.0
@@ -88,7 +89,7 @@ class _Bus:
 
     def load(self, ids: Collection[int], on: bool) -> None:
         self._call("load", on)
-        self.on.update(dict.fromkeys(ids, on))
+        self.on.update({servo: on and servo not in self.limp_always for servo in ids})
 
     def stop(self, ids: Collection[int]) -> None:
         self._call("stop", tuple(ids))

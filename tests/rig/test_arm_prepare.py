@@ -82,7 +82,7 @@ def test_prepare_stops_when_a_joint_leaves_its_place(tells: bool) -> None:
 
 def test_prepare_names_a_servo_whose_torque_stays_off() -> None:
     arm, bus = arm_and_bus(prepared=False)
-    bus.load = lambda ids, on: bus.on.update({3: False})  # type: ignore[method-assign] # noqa: ARG005
+    bus.limp_always = {3}
     with pytest.raises(LostError, match=r"wrist pitch \(servo 3\) has lost its torque"):
         arm.prepare()
     assert not arm.holds()

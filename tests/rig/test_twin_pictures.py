@@ -28,6 +28,7 @@ from scenes.truth import load_truth
 from sim.render import Renderer
 from sim.specimen import build_specimen
 from sim.world import draw_world
+from tests.rig.fake_time import Time
 
 WRONG = Disturbances(
     distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0),
@@ -229,23 +230,12 @@ def test_a_twin_without_an_arm_has_its_camera_on_a_tripod() -> None:
     np.testing.assert_array_equal(twin.world.cam_from_rig, world.cameras[3].cam_from_rig)
 
 
-class _Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def now_s(self) -> float:
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        self.now += max(seconds, 0.0)
-
-
-def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCamera, _Clock, list[float]]:
-    clock, exposures = _Clock(), []  # type: ignore[var-annotated]
+def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCamera, Time, list[float]]:
+    clock, exposures = Time(), []  # type: ignore[var-annotated]
 
     def look(exposure: float) -> NDArray[np.uint16]:
         exposures.append(exposure)
-        return np.full((2, 2), round(1000 * clock.now), np.uint16)
+        return np.full((2, 2), round(1000 * clock.at_s), np.uint16)
 
     nominal = CameraPart(exposure_s=0.02)
     return TwinCamera(look, clock, part=part or nominal, nominal=nominal, pending=Pending(faults)), clock, exposures
@@ -253,12 +243,12 @@ def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCam
 
 def test_a_picture_is_exposed_after_it_was_asked_for() -> None:
     camera, clock, exposures = camera_with(part=CameraPart(exposure_s=0.04, gain=2.0))
-    clock.now = 5.0
+    clock.at_s = 5.0
     shot = camera.capture()
     assert (shot.exposure_s, shot.gain) == (0.04, 2.0)
     assert shot.image[0, 0] == 5020
     assert exposures == [4.0]
-    assert clock.now >= 5.04
+    assert clock.at_s >= 5.04
 
 
 def test_old_and_wrongly_exposed_pictures_are_taken_again() -> None:
@@ -277,12 +267,12 @@ def test_old_and_wrongly_exposed_pictures_are_taken_again() -> None:
 def test_a_camera_that_stops_is_waited_for_and_named() -> None:
     camera, clock, _ = camera_with(Fault(kind="camera_stopped", device="camera", amount=4.0))
     camera.capture()
-    assert 4.0 < clock.now < 5.0
+    assert 4.0 < clock.at_s < 5.0
     camera, clock, _ = camera_with(Fault(kind="camera_stopped", device="camera", amount=0.0))
     for _ in range(2):
         with pytest.raises(NoAnswerError, match="no picture came within 10 s"):
             camera.capture()
-    assert clock.now == pytest.approx(20.0)
+    assert clock.at_s == pytest.approx(20.0)
 
 
 def test_pictures_are_told_apart_by_their_content() -> None:
