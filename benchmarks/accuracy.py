@@ -14,7 +14,7 @@ from benchmarks.run import Run, Say
 from scenes import atomic
 from scenes.provenance import versions
 
-_SOURCES = {"coverage": ("recon.pipeline", "recon.score"), "thesis": ("benchmarks.thesis", "recon.score")}
+_SOURCES = {"coverage": ("recon.pipeline", "recon.scoring.score"), "thesis": ("benchmarks.thesis", "recon.scoring.score")}
 """Modules that decide what becomes of a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 

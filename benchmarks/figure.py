@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from recon.pictures import figure
+from recon.results.pictures import figure
 from scenes.atomic import write_bytes
 
 Record = Mapping[str, Any]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.metric import Metric
-from recon import cameras, projection, refraction
+from recon.optics import cameras, projection, refraction
 from scenes import frames
 from scenes.model import Camera, Scene
 

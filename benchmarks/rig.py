@@ -15,7 +15,7 @@ from benchmarks import rig_faults, rig_kills
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
 from recon.pipeline import reconstruct
-from recon.score import score
+from recon.scoring.score import score
 from rig import calibration, inverse, kinematics
 from rig.clock import SystemClock
 from rig.open import open_devices

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from recon import drawing, pipeline, shaping, silhouettes
-from recon.refraction import Optics
-from recon.result import Result
+from recon import drawing, pipeline, shaping
+from recon.coverage import silhouettes
+from recon.optics.refraction import Optics
+from recon.results.result import Result
 from recon.run import Run
-from recon.uncertainty import Budget
+from recon.uncertainty.budget import Budget
 
 
 def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: float) -> Result:

@@ -72,7 +72,7 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
 def reconstruct(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
     """Return the seconds of a reconstruction by stage."""
     from recon import pipeline
-    from recon.result_files import read_summary
+    from recon.results.result_files import read_summary
 
     pipeline.reconstruct(dataset_folder, working / "result", voxel_mm=voxel_mm, progress=False)
     return {"stages": read_summary(working / "result")["timings_s"]}
@@ -89,7 +89,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, working: Path) -> 
     """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's."""
     from benchmarks.thesis import reconstruct_thesis
     from recon import pipeline
-    from recon import score as scoring
+    from recon.scoring import score as scoring
     from scenes.provenance import peak_memory_mib
 
     began, busy = time.perf_counter(), time.process_time()

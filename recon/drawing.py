@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon import background, cameras, silhouettes, translucency, wall
-from recon.cameras import View
-from recon.refraction import Optics
+from recon.coverage import background, silhouettes, translucency, wall
+from recon.coverage.silhouettes import Image, Mask, Silhouette
+from recon.optics import cameras
+from recon.optics.cameras import View
+from recon.optics.refraction import Optics
 from recon.run import Run
-from recon.silhouettes import Image, Mask, Silhouette
 from scenes import frames
 from scenes.errors import UserError
 

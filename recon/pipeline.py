@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from recon import calibrated, drawing, markers, poses, result, shaping
-from recon.cameras import View
-from recon.canister_seat import CanisterSeat, find_seat
-from recon.refraction import Optics
-from recon.root_calibration import RigDoubt
+from recon import drawing, shaping
+from recon.calibration import calibrated, markers, poses
+from recon.calibration.canister_seat import CanisterSeat, find_seat
+from recon.calibration.root_calibration import RigDoubt
+from recon.coverage.silhouettes import Silhouette
+from recon.optics.cameras import View
+from recon.optics.refraction import Optics
+from recon.results import result
 from recon.run import Run
-from recon.silhouettes import Silhouette
 from scenes import frames
 from scenes.dataset import sha256_of
 from scenes.errors import UserError

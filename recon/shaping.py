@@ -7,16 +7,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import carve, parsimony, projection, rooting, silhouettes, solid_doubt, surface, tube_doubt, tube_volume
-from recon.cameras import View
-from recon.evidence import Evidence
-from recon.refraction import Optics
-from recon.result import Shape, Triple, Voxels
-from recon.root_calibration import Sights
-from recon.rooting import Water
+from recon.calibration.root_calibration import Sights
+from recon.coverage import silhouettes
+from recon.coverage.evidence import Evidence
+from recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
+from recon.hull import carve, parsimony, surface
+from recon.optics import projection
+from recon.optics.cameras import View
+from recon.optics.refraction import Optics
+from recon.results.result import Shape, Triple, Voxels
+from recon.roots import rooting, tube_volume
+from recon.roots.rooting import Water
 from recon.run import Run
-from recon.silhouettes import UPSAMPLING, Silhouette, Window
-from recon.uncertainty import Budget
+from recon.uncertainty import solid_doubt, tube_doubt
+from recon.uncertainty.budget import Budget
 from scenes.errors import UserError
 
 FINEST_MM = 0.14

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from recon import calibrated
+from recon.calibration import calibrated
 from rhizotwin import print_commands, rig_commands, traits_commands
 from scenes import files
 from scenes.checks import check_scene
@@ -130,7 +130,7 @@ def import_(options: argparse.Namespace) -> None:
 
 def score(options: argparse.Namespace) -> None:
     """Print how well a result agrees with the truth."""
-    from recon.score import score as compare
+    from recon.scoring.score import score as compare
 
     found = compare(options.result, options.dataset)
     print(json.dumps(found.to_dict(), indent=1) if options.json else found.table())
@@ -223,10 +223,10 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
-    from recon import report
     from recon.pipeline import reconstruct as find_shape
-    from recon.result_files import read_mesh
-    from recon.score import truth_mesh_path
+    from recon.results import report
+    from recon.results.result_files import read_mesh
+    from recon.scoring.score import truth_mesh_path
     from scenes.atomic import new_folder
 
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None

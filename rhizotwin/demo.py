@@ -33,7 +33,7 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
     UserError
         If the folder holds anything else than an earlier demonstration.
     """
-    from recon.score import score
+    from recon.scoring.score import score
     from sim.simulate import CannotContinueError, simulate
 
     _clear(folder)

@@ -16,8 +16,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recon import result_files, result_traits
-from recon.surface import paint
+from recon.hull.surface import paint
+from recon.results import result_files, result_traits
 from rhizotwin import root_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from scenes import atomic, frames, rsml, trait_table

@@ -63,7 +63,7 @@ def csv_text(rows: Sequence["Row"]) -> str:
 
 def draw(rows: Sequence["Row"], path: Path, *, title: str) -> None:
     """Draw errors, and what was found, against all pictures of a plan; a line for each set of rings and picture size."""
-    from recon.pictures import figure
+    from recon.results.pictures import figure
 
     has_roots = any(row.length_error is not None for row in rows)
     drawn = figure(13.5 if has_roots else 9.5, 4.6)

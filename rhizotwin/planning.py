@@ -144,7 +144,7 @@ def run_plans(
         "scene": files.scene_to_dict(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
-        "code": sources.digest(("sim.simulate", "recon.pipeline", "recon.score")),
+        "code": sources.digest(("sim.simulate", "recon.pipeline", "recon.scoring.score")),
     }
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant in variants}
@@ -189,7 +189,7 @@ def _refuse_strangers(folder: Path) -> None:
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
     """Return the score of one run, from its file when the same run was made before."""
     from recon.pipeline import reconstruct
-    from recon.score import score
+    from recon.scoring.score import score
     from sim.simulate import simulate
 
     made_with = json.loads(json.dumps({**settings, "run": files.scene_to_dict(scene), "seed": seed}))

@@ -16,7 +16,7 @@ def traits(options: argparse.Namespace) -> None:
         raise UserError(wrong)
     if options.output is not None and options.output.exists():
         raise UserError(f"{options.output} exists already; choose another name")
-    from recon import result_files, result_traits
+    from recon.results import result_files, result_traits
 
     masses = options.mass_g or (None,) * len(options.results)
     summaries = [result_files.read_summary(folder) for folder in options.results]

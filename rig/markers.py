@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.markers import detect_markers
-from recon.view_fit import LEAST_MARKERS, linearise, sightings, single_view
+from recon.calibration.markers import detect_markers
+from recon.calibration.view_fit import LEAST_MARKERS, linearise, sightings, single_view
 from scenes import frames, plan
 from scenes.frames import Array
 from scenes.model import Scene

@@ -4,11 +4,12 @@ from functools import cache
 
 import numpy as np
 
-from recon import projection, tube_picture, tubes
-from recon.cameras import View
-from recon.evidence import Evidence
-from recon.refraction import Optics
-from recon.silhouettes import Silhouette
+from recon.coverage.evidence import Evidence
+from recon.coverage.silhouettes import Silhouette
+from recon.optics import projection
+from recon.optics.cameras import View
+from recon.optics.refraction import Optics
+from recon.tubes import tube_picture, tubes
 from scenes import plan
 from scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.lines import line

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recon.markers import detect_markers
+from recon.calibration.markers import detect_markers
 from rig.errors import NoAnswerError
 from rig.rig_file import CameraPart
 from rig.twin.camera import TwinCamera

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import trimesh
 
-from recon import pipeline, result
+from recon import pipeline
+from recon.results import result
 from rhizotwin import cli
 
 VIEWS = 10

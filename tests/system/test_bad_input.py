@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon import carve
+from recon.hull import carve
 from scenes.atomic import write_image
 
 FAST = ("--device", "cpu", "--voxel-mm", "2")

@@ -16,7 +16,9 @@ import pytest
 import rhizotwin.importer
 import scenes.atomic
 import sim.simulate
-from recon import drawing, pipeline, poses, report, result, run, shaping
+from recon import drawing, pipeline, run, shaping
+from recon.calibration import poses
+from recon.results import report, result
 from rhizotwin import cli, commands
 
 ROOT = Path(__file__).resolve().parents[2]

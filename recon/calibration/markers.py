@@ -1,0 +1,196 @@
+"""Find the markers of the strip in a picture: OpenCV names them, `recon.calibration.marker_fit` measures their corners."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.calibration.marker_fit import fit_marker
+from scenes.errors import UserError
+from scenes.frames import Array
+from scenes.markers import dictionary_named
+from scenes.model import MarkerStrip
+
+Bytes = NDArray[np.uint8]
+Picture = NDArray[np.uint8 | np.uint16]
+
+LONGEST_PX = 2100
+"""Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+FEW = 6
+"""With fewer markers than this the search goes on with another tone curve."""
+OTHER_DICTIONARIES = (
+    "4X4_50", "4X4_250", "5X5_50", "5X5_250", "6X6_50", "6X6_250", "7X7_50", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Markers:
+    """Markers of the strip that one picture shows."""
+
+    ids: NDArray[np.int64]
+    """(M,) ascending."""
+    corners_px: Array
+    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from outside."""
+    covariance_px2: Array | None = None
+    """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
+    blurred: int = 0
+    """Markers that were named, but whose corners could not be measured, and which are left out."""
+    foreign: tuple[int, ...] = ()
+    """Ids of the dictionary that the strip does not have, of markers as large as the strip's in this picture."""
+    diagnosis: str | None = None
+    """Why there are no markers, when there are none."""
+
+
+def dictionary_of(strip: MarkerStrip) -> cv2.aruco.Dictionary:
+    """Return OpenCV's dictionary of a strip.
+
+    Raises
+    ------
+    UserError
+        When OpenCV has no such dictionary, or it has too few markers.
+    """
+    try:
+        dictionary = dictionary_named(strip.dictionary)
+    except UserError as error:
+        raise UserError(f"strip.dictionary: {error}") from None
+    last, size = strip.first_id + strip.rows * strip.columns - 1, len(dictionary.bytesList)
+    if last >= size:
+        raise UserError(f"strip: its last marker has the id {last}, but {strip.dictionary} ends at {size - 1}: lower first_id or use fewer")
+    return dictionary
+
+
+def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) -> Markers:
+    """Find a strip's markers in a picture and measure their corners.
+
+    Parameters
+    ----------
+    image : (H, W) grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
+    strip : the strip that is looked for; markers of other ids are ignored.
+    measure : False keeps OpenCV's corners (refined by its SUBPIX, as the thesis has them), about ten times less exact.
+
+    Returns
+    -------
+    Markers
+        Ids, corners and their covariance; where nothing is found, a diagnosis instead.
+
+    Raises
+    ------
+    UserError
+        When OpenCV does not know the strip's dictionary.
+    """
+    dictionary = dictionary_of(strip)
+    ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
+    if len(ids) and not measure:
+        return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
+    found: list[int] = []
+    corners: list[Array] = []
+    covariances: list[Array] = []
+    side, blur_px = dictionary.markerSize + 2, 1.2
+    for marker_id, start_px in zip(ids, corners_px, strict=True):
+        white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
+        fit = fit_marker(image, white, start_px, blur_px=blur_px)
+        if fit is not None:
+            blur_px = fit.blur_px
+            found.append(int(marker_id))
+            corners.append(fit.corners_px)
+            covariances.append(fit.covariance_px2)
+    if not found:
+        return Markers(
+            ids=np.zeros(0, np.int64),
+            corners_px=np.zeros((0, 4, 2)),
+            blurred=len(ids),
+            diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
+        )
+    return Markers(
+        ids=np.array(found),
+        corners_px=np.stack(corners),
+        covariance_px2=np.stack(covariances),
+        blurred=len(ids) - len(found),
+        foreign=tuple(foreign),
+    )
+
+
+def _search(
+    image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
+) -> tuple[NDArray[np.int64], Array, list[int]]:
+    """Return ids (M,) of the strip, rough corners (M, 4, 2) in the full picture, and the ids of like size that are not the strip's."""
+    small, shrink = image, 1
+    while max(image.shape) / shrink > LONGEST_PX:
+        shrink *= 2
+    if shrink > 1:
+        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
+    scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
+    detector = _detector(dictionary, subpix=subpix)
+    own: dict[int, Array] = {}
+    foreign: dict[int, Array] = {}
+    for tone in (_linear, _root, _equalised):
+        corners, ids, _ = detector.detectMarkers(tone(small))
+        for marker_id, four in zip([] if ids is None else np.ravel(ids).tolist(), corners, strict=True):
+            group = own if 0 <= marker_id - strip.first_id < strip.rows * strip.columns else foreign
+            group.setdefault(marker_id, (np.asarray(four, np.float64).reshape(4, 2) + 0.5) * scale - 0.5)
+        if len(own) >= FEW:
+            break
+    chosen = sorted(own)
+    usual_px = np.median([_height_px(four) for four in own.values()]) if own else None
+    alike = [k for k in sorted(foreign) if usual_px is None or 0.7 < _height_px(foreign[k]) / usual_px < 1.4]
+    return np.array(chosen, np.int64), np.array([own[k] for k in chosen]).reshape(-1, 4, 2), alike
+
+
+def _height_px(four: Array) -> float:
+    """Return the length of a marker's sides from top to bottom, which the strip's curvature leaves alone."""
+    return float(np.linalg.norm(four[[0, 1]] - four[[3, 2]], axis=1).mean())
+
+
+def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
+    """Return a detector for markers that are small, blurred and foreshortened (tried on pictures of the strip: 18-20 of 26 found)."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMin = 7
+    parameters.adaptiveThreshWinSizeMax = 37
+    parameters.adaptiveThreshWinSizeStep = 10
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX if subpix else cv2.aruco.CORNER_REFINE_NONE
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
+
+
+def _linear(image: Picture) -> Bytes:
+    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, 99.5), 1.0)), np.uint8)
+
+
+def _root(image: Picture) -> Bytes:
+    """Scale to 8 bits by a square root, which lifts a strip much darker than the backlight."""
+    low, top = _percentile(image, 0.5), _percentile(image, 99.5)
+    return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
+
+
+def _percentile(image: Picture, percent: float) -> float:
+    """Return a percentile of a picture from every third pixel of every third row."""
+    return float(np.percentile(image[::3, ::3].astype(np.float32), percent))
+
+
+def _equalised(image: Picture) -> Bytes:
+    """Equalise the local contrast of the square root."""
+    return np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(_root(image)), np.uint8)
+
+
+def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list[int]) -> str:
+    """Say what kept a picture's markers from being found."""
+    last = strip.first_id + strip.rows * strip.columns - 1
+    if blurred:
+        return f"{blurred} markers were named, but are too blurred or noisy to be measured"
+    names = ", ".join(str(k) for k in foreign[:5])
+    others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
+    if len(foreign) >= 3:
+        return others
+    picture = _linear(image)
+    mirrored = _detector(dictionary_of(strip)).detectMarkers(np.ascontiguousarray(picture[:, ::-1]))[1]
+    if mirrored is not None and len(mirrored) >= 3:
+        return "the picture is mirrored: its markers are only found in its mirror image"
+    for name in OTHER_DICTIONARIES:
+        if name != strip.dictionary:
+            dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+            ids = _detector(dictionary).detectMarkers(picture)[1]
+            if ids is not None and len(ids) >= 3:
+                return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
+    return others if foreign else "no markers were found"  # one or two may be a chance of small dictionaries

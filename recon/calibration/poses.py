@@ -1,0 +1,296 @@
+"""Where the camera stood for every picture, found from the markers of all pictures together."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from recon.calibration import view_fit
+from recon.calibration.markers import Markers
+from recon.calibration.rig_fit import RigFit, fit_rig
+from recon.calibration.rig_start import first_rig
+from recon.calibration.view_fit import LEAST_MARKERS, Sightings
+from scenes.dataset import Frame
+from scenes.errors import UserError
+from scenes.frames import Array
+from scenes.model import Scene
+
+WORST_PX = 1.0
+"""A view is left out above this reprojection error when it is also above `WORST_FACTOR` times the median of all views."""
+WORST_FACTOR = 6.0
+HOPELESS_PX = 5.0
+"""A view is left out above this reprojection error in any case."""
+STILL_PX = 2.0
+"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for moving."""
+LOOSE = np.array([np.deg2rad(3.0), 10.0])
+"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for itself."""
+LEAST_RING = 5
+"""Views of a ring among which a moved one can be told."""
+OUTLIER_WEIGHT = 0.1
+AS_CALIBRATED = 1e-7
+SURE = 5.0
+"""A change of focus since the calibration is believed beyond this many standard deviations."""
+STRANGERS = 3
+"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's strip is another."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPose:
+    """Where the camera stood for one picture."""
+
+    used: bool
+    reason: str | None = None
+    """Why the view is left out."""
+    cam_from_canister: Array | None = None
+    """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
+    reprojection_px: float | None = None
+    """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
+    single_view_px: float | None = None
+    """The same for the pose from this picture alone."""
+    markers: int = 0
+    outliers: int = 0
+    """Markers that count for nearly nothing, since they lie far off."""
+    table_deg: float | None = None
+    """Table angle as the pictures tell it."""
+    covariance: Array | None = None
+    """(6, 6) of the left-hand twist of cam_from_canister: rotation vector (rad), shift (mm), in the camera's frame."""
+    position_sigma_mm: float | None = None
+    """Standard deviation of the camera's centre, all axes together."""
+    rotation_sigma_deg: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingPose:
+    """Where the camera stood for one turn of the table, or the part of it until it was placed anew."""
+
+    ring: int
+    placement: int
+    cam_from_rig: Array
+    covariance: Array
+    """(6, 6) as in `ViewPose`."""
+    own_deg: float
+    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still camera."""
+    own_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses:
+    """Cameras of all views, in the order of the frames, and what they say about the rig."""
+
+    views: tuple[ViewPose, ...]
+    rings: tuple[RingPose, ...] = ()
+    table_from_canister: Array | None = None
+    """(4, 4) how the canister is seated on the table: tilt and offset."""
+    seat_sigma: Array | None = None
+    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
+    inset_px: float = 0.0
+    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
+    focal_scale: float = 1.0
+    """Focal lengths over the given ones, as the pictures tell them."""
+    focal_found: float | None = None
+    """The same, whether it is sure enough to be taken or not."""
+    focal_sigma: float | None = None
+    """Its standard deviation."""
+    before_px: float | None = None
+    """Median reprojection error of the views with the commanded table angles and one nominal seat."""
+    after_px: float | None = None
+    """Median reprojection error of the views at the end."""
+    warnings: tuple[str, ...] = field(default=())
+
+
+def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame], *, single_view: bool = False) -> Poses:
+    """Find the camera of every picture from its markers.
+
+    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
+    every table angle, the canister's seat on the table and what the camera moved between views (`recon.calibration.rig_fit`). Views
+    that do not fit are left out with the reason.
+
+    Parameters
+    ----------
+    detected : markers of each picture.
+    scene : camera with lens distortion, strip and net pot as given.
+    captured : the pictures' frames: ring and commanded table angle (None: free).
+    single_view : stop at each picture's own pose, corners unweighted (the thesis's way).
+
+    Raises
+    ------
+    UserError
+        When no picture gives a camera, or the pictures show another strip.
+    """
+    if len(detected) != len(captured):
+        raise ValueError(f"{len(detected)=} but {len(captured)=}")
+    _refuse_strangers(detected, scene, captured)
+    views: list[ViewPose] = []
+    seen: dict[int, Sightings] = {}
+    for k, markers in enumerate(detected):
+        view, sight = _alone(markers, scene, polish=not single_view)
+        views.append(view)
+        if sight is not None:
+            seen[k] = sight
+    if not seen:
+        raise UserError(
+            f"{captured[0].file}: {views[0].reason}; no camera can be found in any of the {len(captured)} pictures: "
+            "check focus, light and the strip in the scene file, or give the cameras"
+        )
+    median_px = float(np.median([views[k].reprojection_px for k in seen]))
+    for k in list(seen):
+        reason = _misfit(views[k].reprojection_px, median_px)
+        if reason:
+            views[k] = replace(views[k], used=False, reason=reason)
+            if not single_view and len(seen) > 1:
+                del seen[k]
+    if single_view:
+        _need_one(views, captured)
+        return Poses(views=tuple(views), after_px=median_px)
+    return _together(views, seen, scene, captured)
+
+
+def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
+    """Refuse pictures that show the strip's markers among others of their size: poses from a part of another strip would be wrong."""
+    counts = Counter(marker_id for markers in detected if len(markers.ids) for marker_id in markers.foreign)
+    strange = sorted(marker_id for marker_id, count in counts.items() if count > 1)
+    if len(strange) >= STRANGERS:
+        first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
+        strip = scene.strip
+        raise UserError(
+            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} stand beside the scene's "
+            f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
+            "the scene file, or cover the other markers"
+        )
+
+
+def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, Sightings | None]:
+    """Find a view's pose from its own markers."""
+    count = len(markers.ids)
+    if count < LEAST_MARKERS:
+        reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
+        return ViewPose(used=False, reason=reason, markers=count), None
+    seen = view_fit.sightings(markers, scene)
+    pose = view_fit.single_view(seen, polish=polish)
+    if pose is None:
+        reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
+        return ViewPose(used=False, reason=reason, markers=count), None
+    local = view_fit.linearise(seen, pose)
+    view = _view(pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64), count)
+    return replace(view, single_view_px=local.rms_px), seen
+
+
+def _refocused(view: ViewPose, seen: Sightings, focal_scale: float) -> ViewPose:
+    """Find the pose of a view that is not part of the rig with the lens as the rig's views found it."""
+    pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
+    return view if pose is None else replace(view, cam_from_canister=pose)
+
+
+def _view(pose: Array, local: view_fit.Linearised, covariance: Array, count: int) -> ViewPose:
+    return ViewPose(
+        used=True,
+        cam_from_canister=pose,
+        reprojection_px=local.rms_px,
+        markers=count,
+        outliers=int(np.count_nonzero(local.weight < OUTLIER_WEIGHT)),
+        covariance=covariance,
+        position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+        rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
+    )
+
+
+def _misfit(error_px: float | None, median_px: float) -> str | None:
+    """Return why a view is left out, or None."""
+    if error_px is None or error_px <= min(max(WORST_PX, WORST_FACTOR * median_px), HOPELESS_PX):
+        return None
+    return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
+
+
+def _need_one(views: Sequence[ViewPose], captured: Sequence[Frame]) -> None:
+    if not any(view.used for view in views):
+        raise UserError(
+            f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
+        )
+
+
+def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
+    """Fit the rig to the views, leave out those that moved, fit again. Views of cameras that went about freely keep their own pose."""
+    keys = _rig_keys(views, sorted(seen), scene, captured)
+    if not keys:
+        return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))
+    while True:
+        first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+        sights = [seen[k] for k in keys]
+        fit = fit_rig(sights, first.rig, first.command_rad, first.known, focus_prior=AS_CALIBRATED)
+        worst = _moved(fit, keys)
+        if not worst:
+            break
+        for k, moved in worst.items():
+            views[k] = replace(views[k], used=False, reason=moved)
+        keys = [k for k in keys if k not in worst]
+    refocused = fit_rig(sights, fit.rig, first.command_rad, first.known)
+    focal_scale = 1.0
+    if (
+        abs(refocused.rig.focal_scale - 1.0) > SURE * refocused.focal_sigma
+    ):  # else the calibration knows better: focus looks much like distance
+        fit, focal_scale = refocused, refocused.rig.focal_scale
+        for k in set(seen) - set(keys):
+            views[k] = _refocused(views[k], seen[k], focal_scale)
+    for i, k in enumerate(keys):
+        view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
+        turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
+        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])))
+        views[k] = replace(
+            view,
+            used=reason is None,
+            reason=reason,
+            single_view_px=views[k].single_view_px,
+            table_deg=float(turn) if first.known[i] else None,
+        )
+    _need_one(views, captured)
+    sigma = np.sqrt(np.diag(fit.offset_covariance))
+    return Poses(
+        views=tuple(views),
+        rings=tuple(
+            RingPose(
+                ring=ring,
+                placement=placement,
+                cam_from_rig=fit.rig.cam_from_rig[r],
+                covariance=fit.ring_covariance[r],
+                own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
+                own_mm=float(fit.rig.spread[r, 1]),
+            )
+            for r, (ring, placement) in enumerate(first.stations)
+        ),
+        table_from_canister=fit.rig.table_from_canister,
+        seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
+        inset_px=fit.rig.inset_px,
+        focal_scale=focal_scale,
+        focal_found=refocused.rig.focal_scale,
+        focal_sigma=refocused.focal_sigma,
+        before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
+        after_px=float(np.median([local.rms_px for local in fit.views])),
+        warnings=first.warnings,
+    )
+
+
+def _found(views: Sequence[ViewPose], keys: Sequence[int]) -> list[Array]:
+    return [pose for k in keys if (pose := views[k].cam_from_canister) is not None]
+
+
+def _rig_keys(views: Sequence[ViewPose], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
+    """Return the views of those rings whose camera stood still, but for small movements."""
+    first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
+    loose = np.any(first.rig.spread > LOOSE, axis=1)
+    return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
+
+
+def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
+    """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
+    found: dict[int, str] = {}
+    for ring in range(len(fit.rig.cam_from_rig)):
+        members = np.flatnonzero(fit.rig.ring == ring).tolist()
+        if len(members) < LEAST_RING:
+            continue
+        median_px = float(np.median(fit.rig_px[members]))
+        for i in members:
+            reason = _misfit(float(fit.rig_px[i]), median_px) if median_px < STILL_PX else None
+            if reason:
+                found[keys[i]] = reason
+    return found

@@ -1,0 +1,249 @@
+"""One least-squares problem over all pictures: where the camera stood for each ring, how the table turned, how the canister sits on it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.calibration.view_fit import Linearised, Sightings, adjoint, linearise, twist
+from scenes import frames
+from scenes.frames import Array
+
+SEAT = np.array([0, 1, 3, 4])
+"""The parts of a twist that seat a canister on a table: tilt about x and y, offset in x and y (height and turn belong to the camera)."""
+SEAT_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
+"""How far a canister may be seated wrongly: rad, rad, mm, mm."""
+TABLE_PRIOR_RAD = np.deg2rad(0.1)
+"""How far a table angle may be from the commanded one; the pictures know it a hundred times better."""
+FREE_PRIOR_RAD = 0.3
+"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a tilted, shifted seat changes."""
+INSET_PRIOR_PX = 0.05
+FOCUS_PRIOR = 0.005
+"""How far a lens may be from its calibration: focusing changes the focal lengths by parts of a per cent."""
+TAIL = 4.0
+"""Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
+STILL = np.array([np.deg2rad(1e-5), 1e-4])
+"""Least spread (rad, mm) of the views' own movement."""
+LEAST_SCALE = 0.3
+MOST_STEPS = 15
+SPREAD_STEPS = 10
+ENOUGH = 1e-6
+"""Steps (rad, mm, px) below this end the fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """What the pictures are explained by: ``cam_from_canister = own[v] @ cam_from_rig[ring[v]] @ Rz(angle[v]) @ table_from_canister``."""
+
+    ring: NDArray[np.int64]
+    """(V,) index into cam_from_rig."""
+    cam_from_rig: Array
+    """(R, 4, 4)."""
+    angle_rad: Array
+    """(V,) of the table about +z."""
+    own: Array
+    """(V, 4, 4) small movement of the camera for this view alone."""
+    table_from_canister: Array
+    """(4, 4), without height and turn."""
+    inset_px: float
+    """How much larger on each side the markers look than they are."""
+    focal_scale: float
+    """Focal lengths over the given ones."""
+    spread: Array
+    """(R, 2) standard deviation of ``own`` on each axis: rad and mm."""
+
+    def rig_pose(self, view: int) -> Array:
+        """Return ``cam_from_canister`` of a view without its own movement."""
+        turned = frames.rotation_z(float(self.angle_rad[view])) @ self.table_from_canister
+        return np.asarray(self.cam_from_rig[self.ring[view]] @ turned)
+
+    def pose(self, view: int) -> Array:
+        """Return ``cam_from_canister`` of a view."""
+        return np.asarray(self.own[view] @ self.rig_pose(view))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigFit:
+    """The rig that explains the pictures best, and how well it is known."""
+
+    rig: Rig
+    views: tuple[Linearised, ...]
+    rig_px: Array
+    """(V,) reprojection error of each view without its own movement."""
+    covariance: Array
+    """(V, 6, 6) of the left-hand twist (rad, mm) of cam_from_canister."""
+    ring_covariance: Array
+    """(R, 6, 6) of the left-hand twist of cam_from_rig."""
+    focal_sigma: float
+    """Standard deviation of ``rig.focal_scale``."""
+    offset_covariance: Array
+    """(4, 4) of the canister's tilt about x, y (rad) and offset x, y (mm)."""
+    scale: float
+    """Factor between the corners' residuals and their covariances."""
+
+
+def fit_rig(
+    seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], *, focus_prior: float = FOCUS_PRIOR
+) -> RigFit:
+    """Fit the rig to all pictures by Gauss-Newton; each step reduces a picture to the normal equations of its pose, which loses nothing.
+
+    Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is found from the pictures
+    (expectation maximisation under Student's t): it goes to zero for a still camera, which pools all views, and grows to the scatter of
+    the single views where the camera moved.
+
+    Parameters
+    ----------
+    seen : the markers of each view.
+    start : a rig near the solution; ``own`` such that the views' poses are those of the single views.
+    command_rad : (V,) commanded table angles.
+    known : (V,) whether the angle was commanded at all.
+    focus_prior : standard deviation of the focal lengths over the given ones; tiny: they are as given.
+    """
+    rig, scale = start, 1.0
+    angle_sigma = np.where(known, TABLE_PRIOR_RAD, FREE_PRIOR_RAD)
+    weight = np.ones(len(seen))
+    for _ in range(MOST_STEPS):
+        views = _linearised(seen, rig, scale)
+        scale = max(scale * _misfit(views), LEAST_SCALE)
+        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
+        spread, weight = system.find_spread(rig.spread, weight)
+        shared, local = system.solve(spread, weight)[:2]
+        rig = _stepped(replace(rig, spread=spread), shared, local)
+        if max(np.abs(local).max(), np.abs(shared).max()) < ENOUGH:
+            break
+    views = _linearised(seen, rig, scale)
+    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
+    rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
+    return system.report(weight, views, scale, np.array(rig_px))
+
+
+def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
+    shared = {"inset_px": rig.inset_px, "focal_scale": rig.focal_scale, "scale": scale}
+    return tuple(linearise(s, rig.pose(k), **shared) for k, s in enumerate(seen))
+
+
+def _misfit(views: Sequence[Linearised]) -> float:
+    """Return the factor by which residuals exceed their covariances (7.34 is the median of chi square with 8 degrees of freedom)."""
+    return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / 7.34))
+
+
+def _inverse(normal: Array) -> Array:
+    """Invert normal matrices (..., n, n) whose unknowns differ in unit: scaled to a diagonal of ones first."""
+    size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
+    outer = size[..., :, None] * size[..., None, :]
+    return np.asarray(np.linalg.inv(normal / outer) / outer, np.float64)
+
+
+def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
+    """Move a rig by a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns."""
+    rings = shared[2:-4].reshape(-1, 6)
+    seat = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
+    return replace(
+        rig,
+        inset_px=rig.inset_px + float(shared[0]),
+        focal_scale=rig.focal_scale + float(shared[1]),
+        cam_from_rig=np.array([twist(step) @ pose for step, pose in zip(rings, rig.cam_from_rig, strict=True)]),
+        table_from_canister=twist(seat) @ rig.table_from_canister,
+        angle_rad=rig.angle_rad + local[:, 0],
+        own=np.array([twist(step[1:]) @ pose for step, pose in zip(local, rig.own, strict=True)]),
+    )
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations about a rig.
+
+    Shared unknowns: inset, focus, 6 a ring, 4 of the seat; local ones: table angle, 6 of the own movement.
+    """
+
+    rig: Rig
+    by_shared: Array
+    """(V, 8, S) of (twist, inset, focus) by the shared unknowns."""
+    by_local: Array
+    """(V, 8, 7)."""
+    normal: Array
+    """(V, 8, 8) of (twist, inset, focus)."""
+    gradient: Array
+    """(V, 8)."""
+    own: Array
+    """(V, 6) the views' own movement."""
+    angle_off: Array
+    """(V,) table angle less the commanded one."""
+    angle_sigma: Array
+    """(V,)."""
+    focus_prior: float
+
+    @classmethod
+    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, focus_prior: float) -> "_System":
+        count, rings = len(views), len(rig.cam_from_rig)
+        by_shared, by_local = np.zeros((count, 8, 2 + 6 * rings + 4)), np.zeros((count, 8, 7))
+        by_shared[:, 6, 0] = by_shared[:, 7, 1] = 1.0
+        by_local[:, :6, 1:] = np.eye(6)
+        for k in range(count):
+            ring = int(rig.ring[k])
+            by_shared[k, :6, 2 + 6 * ring : 8 + 6 * ring] = adjoint(rig.own[k])
+            cam_from_rig = rig.own[k] @ rig.cam_from_rig[ring]
+            by_local[k, :6, 0] = adjoint(cam_from_rig)[:, 2]
+            by_shared[k, :6, -4:] = adjoint(cam_from_rig @ frames.rotation_z(float(rig.angle_rad[k])))[:, SEAT]
+        own = np.array([np.concatenate([frames.to_rotvec(pose), pose[:3, 3]]) for pose in rig.own])
+        normal = np.array([view.normal for view in views])
+        gradient = np.array([view.gradient for view in views])
+        return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, focus_prior)
+
+    def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the shared (S,) and local (V, 7) step, the covariances (S, S), (V, 7, 7), and the cross covariance (V, S, 7)."""
+        precision = np.repeat(spread[self.rig.ring] ** -2.0, 3, axis=1) * weight[:, None]
+        prior = np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
+        local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
+        shared_from = np.einsum("vij,vik->vjk", self.by_shared, self.normal)
+        local_normal = local_from @ self.by_local + prior[:, :, None] * np.eye(7)
+        cross = local_from @ self.by_shared
+        right = np.einsum("vij,vi->vj", self.by_local, self.gradient)
+        right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
+        seat = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
+        shared_prior = np.full(self.by_shared.shape[2], 1e-9)
+        shared_prior[0], shared_prior[1], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, self.focus_prior**-2.0, SEAT_PRIOR**-2.0
+        shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
+        shared_right[0] -= shared_prior[0] * self.rig.inset_px
+        shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)
+        shared_right[-4:] -= shared_prior[-4:] * seat
+        inverse = _inverse(local_normal)
+        gain = inverse @ cross
+        reduced = np.sum(shared_from @ self.by_shared - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(shared_prior)
+        covariance = _inverse(reduced)
+        shared = covariance @ (shared_right - np.einsum("vij,vi->j", gain, right))
+        local = np.einsum("vij,vj->vi", inverse, right) - gain @ shared
+        return shared, local, covariance, inverse + gain @ covariance @ gain.transpose(0, 2, 1), -covariance @ gain.transpose(0, 2, 1)
+
+    def find_spread(self, spread: Array, weight: Array) -> tuple[Array, Array]:
+        """Return the spread (R, 2) of the views' own movement and the views' weights (V,) under Student's t."""
+        for _ in range(SPREAD_STEPS):
+            _, local, _, covariance, _ = self.solve(spread, weight)
+            movement = (self.own + local[:, 1:]) ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
+            square = movement.reshape(-1, 2, 3).sum(axis=2)
+            weight = (TAIL + 6.0) / (TAIL + np.sum(square / spread[self.rig.ring] ** 2, axis=1))
+            found = np.array([np.sqrt(np.mean(weight[of, None] * square[of], axis=0) / 3.0) for of in self._members()])
+            spread = np.maximum(found**2 / spread, STILL)
+        return spread, weight
+
+    def _members(self) -> list[NDArray[np.bool_]]:
+        return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
+
+    def report(self, weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
+        """Put the covariances of the poses together."""
+        _, _, shared, local, cross = self.solve(self.rig.spread, weight)
+        mixed = self.by_shared @ cross @ self.by_local.transpose(0, 2, 1)
+        covariance = self.by_shared @ shared @ self.by_shared.transpose(0, 2, 1) + mixed + mixed.transpose(0, 2, 1)
+        covariance = covariance + self.by_local @ local @ self.by_local.transpose(0, 2, 1)
+        rings = [shared[2 + 6 * k : 8 + 6 * k, 2 + 6 * k : 8 + 6 * k] for k in range(len(self.rig.cam_from_rig))]
+        return RigFit(
+            rig=self.rig,
+            views=views,
+            rig_px=rig_px,
+            covariance=covariance[:, :6, :6],
+            ring_covariance=np.array(rings),
+            focal_sigma=float(np.sqrt(shared[1, 1])),
+            offset_covariance=shared[-4:, -4:],
+            scale=scale,
+        )

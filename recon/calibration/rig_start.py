@@ -1,0 +1,90 @@
+"""A first rig from the poses of single views: cameras of the rings, table angles, and how much the views scatter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.calibration.rig_fit import Rig
+from scenes import frames
+from scenes.dataset import Frame
+from scenes.frames import Array
+
+AGREE_RAD = np.deg2rad(5.0)
+"""Commanded table angles are believed when the pictures agree within this."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstRig:
+    """Where the fit of the rig begins."""
+
+    rig: Rig
+    """Its views' poses are the given ones."""
+    command_rad: Array
+    """(V,) commanded table angle about +z; where none counts, the pictures' own."""
+    known: NDArray[np.bool_]
+    """(V,) whether a commanded angle counts."""
+    stations: tuple[tuple[int, int], ...]
+    """Ring and placement of the frames, in the order of ``rig.cam_from_rig``."""
+    warnings: tuple[str, ...]
+
+
+def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, direction: int) -> FirstRig:
+    """Put a first rig together.
+
+    Parameters
+    ----------
+    cam_from_canister : (4, 4) of each view, from its own markers.
+    captured : the views' frames: ring, placement and commanded table angle. Each placement of the camera in a ring has a camera of its own.
+    direction : +1 where positive table angles turn counter-clockwise seen from above.
+    """
+    poses = np.array(cam_from_canister)
+    stations = sorted({frame.station for frame in captured})
+    ring = np.array([stations.index(frame.station) for frame in captured])
+    centres = np.array([frames.invert(pose)[:3, 3] for pose in poses])
+    angle = -np.arctan2(centres[:, 1], centres[:, 0])
+    command, known = angle.copy(), np.zeros(len(poses), bool)
+    warnings: list[str] = []
+    for r, (number, _) in enumerate(stations):
+        of = [i for i, frame in enumerate(captured) if ring[i] == r and frame.table_deg is not None]
+        if not of:
+            continue
+        asked = direction * np.deg2rad([captured[i].table_deg or 0.0 for i in of])
+        if _scatter(angle[of] - asked) < AGREE_RAD:
+            command[of], known[of] = asked, True
+        else:
+            other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
+            warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
+    turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
+    cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
+    own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])
+    rig = Rig(
+        ring=ring,
+        cam_from_rig=cam_from_rig,
+        angle_rad=command,
+        own=own,
+        table_from_canister=np.eye(4),
+        inset_px=0.0,
+        focal_scale=1.0,
+        spread=np.array([_spread(own[ring == r]) for r in range(len(stations))]),
+    )
+    return FirstRig(rig=rig, command_rad=command, known=known, stations=tuple(stations), warnings=tuple(warnings))
+
+
+def _scatter(angles: Array) -> float:
+    """Return the median distance of angles from their middle direction."""
+    middle = np.angle(np.median(np.cos(angles)) + 1j * np.median(np.sin(angles)))
+    return float(np.median(np.abs(np.angle(np.exp(1j * (angles - middle))))))
+
+
+def _middle(poses: Array) -> Array:
+    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as much as shifts of an arm of 100 mm)."""
+    flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * 100.0, poses[:, :3, 3]], axis=1)
+    return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
+
+
+def _spread(own: Array) -> Array:
+    """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
+    turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
+    return np.array([turns + 1e-3, np.median(np.linalg.norm(own[:, :3, 3], axis=1)) + 0.1])

@@ -1,0 +1,355 @@
+"""What the roots themselves tell about the rig: the water's index, and whether cameras and canister are where the markers put them.
+
+Roots are seen in all views, at every distance from the axis: a wrong index makes them miss their places in the pictures in a way that no
+shape and hardly any camera can mend. Each node of the fitted tubes says in each view how far off the tube lies sideways
+(`tube_picture`), and `sight_change` how a change of the rig would move it. The nodes' own positions and radii are eliminated (Schur
+complement, 4x4 blocks), and
+
+    (S / phi + prior) q = g / phi
+
+is solved for the shared quantities q: the index, and as company in doubt the focal length, the canister's seat in the strip, each
+station's camera and each view's table angle, which the markers know as well as their covariances say. Residuals along a root and within a
+view belong together, so that phi, the variance of a unit of evidence, comes from the scatter of whole roots and whole views (sandwich
+with two ways of clustering: Cameron, Gelbach and Miller 2011, equation 2.11), and not from the pixels, which would claim far too much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.calibration import sight_change
+from recon.calibration.sight_change import QUANTITIES
+from recon.coverage.evidence import Evidence
+from recon.optics.cameras import View
+from recon.optics.projection import ViewBank
+from recon.optics.refraction import Optics
+from recon.tubes import tube_fit, tube_picture
+from recon.tubes.tube_picture import Profiles
+from recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+INDEX_PRIOR = 0.003
+"""How far the water's index may be from the given one: ten degrees are 0.001, 2 g/l of salts 0.0003, red or blue light 0.002."""
+INDEX_LIMITS = 1.32, 1.36
+"""Water, from hot to salty."""
+SURE = 3.0
+"""An index is believed beyond this many standard deviations of the given one, and not for fewer than `LEAST_NODES` nodes."""
+LEAST_NODES = 100
+MOST_NODES = 1500
+TURN_PRIOR_RAD = 7e-5
+"""How well markers know a table angle: 0.004 degrees."""
+_LEAST_VIEWS = 8
+"""Fewer views than this leave a node's own place in doubt."""
+MARKERS_SHARE = 3.0
+"""Factor on the cameras' standard deviations: the marker fit takes corners for independent, but a still camera sees the same edges on
+the same rows of pixels in every view, and what they are off by does not average out (clean twin: 1.3 to 6 standard deviations)."""
+LEAST_VARIANCE = 1e-5
+"""Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
+_RIDGE, _ALONG = 1e-3, 0.5
+"""Parts of a node's own curvature that hold it in all directions, and along its root, where nothing is seen."""
+_PASSES = 4
+_ROUNDS, _STEPS = 4, 3
+"""Times that the tubes are fitted anew, and steps of each fit."""
+_SETTLED = 0.2
+"""Parts of its standard deviation by which an index may still move at the end."""
+
+
+@dataclass(frozen=True)
+class RigDoubt:
+    """How well markers and edges know the rig of some views."""
+
+    station: NDArray[np.int64]
+    """(V,) which standing of the camera a view belongs to."""
+    camera: Array
+    """(R, 6, 6) covariance of the left-hand twist of each station's camera, rad and mm."""
+    seat: Array
+    """(4,) standard deviations of the canister's tilt about x, y (rad) and offset x, y (mm) in the strip."""
+    focus: float
+    """Standard deviation of the focal scale."""
+
+    def of(self, views: list[int]) -> RigDoubt:
+        """Return the doubt of some of the views, in their order."""
+        return replace(self, station=self.station[views])
+
+
+@dataclass(frozen=True)
+class Sights:
+    """The cameras of some views, what they look through, and how sure both are."""
+
+    frames: list[int]
+    """Number of each view's frame."""
+    views: list[View]
+    optics: Optics
+    doubt: RigDoubt | None
+    """None: the cameras were given and count as exact."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The rig as the roots would have it."""
+
+    change: Array
+    """(K,) of all unknowns together, from what markers and edges said."""
+    sigma: Array
+    """(K,) standard deviations."""
+    nodes: int
+    before_px: float
+    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its best place."""
+    after_px: float
+    """The same when the rig is changed as found."""
+
+
+@dataclass(frozen=True)
+class RootCalibration:
+    """What came of asking the roots."""
+
+    n_water: float
+    """As the roots would have it."""
+    n_water_sigma: float
+    n_water_given: float
+    focal_scale: float
+    """Focal lengths of ``sights`` over those that the markers told."""
+    believed: bool
+    """Whether index and cameras were taken as the roots would have them."""
+    nodes: int
+    before_px: float
+    after_px: float
+    sights: Sights
+    """Cameras and optics to go on with."""
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Which unknown each quantity of each view is."""
+
+    of: NDArray[np.int64]
+    """(V, Q) number of the unknown, -1 where there is none."""
+    precision: Array
+    """(K, K) of what was known."""
+    shared: int
+    """Unknowns before this one belong to several views."""
+
+    @staticmethod
+    def to(views: int, doubt: RigDoubt | None) -> _Columns:
+        of = np.full((views, len(QUANTITIES)), -1)
+        of[:, 0] = 0
+        if doubt is None:
+            return _Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
+        stations = len(doubt.camera)
+        of[:, 1:6] = np.arange(1, 6)
+        of[:, 7:] = 6 + 6 * doubt.station[:, None] + np.arange(6)
+        shared = 6 + 6 * stations
+        of[:, 6] = shared + np.arange(views)
+        precision = np.zeros((shared + views, shared + views))
+        known = np.concatenate([[INDEX_PRIOR, doubt.focus], doubt.seat, np.full(views, TURN_PRIOR_RAD)])
+        single = np.concatenate([np.arange(6), shared + np.arange(views)])
+        precision[single, single] = known**-2.0
+        for k in range(stations):
+            own = slice(6 + 6 * k, 12 + 6 * k)
+            precision[own, own] = _inverse(doubt.camera[k] * MARKERS_SHARE**2)
+        return _Columns(of, precision, shared)
+
+
+def calibrate(
+    seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_px: float
+) -> tuple[Evidence, Tubes, RootCalibration | None]:
+    """Ask fitted tubes for the index; where it is believed, change index and cameras and fit the tubes anew, until nothing changes.
+
+    Parameters
+    ----------
+    seen : evidence with the cameras of ``sights``.
+    fixed : (N,) nodes that were not fitted.
+
+    Returns
+    -------
+    seen : evidence with the cameras and optics to go on with.
+    tubes : fitted to it.
+    calibration : None where there are too few nodes to tell.
+    """
+    first = estimate(seen, sights, tubes, fixed, blur_px=blur_px)
+    if first is None:
+        return seen, tubes, None
+    found, now = first, sights
+    if sure := believed(first, sights.optics):
+        for _ in range(_ROUNDS):
+            now = changed(sights, found.change)
+            seen = replace(seen, bank=ViewBank.of(now.views, now.optics))
+            tubes, _ = tube_fit.fit(seen, tubes, fixed, blur_px=blur_px, steps=_STEPS)
+            last = found
+            found = estimate(seen, now, tubes, fixed, blur_px=blur_px, taken=last.change) or last
+            if abs(found.change[0] - last.change[0]) < _SETTLED * found.sigma[0]:
+                break
+    return (
+        seen,
+        tubes,
+        RootCalibration(
+            n_water=now.optics.n_water if sure else sights.optics.n_water + float(found.change[0]),
+            n_water_sigma=float(found.sigma[0]),
+            n_water_given=sights.optics.n_water,
+            focal_scale=now.views[0].camera.focal_px[0] / sights.views[0].camera.focal_px[0],
+            believed=sure,
+            nodes=first.nodes,
+            before_px=first.before_px,
+            after_px=found.after_px,
+            sights=now,
+        ),
+    )
+
+
+def estimate(seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_px: float, taken: Array | None = None) -> Found | None:
+    """Find from fitted tubes what of the rig is other than thought; None where there are too few nodes.
+
+    Parameters
+    ----------
+    fixed : (N,) nodes that were not fitted.
+    taken : (K,) change that the sights hold already, beyond what markers and edges said.
+    """
+    views, doubt = sights.views, sights.doubt
+    at = seen.project(tubes.centre_mm)
+    depth = tube_picture.optical_depth(seen, tubes, at, blur_px)
+    profiles = tube_picture.profiles(seen, tubes, at, depth, tube_picture.unexplained(seen, depth), blur_px)
+    chosen = np.flatnonzero(~fixed & ((profiles.shift_2 > 0.0).sum(axis=0) >= _LEAST_VIEWS))
+    if len(chosen) < LEAST_NODES:
+        return None
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
+    columns = _Columns.to(len(views), doubt)
+    sums = profiles.of(chosen)
+    wanted = QUANTITIES if doubt is not None else QUANTITIES[:1]
+    points = tubes.centre_mm[chosen]
+    by = [sight_change.moves(view, sights.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
+    system = _System.of(sums, np.where((sums.shift_2 > 0.0)[..., None], np.stack(by), 0.0), columns, tubes.tangents[chosen])
+    before = np.zeros(len(columns.precision)) if taken is None else taken
+    more, covariance = system.solve(tubes.owner[chosen], before)
+    return Found(
+        change=before + more,
+        sigma=np.sqrt(np.diag(covariance)),
+        nodes=len(chosen),
+        before_px=system.distance_px(np.zeros_like(more)),
+        after_px=system.distance_px(more),
+    )
+
+
+def believed(found: Found, optics: Optics) -> bool:
+    """Tell whether the index that the roots ask for is to be taken."""
+    asked = optics.n_water + float(found.change[0])
+    return abs(float(found.change[0])) > SURE * float(found.sigma[0]) and INDEX_LIMITS[0] < asked < INDEX_LIMITS[1]
+
+
+def changed(sights: Sights, change: Array) -> Sights:
+    """Return sights with a change (K,) of their unknowns."""
+    optics = replace(sights.optics, n_water=sights.optics.n_water + float(change[0]))
+    if sights.doubt is None:
+        return replace(sights, optics=optics)
+    station, stations = sights.doubt.station, len(sights.doubt.camera)
+    camera, turn = change[6 : 6 + 6 * stations].reshape(-1, 6), change[6 + 6 * stations :]
+    moved = []
+    for v, view in enumerate(sights.views):
+        seat = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
+        view = sight_change.displaced(sight_change.seated(view, seat), camera[station[v]])
+        moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
+    return replace(sights, views=moved, optics=optics)
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations of the shared unknowns, the nodes' own positions and radii eliminated."""
+
+    sums: Profiles
+    by: Array
+    """(V, N, Q) shift sideways by the quantities of the view."""
+    columns: _Columns
+    start: Array
+    """(N, 4) where the nodes would go if nothing shared changed."""
+    follow: Array
+    """(N, 4, K) how the nodes give way to the shared unknowns (with the opposite sign)."""
+    reduced: Array
+    """(K, K)"""
+    right: Array
+    """(K,)"""
+
+    @staticmethod
+    def of(sums: Profiles, by: Array, columns: _Columns, tangent: Array) -> _System:
+        pull = sums.pull()
+        count, unknowns = len(tangent), len(columns.precision)
+        own = pull.hessian.copy()
+        mean = np.trace(own[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
+        own[:, :3, :3] += mean * (_RIDGE * np.eye(3) + _ALONG * tangent[:, :, None] * tangent[:, None, :])
+        own[:, 3, 3] += _RIDGE * own[:, 3, 3] + 1e-9
+        mixed, whole, right = np.zeros((count, 4, unknowns)), np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        for v, numbers in enumerate(columns.of):
+            used = numbers >= 0
+            j, by_j = numbers[used], by[v][:, used[: by.shape[2]]]
+            whole[np.ix_(j, j)] += (sums.shift_2[v, :, None] * by_j).T @ by_j
+            right[j] += sums.shift[v] @ by_j
+            mixed[:, :3, j] += (sums.shift_2[v, :, None] * sums.across[v])[:, :, None] * by_j[:, None, :]
+            mixed[:, 3, j] += (sums.shift_width[v] * sums.scale[v])[:, None] * by_j
+        start = np.asarray(np.linalg.solve(own, pull.gradient[..., None])[..., 0], np.float64)
+        follow = np.asarray(np.linalg.solve(own, mixed), np.float64)
+        reduced = _positive(whole - np.einsum("nij,nik->jk", mixed, follow))
+        return _System(sums, by, columns, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
+
+    def solve(self, root: NDArray[np.int64], before: Array) -> tuple[Array, Array]:
+        """Return the change (K,) and its covariance; ``root`` (N,) is the branch of each node, ``before`` (K,) was changed already."""
+        prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
+        for _ in range(_PASSES):
+            covariance = _inverse(self.reduced + phi * prior)
+            change = covariance @ (self.right - phi * prior @ before)
+            scatter = self._scatter(change, root)
+            phi = float(np.diag(covariance @ scatter)[:shared].sum() / np.diag(covariance @ self.reduced)[:shared].sum())
+            phi = max(phi, LEAST_VARIANCE)
+        covariance = _inverse(self.reduced / phi + prior)
+        spread = covariance @ (scatter / phi**2 + prior) @ covariance
+        larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
+        return covariance @ (self.right / phi - prior @ before), covariance * larger[:, None] * larger
+
+    def _left(self, change: Array, v: int) -> tuple[Array, Array, Array]:
+        """Return what is left in a view: shift (N,), width (N,), and the derivative of the shift (N, K) with nodes that follow."""
+        sums, numbers = self.sums, self.columns.of[v]
+        used = numbers >= 0
+        derivative = -np.einsum("ni,nik->nk", sums.across[v], self.follow[:, :3])
+        derivative[:, numbers[used]] += self.by[v][:, used[: self.by.shape[2]]]
+        sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + derivative @ change
+        wider = sums.scale[v] * (self.start[:, 3] - self.follow[:, 3] @ change)
+        shift = sums.shift[v] - sums.shift_2[v] * sideways - sums.shift_width[v] * wider
+        return shift, sums.width[v] - sums.shift_width[v] * sideways - sums.width_2[v] * wider, derivative
+
+    def _scatter(self, change: Array, root: NDArray[np.int64]) -> Array:
+        """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
+        unknowns, roots = len(change), int(root.max()) + 1
+        by_root, total = np.zeros((roots, unknowns)), np.zeros((unknowns, unknowns))
+        for v in range(len(self.by)):
+            shift, width, derivative = self._left(change, v)
+            score = derivative * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None]
+            both = np.zeros((roots, unknowns))
+            np.add.at(both, root, score)
+            by_root += both
+            of_view = both.sum(axis=0)
+            total += np.outer(of_view, of_view) - both.T @ both
+        return _positive(total + by_root.T @ by_root)
+
+    def distance_px(self, change: Array) -> float:
+        """Return the root mean square distance sideways that is left after a change."""
+        square = weight = 0.0
+        for v in range(len(self.by)):
+            shift, _, _ = self._left(change, v)
+            seen = self.sums.shift_2[v]
+            square += float(np.sum(np.square(shift) / np.maximum(seen, 1e-9), where=seen > 0.0))
+            weight += float(seen.sum())
+        return float(np.sqrt(square / weight))
+
+
+def _positive(matrix: Array) -> Array:
+    """Return a symmetric matrix without what rounding made negative."""
+    size, axes = np.linalg.eigh(matrix)
+    return np.asarray((axes * np.maximum(size, 0.0)) @ axes.T)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Invert a symmetric matrix whose unknowns differ in unit."""
+    size = np.sqrt(np.diag(matrix))
+    return np.asarray(np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size))

@@ -1,0 +1,195 @@
+"""The empty backlight of a ring, from the turn itself, and where the pictures say something about the water."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.optics import cameras, refraction
+from recon.optics.refraction import Array, Optics
+from scenes.model import Scene
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_DIM = 0.25
+"""A background darker than this fraction of the ring's typical one says nothing (flanks, shadows)."""
+_MARGIN_MM = 0.1
+"""Beside what is opaque: the cameras' and the canister's errors."""
+_STEP = 4
+_FLANK = 0.98
+"""Share of the canister's width beyond which the wall reflects nearly everything."""
+_LEAST_SHARE = 0.5
+"""Of the views, that must look into the water at a pixel for its background to be known."""
+_GLARE, _RIM_PX = 0.05, 11
+"""What is brighter than the smooth panel by this share is glare, with so many pixels about it."""
+_AGREED = 0.5
+"""Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
+_LEAST_SURE = 0.1
+"""Of the pixels that are bright enough: where fewer are sure, all of them begin."""
+_BLOCK_ROWS = 24
+_THREADS = 2
+
+
+def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
+    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water, and out of it to the backlight.
+
+    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of half a pixel
+    and `_MARGIN_MM` at what is opaque: the skirt before and behind the canister, the grid or water surface, and the base, as far out as the
+    outer wall. How far a line of sight stays clear of these is computed for one pixel in four each way and interpolated.
+    """
+    width, height = view.camera.image_wh
+    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
+    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
+    inside = np.where(np.abs(w) < _FLANK * optics.w_limit, 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, np.clip(w, -_FLANK, _FLANK), p_z)).reshape(u.shape).astype(np.float32)
+    wide = (clear.shape[1] * _STEP, clear.shape[0] * _STEP)
+    known = cv2.resize(np.isfinite(clear).astype(np.uint8), wide, interpolation=cv2.INTER_NEAREST) > 0
+    fine = cv2.resize(np.nan_to_num(clear, nan=-1.0), wide, interpolation=cv2.INTER_LINEAR)
+    half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
+    return (known & (fine > _MARGIN_MM + half_px_mm))[:height, :width]
+
+
+def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_z: Array) -> Array:
+    """Return how far (in height) rays with these invariants stay clear of everything opaque; NaN where they miss the water."""
+    r_skirt, r_o, r_i, z_cam = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, float(view.centre_mm[2])
+    with np.errstate(invalid="ignore"):
+        line = refraction.trace(optics, view.rho_mm, z_cam, np.where(np.abs(w) < optics.w_limit, w, np.nan), p_z)
+        in_air, in_wall = p_z / np.sqrt(1.0 - p_z**2), p_z / np.sqrt(optics.n_wall**2 - p_z**2)
+        b_wall = w * r_o * np.sqrt(1.0 - p_z**2) / np.sqrt(optics.n_wall**2 - p_z**2)
+        through_air = np.sqrt(r_skirt**2 - (w * r_o) ** 2) - np.sqrt(r_o**2 - (w * r_o) ** 2)
+        through_wall = np.sqrt(r_o**2 - b_wall**2) - np.sqrt(r_i**2 - b_wall**2)
+        far_z = line.entry_z_mm + line.slope * 2.0 * np.sqrt(r_i**2 - line.b_mm**2)
+        far_outer_z = far_z + in_wall * through_wall
+        highest = np.maximum(line.outer_z_mm - in_air * through_air, far_outer_z + in_air * through_air)
+        clear = np.minimum(scene.net_pot.skirt_bottom_mm - highest, optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
+        return np.minimum(clear, np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm)
+
+
+def wall_light(view: cameras.View, optics: Optics) -> Image:
+    """Return the share (H, W) of the backlight that comes through the canister's walls; that of the flank beyond it.
+
+    Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is estimated without them.
+    """
+    width, height = view.camera.image_wh
+    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
+    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
+    light = refraction.transmittance(optics, np.clip(w, -_FLANK, _FLANK) * optics.w_limit, p_z).reshape(u.shape)
+    wide = (u.shape[1] * _STEP, u.shape[0] * _STEP)
+    fine = cv2.resize(light.astype(np.float32), wide, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[:height, :width])
+
+
+def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
+    """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
+
+    Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the panel in
+    nearly every view (the taproot on the axis, a crowd of roots) that is too dark: a smooth surface through the trusted pixels takes
+    its place. It is fitted first to pixels that most views show alike, as a crowd may hide more of the panel than it leaves free.
+
+    Parameters
+    ----------
+    stack : (V, H, W) linear grey, any scale.
+    inside : (H, W), or (V, H, W) where the canister wobbles: pixels to be filled; others are 0 in the result.
+
+    Returns
+    -------
+    background : (H, W) in the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
+    glare : (H, W) pixels of reflections. What they add hides roots, so that nothing can be said there.
+    """
+    views = len(stack)
+    often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
+    rows = np.flatnonzero(often.any(axis=1))
+    background, agreed = np.zeros(stack.shape[1:], np.float32), np.zeros(stack.shape[1:], bool)
+    if not len(rows):
+        return background, np.zeros(background.shape, bool)
+
+    def upper_mean(begin: int) -> None:
+        part = stack[:, begin : begin + _BLOCK_ROWS]
+        if inside.ndim == 3:
+            part = np.where(inside[:, begin : begin + _BLOCK_ROWS], part, 0.0)
+        # sorted from the brightest: what lies outside comes last, and the quintile is that of the views that look into the water
+        number = views if inside.ndim == 2 else inside[:, begin : begin + _BLOCK_ROWS].sum(axis=0)
+        rank = np.broadcast_to(views - 1 - np.asarray(0.2 * number, np.int64), part.shape[1:])
+        ranks = np.unique(rank)
+        upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
+        near = np.abs(part - upper) <= 0.04 * upper
+        count = near.sum(axis=0)
+        background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1)
+        agreed[begin : begin + _BLOCK_ROWS] = count >= _AGREED * number
+
+    with ThreadPoolExecutor(max_workers=_THREADS) as pool:
+        list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
+    background[~often] = 0.0
+    smooth = _smooth_surface(background, often, agreed)
+    spots = (smooth > 0) & (background > (1.0 + _GLARE) * smooth)
+    glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
+    # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
+    covered = often & (background < 0.96 * smooth)
+    return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
+
+
+def _smooth_surface(background: Image, inside: Mask, sure: Mask) -> Image:
+    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out.
+
+    It begins with the pixels (H, W) that are ``sure``; where it runs on from them, it decides on the others.
+    """
+    rows, columns = np.nonzero(inside)
+    u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
+    v = 2.0 * (rows - rows.min()) / max(1, np.ptp(rows)) - 1.0
+    values = background[rows, columns].astype(np.float64)
+    step = max(1, len(values) // 40_000)
+    sample = np.arange(0, len(values), step)
+    core = np.abs(u) < 0.85
+    sample = sample[core[sample]]
+    degrees = (8, 4)
+    basis = np.polynomial.chebyshev.chebvander2d(u[sample], v[sample], degrees)
+    lit = values[sample] > _DIM * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
+    first = lit & sure[rows[sample], columns[sample]]
+    trusted = first if first.sum() > _LEAST_SURE * lit.sum() else lit
+    coefficients = np.zeros(basis.shape[1])
+    surface = np.zeros_like(background)
+    if not trusted.any():  # all black: there is no light to fit
+        return surface
+    for _ in range(8):
+        some = basis[trusted]  # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
+        coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
+        residual = values[sample] - basis @ coefficients
+        scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
+        trusted = (residual > -3.0 * scale) & (residual < np.maximum(_GLARE * values[sample], 3.0 * scale))
+    shape = (degrees[0] + 1, degrees[1] + 1)
+    surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
+    return surface
+
+
+def bright_enough(background: Image, inside: Mask) -> Mask:
+    """Return the pixels of ``inside`` whose background is bright enough to tell root from none."""
+    if not inside.any():
+        return inside
+    return inside & (background > _DIM * np.quantile(background[inside], 0.9))
+
+
+def estimate_single(image: Image, inside: Mask) -> Image:
+    """Estimate the empty backlight of one picture from itself: dark things up to 31 px wide are closed, wider ones bridged.
+
+    For cameras that moved from view to view.
+
+    Parameters
+    ----------
+    image : (H, W) one picture, linear in light.
+    inside : (H, W) pixels that look through the water.
+
+    Returns
+    -------
+    background : (H, W) in the scale of the image.
+    """
+    closed = cv2.morphologyEx(
+        np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
+    )
+    closed[~inside] = 0.0
+    smooth = _smooth_surface(closed, inside, inside)
+    covered = inside & (smooth > 0)
+    return np.where(covered, smooth, closed).astype(np.float32)

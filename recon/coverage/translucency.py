@@ -1,0 +1,220 @@
+"""How much light roots let through, from the pictures, and what a translucent root covers.
+
+A root of chord c passes ``exp(-mu c)`` of the light, besides a share b of the backlight's brightness that it shows by itself (front light),
+so that a round root of radius w has the opacity
+
+    alpha(x) = (1 - b) (1 - exp(-2 mu sqrt(w^2 - x^2)))        at the distance x from its axis.
+
+Across a resolved root mu and w shape the profile differently: an opaque one is a box, a translucent one is round and the thinner the
+fainter. So mu is fitted to the profiles of straight, lone strips. What a picture tells of a root thinner than a few pixels is its
+opacity summed across, A = integral of alpha, and from A and mu follows w: coverage is opacity times ``2 w / A``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from recon.coverage.silhouettes import Image, Mask
+
+Array = NDArray[np.float64]
+
+CLEARLY = 1.2
+"""Roots are taken to be opaque unless that leaves this many times as much variance as translucent ones do.
+
+An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by chance.
+"""
+_REACH_PX, _STEP_PX = 14.0, 0.5
+_OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
+_ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
+"""A strip is averaged over these places along it, where its profile must be the same (`_SAME`)."""
+_SAME = 0.12
+_WIDTH_PX = (4.0, 11.0)
+"""Full widths at half height that are fitted: narrower strips are mostly blur, and too faint ones would be missed."""
+_FLANK_PX = 1.7
+_EMPTY = 0.06
+"""Opacity beside a lone strip is less."""
+_GOOD = 0.02
+"""Profiles that no root explains better than this (root mean square) are none of one lone root."""
+_MOST = 3000
+"""Places of a view that are looked at."""
+_A_BIN, _LEAST = 120, 30
+_MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
+_BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
+_OWN = (0.0, 0.5, 1.0)
+"""Shares of the light in the darkest cores that may be the roots' own."""
+_LONGEST_PX = 60.0
+"""Things shorter than this are no roots to learn from."""
+_FINE = 16
+_PEAK_BLUR_PX = 1.0
+_SIGMA_PX = 0.5
+"""Blur of a picture, square pixel included, that profiles are reckoned with."""
+_THINNEST_MM = 0.08
+"""Radius below which coverage is no longer raised: what is left is noise."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """How roots look before the backlight."""
+
+    own: float
+    """Brightness of a root by itself, as a share of the backlight."""
+    mu_per_mm: float | None
+    """Attenuation; None for opaque roots."""
+    profiles: int
+    """Profiles that told it."""
+
+
+def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Law:
+    """Learn from pictures of opacity how much light roots let through.
+
+    Parameters
+    ----------
+    opacities : (H, W) one less image over backlight, of some views.
+    seen : (H, W) where they say something.
+    px_a_mm : scale across the canister's axis.
+    """
+    own, found = [np.zeros(0)], []
+    for opacity, here in zip(opacities, seen, strict=True):
+        large = _large(opacity, here)
+        core = cv2.erode(((opacity > 0.6) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        own.append(1.0 - opacity[core])
+        found.append(_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
+    cores = np.concatenate(own)
+    bright = float(np.clip(np.quantile(cores, 0.005), 0.0, 0.3)) if len(cores) else 0.0
+    profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
+    chosen = _balanced(width)
+    return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
+
+
+def _large(opacity: Image, seen: Mask) -> Mask:
+    """Tell the pixels in and beside large connected things."""
+    dark = ((cv2.GaussianBlur(opacity, (0, 0), 1.0) > _EMPTY) & seen).astype(np.uint8)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
+    large = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > _LONGEST_PX
+    large[0] = False
+    return np.asarray(cv2.dilate(large[label].astype(np.uint8), np.ones((7, 7), np.uint8)) > 0)
+
+
+def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
+    """Sample opacity across straight, lone strips: profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height."""
+    smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
+    g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
+    xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
+    straight = np.hypot(xx - yy, 2.0 * xy) > 0.8 * (xx + yy)
+    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > 0.3) & seen & straight))
+    if not len(rows):
+        return np.zeros((0, len(_OFFSETS))), np.zeros(0)
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)[rows, columns].astype(np.float64)
+    n_x, n_y = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    u, v = columns[:, None] + n_x * _OFFSETS, rows[:, None] + n_y * _OFFSETS
+    sections = np.array([map_coordinates(opacity, [v + s * n_x, u - s * n_y], order=1) for s in _ALONG_PX])
+    profile = sections.mean(axis=0)
+    middle = len(_OFFSETS) // 2
+    half = 0.5 * profile[:, middle - 1 : middle + 2].mean(axis=1)
+    right, left = _fall(profile[:, middle:], half), _fall(profile[:, middle::-1], half)
+    bounded = np.isfinite(right) & np.isfinite(left)
+    right, left = np.where(bounded, right, 0.0), np.where(bounded, left, 0.0)
+    width, shift = right + left, 0.5 * (right - left)
+    near = np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX
+    same = np.where(near, sections.std(axis=0), 0.0).max(axis=1) < _SAME
+    use = (np.abs(shift) < 0.5) & (width > _WIDTH_PX[0]) & (width < _WIDTH_PX[1]) & same
+    centred = np.array([np.interp(_OFFSETS + s, _OFFSETS, p) for s, p in zip(shift[use], profile[use], strict=True)])
+    centred = centred.reshape(-1, len(_OFFSETS))
+    beside = np.abs(np.abs(_OFFSETS) - (0.5 * width[use] + _FLANK_PX)[:, None] - _STEP_PX) <= _STEP_PX
+    lone = np.where(beside, centred, 0.0).max(axis=1, initial=0.0) < _EMPTY
+    return centred[lone], width[use][lone]
+
+
+def _fall(profile: Array, level: Array) -> Array:
+    """Return how far (N,) from its beginning, in pixels, each profile (N, M) falls below a level (N,); infinite where it does not."""
+    below = profile < level[:, None]
+    first = np.maximum(np.argmax(below, axis=1), 1)
+    row = np.arange(len(profile))
+    above, under = profile[row, first - 1], profile[row, first]
+    share = (above - level) / np.maximum(above - under, 1e-6)
+    return np.where(below.any(axis=1) & ~below[:, 0], (first - 1 + share) * _STEP_PX, np.inf)
+
+
+def _balanced(width: Array) -> NDArray[np.int64]:
+    """Choose profiles so that no width outweighs the others."""
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(width))
+    bins = np.floor(width[order])
+    return np.concatenate([order[:0]] + [order[bins == one][:_A_BIN] for one in np.unique(bins)])
+
+
+def _strips(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
+    """Return (offsets, opacity (N, len(offsets))) across round roots of some radii, blurred, without their own brightness."""
+    x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
+    opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
+    return x, cv2.GaussianBlur(opacity, (0, 0), sigmaX=blur_px * _FINE, sigmaY=1e-3, borderType=cv2.BORDER_CONSTANT)
+
+
+def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
+    """Find the law that explains profiles best; that of opaque roots where they are too few."""
+    opaque = Law(bright, None, len(profiles))
+    if len(profiles) < _LEAST:
+        return opaque
+    window = (np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX).astype(np.float64)
+    radii = np.geomspace(1.0, 7.5, 80)
+    own = bright * np.array(_OWN)
+    cost = np.zeros((len(_MU_PER_MM), len(own), len(_BLUR_PX), len(profiles)))
+    own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
+    for i, mu in enumerate(_MU_PER_MM):
+        for j, blur_px in enumerate(_BLUR_PX):
+            strip = _strips(radii, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            cross, strip_2 = (profiles * window) @ strip.T, window @ (strip**2).T
+            for k, full in enumerate(1.0 - own):
+                cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * strip_2) / count).min(axis=1)
+    good = cost.min(axis=(0, 1, 2)) < _GOOD**2
+    bins = np.floor(width)
+    used = [one for one in np.unique(bins[good]) if (good & (bins == one)).sum() >= _LEAST // 3]
+    if good.sum() < _LEAST or not used:
+        return opaque
+    typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
+    i, k = divmod(int(np.argmin(typical)), len(own))
+    mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
+    told = typical[-1].min() > CLEARLY * typical.min()
+    return Law(float(own[k]), mu, int(good.sum())) if told else Law(bright, None, int(good.sum()))
+
+
+def _vertex(at: Array, cost: Array, best: int) -> float:
+    """Return where the parabola through the least of some costs (N,) and its neighbours, in log ``at``, is least."""
+    if best in (0, len(at) - 1):
+        return float(at[best])
+    a, b, c = np.polyfit(np.log(at[best - 1 : best + 2]) - np.log(at[best]), cost[best - 1 : best + 2], 2)
+    del c
+    return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
+
+
+def covered(opacity: Image, law: Law, px_a_mm: float) -> Image:
+    """Return the coverage of translucent roots from their opacity, both (H, W).
+
+    The gain is that of a straight round root with the peak that blurred opacity has nearby; chosen so that the root's coverage,
+    at most 1, adds up to its diameter.
+    """
+    if law.mu_per_mm is None:
+        raise ValueError(f"{law=} is that of opaque roots")
+    peaks, gains = _gains(law.mu_per_mm, px_a_mm)
+    clear = np.clip(opacity / np.float32(1.0 - law.own), 0.0, 1.0).astype(np.float32)
+    peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
+    return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
+
+
+def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
+    """Tabulate the peaks of blurred opacity of round roots and the gains (N,) that make their coverage add up to their diameters."""
+    radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
+    radii = radii[radii < _REACH_PX - 3.0]
+    x, seen = _strips(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    _, smooth = _strips(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
+    low, high = np.ones(len(radii)), np.full(len(radii), 20.0)
+    for _ in range(40):  # bisection
+        gain = 0.5 * (low + high)
+        small = np.minimum(seen * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii
+        low, high = np.where(small, gain, low), np.where(small, high, gain)
+    return smooth.max(axis=1), 0.5 * (low + high)

@@ -1,0 +1,203 @@
+"""What clings to the canister's inner wall, told from the roots inside: algae films and bubbles.
+
+Every line of sight passes the wall twice. Unrolled and seen over the turn, what is on the wall adds up in its place while roots inside
+pass by; so a place of the wall is as dark as most of its views show it. Films are broad and faint: their light is given back to the
+pictures. Bubbles are small, round and dark-rimmed: what they cover is not seen. Thin long things stay: they are roots on the wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from recon.coverage.silhouettes import Image, Mask
+from recon.optics import cameras, refraction
+from recon.optics.cameras import View
+from recon.optics.refraction import Array, Optics
+
+T = TypeVar("T")
+
+_TEXEL_MM = 1.0
+_STEP = 8
+"""Lines of sight are followed for one pixel in so many each way, and interpolated."""
+_COLUMNS = 400
+"""Columns of a picture that are looked at, and as many rows in proportion: still a few pixels a texel."""
+_QUANTILE = 0.35
+"""Of the views of a place: roots pass before it in fewer than the others."""
+_LEAST_VIEWS = 5
+_FAINTEST = 0.03
+"""Optical depth of a film that is told from the backlight's errors."""
+_DARKEST = 0.5
+"""A film is fainter: what is darker is a thing."""
+_NARROWEST_TEXELS = 4
+"""A film is at least so wide; roots on the wall are thinner."""
+_BUBBLE = 0.06
+"""Optical depth of a texel with the least bubble that is told."""
+_WIDEST_BUBBLE_MM = 5.0
+_CLEAR, _CLEAR_VIEWS = 0.05, 4
+"""A bubble stands alone: in so many views the ring round it is clearer than this."""
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Where a view's lines of sight cross the wall: texel coordinates (H, W) of the near and the far side."""
+
+    column: tuple[Image, Image]
+    row: tuple[Image, Image]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """The unrolled inner wall; row 0 at the top of the water, column 0 at azimuth 0, both in texels of about `_TEXEL_MM`."""
+
+    film: Image
+    """(rows, columns) optical depth."""
+    bubbles: Mask
+    """(rows, columns)"""
+
+
+def shape(optics: Optics) -> tuple[int, int]:
+    """Return the rows and columns of the unrolled wall."""
+    rows = max(1, round((optics.water_z_mm - optics.floor_z_mm) / _TEXEL_MM))
+    return rows, max(8, round(2.0 * np.pi * optics.inner_radius_mm / _TEXEL_MM))
+
+
+def crossings(view: View, optics: Optics) -> Crossings:
+    """Follow a view's pixels to where they enter and leave the water; outside of it the coordinates mean nothing."""
+    width, height = view.camera.image_wh
+    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width + _STEP, _STEP), np.arange(0.5 * _STEP - 0.5, height + _STEP, _STEP))
+    w, p_z = refraction.invariants(
+        view.rho_mm, optics.outer_radius_mm, cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
+    )
+    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -1.0, 1.0) * optics.w_limit, p_z)
+    half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
+    x, y, _ = view.centre_mm
+    rows, columns = shape(optics)
+    found: list[tuple[Image, Image]] = []
+    for side in (-1.0, 1.0):
+        at = line.b_mm[:, None] * line.nu + side * half[:, None] * line.t
+        centre = 0.0 if side < 0 else np.pi  # so that the azimuth is even over the picture
+        azimuth = np.mod(np.arctan2(at[:, 1], at[:, 0]) - centre + np.pi, 2.0 * np.pi) - np.pi + centre + np.arctan2(y, x)
+        z = line.entry_z_mm + line.slope * (1.0 + side) * half
+        column = azimuth * columns / (2.0 * np.pi) - 0.5
+        row = (optics.water_z_mm - z) * rows / (optics.water_z_mm - optics.floor_z_mm) - 0.5
+        found.append((_enlarged(column, u.shape, (width, height)), _enlarged(row, u.shape, (width, height))))
+    return Crossings((found[0][0], found[1][0]), (found[0][1], found[1][1]))
+
+
+def _enlarged(values: Array, coarse: tuple[int, ...], image_wh: tuple[int, int]) -> Image:
+    """Interpolate from one pixel in `_STEP` each way to all."""
+    wide = (coarse[1] * _STEP, coarse[0] * _STEP)
+    fine = cv2.resize(values.reshape(coarse).astype(np.float32), wide, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[: image_wh[1], : image_wh[0]])
+
+
+def look_up(panorama: Image, column: Image, row: Image) -> Image:
+    """Interpolate the unrolled wall (rows, columns) at texel coordinates (H, W); it goes round in columns and ends in rows."""
+    ringed = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1)
+    around = np.mod(column, np.float32(panorama.shape[1])) + np.float32(1.0)
+    return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+class Each(Protocol):
+    """How work is done for views in parallel: `recon.run.Run.each`."""
+
+    def __call__(self, work: Callable[[int], T], name: str, indices: list[int], /) -> list[T]:
+        """Do the work for each index."""
+
+
+def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Crossings], optics: Optics, each: Each) -> Wall:
+    """Find what clings to the wall.
+
+    Parameters
+    ----------
+    opacity, seen, where : pictures (H, W) of one less image over backlight, where they say something, and where they cross the wall.
+    """
+    rows, columns = shape(optics)
+    step = max(1, next(iter(opacity.values())).shape[1] // _COLUMNS)
+    sampled = np.s_[::step, ::step]
+    depth = {k: -np.log1p(-np.minimum(picture[sampled], 0.98)) for k, picture in opacity.items()}
+    keys, film = list(opacity), np.zeros((rows, columns), np.float32)
+
+    def place(k: int) -> NDArray[np.int32]:
+        """Return the texels (2, h, w) that a view's sampled pixels look through, near and far; -1 where nothing is seen."""
+        sides = []
+        for side in (0, 1):
+            row, column = (np.rint(at[side][sampled]).astype(np.int32) for at in (where[k].row, where[k].column))
+            here = seen[k][sampled] & (row >= 0) & (row < rows)
+            sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
+        return np.stack(sides)
+
+    places = dict(zip(keys, each(place, "wall", keys), strict=True))
+
+    def observed(k: int) -> Image:
+        """Return the mean optical depth (2, rows * columns) of the places a view sees, other side's film taken off, NaN elsewhere."""
+        sides = []
+        for side in (0, 1):
+            here = places[k][side] >= 0
+            at, other = places[k][side][here], places[k][1 - side][here]
+            value = depth[k][here] - np.where(other >= 0, film.ravel()[other], 0.0)
+            number = np.bincount(at, minlength=rows * columns)
+            total = np.bincount(at, weights=value, minlength=rows * columns)
+            sides.append(np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32))
+        return np.stack(sides)
+
+    for _ in range(_ROUNDS):
+        views = np.concatenate(each(observed, "wall", keys))
+        dark = _quantile(views).reshape(rows, columns)
+        faint = np.where(dark > _DARKEST, 0.0, dark)  # roots on the wall are no film, nor is what the opening leaves of their fringe
+        broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
+        broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening squares the edges
+        film = np.where(broad > _FAINTEST, broad, 0.0).astype(np.float32)
+    return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns)))
+
+
+def _quantile(observed: Image) -> Image:
+    """Return the quantile (N,) of what is observed (V, N) at each place; 0 where too few views see it."""
+    ordered = np.sort(observed, axis=0)  # NaN last
+    number = np.isfinite(ordered).sum(axis=0)
+    rank = (_QUANTILE * np.maximum(number - 1, 0)).astype(np.int64)
+    return np.where(number >= _LEAST_VIEWS, np.take_along_axis(ordered, rank[None], axis=0)[0], 0.0).astype(np.float32)
+
+
+def _bubbles(dark: Image, views: Image) -> Mask:
+    """Tell the small dark places of the unrolled wall (rows, columns) that stand alone, with a texel about them.
+
+    Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear ring round the place;
+    and where a crowd of roots inside makes it dark, it is as clear as its ring in those views that look past them.
+    """
+    rows, columns = dark.shape
+    square = np.ones((3, 3), bool)
+    label, _ = ndimage.label(np.concatenate([dark, dark], axis=1) > _BUBBLE, structure=square)
+    found = np.zeros(dark.shape, bool)
+    for number, (row, column) in enumerate(ndimage.find_objects(label), start=1):
+        if max(row.stop - row.start, column.stop - column.start) * _TEXEL_MM > _WIDEST_BUBBLE_MM or column.start >= columns:
+            continue
+        high, low = max(0, row.start - 2), min(rows, row.stop + 2)
+        place = np.mod(np.arange(column.start - 2, column.stop + 2), columns)
+        dots = np.zeros((low - high, len(place)), bool)
+        dots[row.start - high : row.stop - high, 2:-2] = label[row, column] == number
+        body = ndimage.binary_dilation(dots, structure=square)
+        ring = ndimage.binary_dilation(body, structure=square) & ~body
+        here = views[:, high:low][:, :, place]
+        clear = (here[:, ring] < _CLEAR).all(axis=1)  # NaN is not clear
+        inside = here[clear][:, dots]
+        inside = inside[np.isfinite(inside)]
+        if clear.sum() >= _CLEAR_VIEWS and len(inside) and np.median(inside) > _BUBBLE:
+            found[high:low, place] |= body
+    return found
+
+
+def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
+    """Return a picture's opacity (H, W) without the films, and where it is not hidden by bubbles."""
+    film = sum(look_up(wall.film, where.column[side], where.row[side]) for side in (0, 1))
+    bubble = sum(look_up(wall.bubbles.astype(np.float32), where.column[side], where.row[side]) for side in (0, 1))
+    free = 1.0 - (1.0 - opacity) * np.exp(film)
+    return np.where(seen, free, 0.0).astype(np.float32), seen & (bubble < 0.5)

@@ -1,0 +1,319 @@
+"""Octree carving through the refraction: mark and refine over a set of leaves (T3.4.4), in Dr.Jit.
+
+The water is cut into nodes. A node is *empty* when one view that sees all of it finds its whole footprint outside the silhouette,
+*full* when all views that see it find its footprint inside, and is cut into eight otherwise, down to the finest size. A view that
+does not see a node (or sees it twice, or whose picture says nothing there) neither carves it nor counts for it; nodes that too few
+views see are *blind*: reported, and not part of the shape.
+
+A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and no tree is
+kept: the thesis's dictionary of leaves becomes arrays of positions, without a look-up.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
+from recon.optics import projection
+from recon.optics.projection import ViewBank
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+TELLS_PX = 1e-3 * UNSEEN_PX
+"""Interpolated distances above this have a share of `UNSEEN_PX`: the picture says nothing there either."""
+_COARSEST_MM = 4.6
+_BLIND_MM = 2.5
+_CHUNK = 1 << 21
+_BYTES_A_NODE = 150
+"""Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having too little."""
+
+
+@dataclass(frozen=True)
+class DistanceMaps:
+    """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
+
+    values: Any
+    """mi.Float, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said."""
+    image_wh: tuple[int, int]
+    window: Window
+
+    @staticmethod
+    def of(maps: NDArray[np.float32], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
+        """Put maps (V, 2 h, 2 w) on the device.
+
+        Parameters
+        ----------
+        image_wh, window : of the pictures, and the part of them that the maps are of; all of it where not given.
+        """
+        size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
+        return DistanceMaps(mi.Float(maps.ravel()), image_wh or size_px, window or Window((0, 0), size_px))
+
+    @property
+    def samples_wh(self) -> tuple[int, int]:
+        """Return the samples of a map."""
+        return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
+
+    def sample(self, px: Any) -> Any:
+        """Return where pixels (mi.Vector2f) lie on a map, whose samples are at integers: mi.Vector2f."""
+        low = self.window.low_px
+        return mi.Vector2f((px.x - low[0] + 0.5) * UPSAMPLING - 0.5, (px.y - low[1] + 0.5) * UPSAMPLING - 0.5)
+
+    def at(self, view: Any, px: Any, active: Any) -> Any:
+        """Interpolate bilinearly at pixels (mi.Vector2f)."""
+        (width, height), place = self.samples_wh, self.sample(px)
+        u = dr.clip(place.x, 0.0, width - 1.001)
+        v = dr.clip(place.y, 0.0, height - 1.001)
+        u_0, v_0 = mi.UInt32(u), mi.UInt32(v)
+        fu, fv = u - mi.Float(u_0), v - mi.Float(v_0)
+        at = (view * height + v_0) * width + u_0
+        d00, d01, d10, d11 = (dr.gather(mi.Float, self.values, at + step, active) for step in (0, 1, width, width + 1))
+        return (1 - fv) * ((1 - fu) * d00 + fu * d01) + fv * ((1 - fu) * d10 + fu * d11)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cubic lattice of the finest nodes: node (i, j, k) covers origin + size * [i, i + 1] and so on."""
+
+    origin_mm: Array
+    size_mm: float
+    levels: int
+    """How often the coarsest nodes are halved."""
+    coarse_shape: tuple[int, int, int]
+
+    @staticmethod
+    def over(low_mm: Array, high_mm: Array, size_mm: float) -> Grid:
+        """Cover a box with a lattice whose planes x = 0 and y = 0 are node faces."""
+        levels = max(0, int(np.floor(np.log2(_COARSEST_MM / size_mm))))
+        coarse = size_mm * 2**levels
+        first = np.floor(np.asarray(low_mm) / coarse)
+        shape = np.maximum(np.ceil(np.asarray(high_mm) / coarse) - first, 1).astype(int)
+        return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Occupied leaves of different sizes, all in units of the grid's finest nodes; they do not overlap."""
+
+    grid: Grid
+    index: Index
+    """(N, 3) lowest corner."""
+    size: Index
+    """(N,) edge length, a power of two."""
+    occupancy: NDArray[np.float32]
+    """(N,) fraction inside the shape."""
+
+    def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
+        """Return the summed volume, also for other occupancies (N,) of the same leaves."""
+        cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
+        return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
+
+
+@dataclass(frozen=True)
+class Hull:
+    """What carving leaves."""
+
+    leaves: Leaves
+    moved_in_mm3: float
+    """Volume with every outline moved in by its uncertainty."""
+    moved_out_mm3: float
+    """Volume with every outline moved out by its uncertainty."""
+    blind_mm3: float
+    """Volume of the water that too few views see."""
+
+
+def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
+    """Return a bound of the distance in pixels from a cube's centre to any of its points, curvature included."""
+    reach = mi.Float(0.0)
+    for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        du = p.du.x + sy * p.du.y + sz * p.du.z
+        dv = p.dv.x + sy * p.dv.y + sz * p.dv.z
+        reach = dr.maximum(reach, du * du + dv * dv)
+    linear = dr.sqrt(reach) * half_mm
+    return linear * (1.03 + 0.03 * half_mm) + 0.25  # the distance maps are right within 0.4 px and 2 %
+
+
+def look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any) -> tuple[projection.Projected, Any, Any]:
+    """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
+    p = projection.project(bank, view, point, active)
+    width, height = maps.image_wh
+    in_picture = (p.px.x > -0.5) & (p.px.x < width - 0.5) & (p.px.y > -0.5) & (p.px.y < height - 0.5)
+    seen = p.seen & in_picture
+    distance = maps.at(view, p.px, seen)
+    return p, distance, seen & (distance < TELLS_PX)
+
+
+def _mark(
+    bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px: Any, ignore_blindness: bool
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Look at nodes from every view, until one finds them empty.
+
+    Returns
+    -------
+    empty, partial : whether a view finds a node empty, and whether one finds it partly outside.
+    votes : how many views see the centre.
+    depth, scale : signed distance in mm of the centre to the hull (least over the views that see it), and px per mm in that view.
+    """
+
+    def body(view: Any, empty: Any, partial: Any, votes: Any, depth: Any, scale: Any) -> tuple[Any, ...]:
+        p, distance, seen = look(bank, maps, view, point, ~empty)
+        reach = _footprint_px(p, half_mm)
+        outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
+        if ignore_blindness:
+            outside |= ~seen
+        partial |= seen & (distance < reach + slack_px)
+        px_per_mm = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+        here = dr.select(seen, distance / px_per_mm, 1e3)
+        scale = dr.select(here < depth, px_per_mm, scale)
+        votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        return view + 1, empty | outside, partial, votes, dr.minimum(depth, here), scale
+
+    state = (mi.UInt32(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0), mi.Float(1e3), mi.Float(1.0))
+    _, *found = dr.while_loop(state, lambda view, empty, *_: (view < bank.count) & ~empty, body)
+    return tuple(found)
+
+
+def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, asked: Any, min_votes: int) -> Any:
+    """Tell which nodes have a corner that enough views see, though too few see the centre: the edge of the blind zone cuts them."""
+    result = dr.zeros(mi.Bool, dr.width(point))
+    chosen = dr.compress(asked)
+    if dr.width(chosen) == 0:
+        return result
+    part = dr.gather(mi.Point3f, point, chosen)
+    some, least = dr.zeros(mi.Bool, dr.width(chosen)), dr.opaque(mi.UInt32, min_votes)
+
+    def undecided(view: Any, votes: Any) -> Any:
+        return (view < bank.count) & (votes < least) & (votes + (bank.count - view) >= least)
+
+    for corner in np.ndindex(2, 2, 2):
+        at = part + mi.Vector3f(*(half_mm * (2.0 * c - 1.0) for c in corner))
+
+        def body(view: Any, votes: Any, at: Any = at) -> tuple[Any, Any]:
+            seen = look(bank, maps, view, at, mi.Bool(True))[2]
+            return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+        state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))
+        some |= dr.while_loop(state, undecided, body)[1] >= least
+        dr.eval(some)
+    dr.scatter(result, some, chosen)
+    return result
+
+
+def carve(
+    bank: ViewBank,
+    maps: DistanceMaps,
+    grid: Grid,
+    *,
+    radius_mm: float,
+    top_mm: float,
+    bottom_mm: float,
+    min_votes: int,
+    slack_px: float = 0.3,
+    ignore_blindness: bool = False,
+    progress: Callable[[], object] | None = None,
+) -> Hull:
+    """Carve the hull of the silhouettes out of the water.
+
+    Parameters
+    ----------
+    radius_mm, top_mm, bottom_mm : the water: nodes outside are left out.
+    min_votes : views that must see a node for it to count as part of the shape.
+    slack_px : outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+    ignore_blindness : the thesis's way: a view that does not see a node carves it.
+    progress : called when a level is done.
+    """
+    shape = grid.coarse_shape
+    i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in shape), indexing="ij"))
+    indices, sizes = [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)]
+    occupancies = [np.zeros((3, 0), np.float32)]  # best, low, high
+    blind_mm3 = 0.0
+    nodes = [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    for level in range(grid.levels + 1):
+        units = 2 ** (grid.levels - level)
+        edge_mm = grid.size_mm * units
+        kept: list[list[Any]] = []
+        total = dr.width(nodes[0])
+        for begin in range(0, total, _CHUNK):
+            part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
+            point = _centres(grid, part, edge_mm)
+            inside = dr.square(point.x) + dr.square(point.y) < dr.square(radius_mm + 0.71 * edge_mm)
+            inside &= (point.z < top_mm + 0.5 * edge_mm) & (point.z > bottom_mm - 0.5 * edge_mm)
+            part = _compress(part, inside)
+            if dr.width(part[0]) == 0:
+                continue
+            point = _centres(grid, part, edge_mm)
+            empty, partial, votes, depth, scale = _mark(
+                bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
+            )
+            dr.eval(empty, partial, votes, depth, scale)  # now, or the loop over the views runs again for what is asked first
+            blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
+            if level < grid.levels:
+                blind &= ~_partly_seen(bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), blind, min_votes)
+            full = ~empty & ~blind & ~partial & (votes >= min_votes)
+            split = ~empty & ~blind & ~full
+            in_radius = dr.square(point.x) + dr.square(point.y) < radius_mm**2
+            if units == 1:
+                # the finest nodes that no view decides are measured
+                moves = (0.0, -slack_px / scale, slack_px / scale)
+                best, low, high = (dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves)
+                chosen = full | (split & in_radius & (high > 0))
+                dr.eval(blind, chosen, best, low, high)
+                occupancies.append(np.stack([np.array(a) for a in _compress([best, low, high], chosen)]).astype(np.float32))
+            else:
+                chosen = full
+                dr.eval(blind, chosen, split)
+                kept.append(_compress(part, split))
+            blind_mm3 += float(dr.count(blind & in_radius & (point.z < top_mm) & (point.z > bottom_mm))[0]) * edge_mm**3
+            index = np.stack([np.array(a) for a in _compress(part, chosen)], axis=1).astype(np.int32)
+            indices.append(index * units)
+            sizes.append(np.full(len(index), units, np.int32))
+            if units > 1:
+                occupancies.append(np.ones((3, len(index)), np.float32))
+        nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
+        if progress:
+            progress()
+        if dr.width(nodes[0]) == 0:
+            break
+        _check_memory(8 * dr.width(nodes[0]))
+        nodes = _children(nodes)
+    best, low, high = np.concatenate(occupancies, axis=1)
+    leaves = Leaves(grid, np.concatenate(indices), np.concatenate(sizes), best)
+    return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), blind_mm3)
+
+
+def _centres(grid: Grid, nodes: list[Any], edge_mm: float) -> Any:
+    """Return the centres of nodes of one size."""
+    edge = dr.opaque(mi.Float, edge_mm)
+    return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + float(grid.origin_mm[a]) for a in range(3)))
+
+
+def _compress(arrays: list[Any], mask: Any) -> list[Any]:
+    """Keep the entries of a mask."""
+    chosen = dr.compress(mask)
+    return [dr.gather(type(a), a, chosen) for a in arrays]
+
+
+def _check_memory(count: int) -> None:
+    """Raise a MemoryError where so many nodes do not fit in the computer."""
+    fitting = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // _BYTES_A_NODE
+    if count > fitting:
+        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
+
+
+def _children(nodes: list[Any]) -> list[Any]:
+    """Cut nodes into eight, children of one node side by side."""
+    count = dr.width(nodes[0])
+    lane = dr.arange(mi.UInt32, 8 * count)
+    parent, child = lane >> 3, lane & 7
+    bits = [(child >> 2) & 1, (child >> 1) & 1, child & 1]
+    found = [2 * dr.gather(mi.Int32, nodes[a], parent) + mi.Int32(bits[a]) for a in range(3)]
+    dr.eval(found)
+    return found

@@ -1,0 +1,313 @@
+"""What no picture needs is not root: from the hull to the roots inside it.
+
+A visual hull is too large: where a root hides behind another in the views that would bound its flanks, its cross-section grows tips
+and the crotches fill. But the largest ball about a point of a root's centre line that no view contradicts has the root's own
+radius, for it is bounded by whichever view shows the root alone. So the roots are rebuilt as the union of these balls along the
+hull's centre lines, and compared with the pictures: where a silhouette is not explained by the balls (parts that are no tubes,
+roots thinner than the skeleton's voxels), the hull is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from skimage import morphology
+
+from recon.hull import carve
+from recon.hull.carve import DistanceMaps, Leaves
+from recon.hull.surface import paint, to_voxels
+from recon.optics import projection
+from recon.optics.projection import ViewBank
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SKELETON_MM = 0.5
+_SPACING_MM = 0.16
+_BIN_MM = 4.0
+_DEEP_PX = 0.75
+"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there."""
+_AGREEING_VIEWS = 2
+VOTES = 0.3
+"""Share of the views that must see a point for it to count."""
+_REACH_PX = 0.75
+_TIGHT_PX = 0.4
+"""A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off."""
+_HELD = 1.0 / 3.0
+"""Least share of the seeing views that bound a root's ball.
+
+Every view that shows a root alone bounds its ball. A ball in a web between roots is bounded by the few views that graze the web."""
+_LEAST_CURVE = 12
+"""Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
+_EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
+_EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Balls inside the roots."""
+
+    centre_mm: Array
+    """(N, 3), canister frame."""
+    radius_mm: Array
+    """(N,)"""
+
+
+@dataclass(frozen=True)
+class Trimmed:
+    """A hull trimmed to what its silhouettes need."""
+
+    leaves: Leaves
+    balls: Balls
+    """Balls along the centre lines."""
+    kept_mm3: float
+    """Volume that is hull still, because the balls leave a silhouette unexplained."""
+
+
+def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
+    """Trim a hull to what its silhouettes need.
+
+    The trimmed shape's occupancies are at most the hull's.
+    """
+    balls = grow_balls(bank, maps, centre_lines(leaves))
+    if not len(balls.radius_mm):
+        return Trimmed(leaves, balls, leaves.volume_mm3())
+    index, size, hull, inside = _against_balls(balls, leaves)
+    kept = np.minimum(hull, inside)
+    missing = hull - kept > 0.02
+    if missing.any():
+        trimmed = replace(leaves, index=index, size=size, occupancy=kept)
+        needed = np.zeros(len(kept), bool)
+        needed[missing] = _needed(bank, maps, trimmed, index[missing])
+        kept[needed] = hull[needed]
+    some = kept > 0
+    trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
+    return Trimmed(trimmed, balls, trimmed.volume_mm3() - trimmed.volume_mm3(np.minimum(hull, inside)[some]))
+
+
+def centre_lines(leaves: Leaves) -> Array:
+    """Thin the hull to curves and sample them densely: (N, 3) points in the canister frame, mm."""
+    units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
+    index, size, occupancy = to_voxels(leaves, units)
+    low = index.min(axis=0) - 1
+    volume = np.zeros((index + size[:, None]).max(axis=0) - low + 1, np.float32)
+    paint(volume, index - low, size, occupancy)
+    voxel_mm = leaves.grid.size_mm * units
+    nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
+    if not len(nodes):
+        return np.zeros((0, 3))
+    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")
+    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))
+    share = (np.arange(1, steps) / steps)[None, :, None]
+    between = nodes[pairs[:, 0]][:, None] * (1 - share) + nodes[pairs[:, 1]][:, None] * share
+    points = np.concatenate([nodes, between.reshape(-1, 3)])
+    return np.asarray(leaves.grid.origin_mm) + (points + low + 0.5) * voxel_mm
+
+
+def _across(points: Array) -> Array:
+    """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves."""
+    near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
+    cloud = points[near] - points[near].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", cloud, cloud))
+    angle = (np.arange(8) * np.pi / 4)[None, :, None]
+    across: Array = np.cos(angle) * vectors[:, None, :, 0] + np.sin(angle) * vectors[:, None, :, 1]
+    return across
+
+
+def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
+    """Move points across their curve to where the largest ball fits into all silhouettes, and return those balls."""
+    if not len(points):
+        return Balls(points, np.zeros(0))
+    directions = _across(points) if len(points) >= _LEAST_CURVE else np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
+    radius = _radius(bank, maps, points)
+    for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
+        tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
+        best = tried.argmax(axis=1)
+        better = tried.max(axis=1) > radius
+        points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
+        radius = np.maximum(radius, tried.max(axis=1))
+    blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
+    good = radius > 0
+    if good.any():
+        good[good] = _held(bank, maps, points[good], blunt[good]) > _HELD
+    return Balls(points[good], radius[good])
+
+
+def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
+    """Return the radius in mm of the largest ball about each point that every view allows.
+
+    In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the outline has the
+    normal g = a du + b dv in space, so the ball's radius is D / |g|. On a root's centre line D has a crease: |a| and |b| are taken from
+    the steeper of the two sides. The sampled map rounds the crease off; ``sharpen`` restores its height from the slopes on both sides,
+    for points that lie on it. Points that fewer than `VOTES` of the views see get the radius 0.
+    """
+
+    def body(view: Any, least: Any, votes: Any) -> tuple[Any, Any, Any]:
+        allowed, _, seen = _allowed(bank, maps, view, point, sharpen=sharpen)
+        return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+    point = mi.Point3f(points.T.astype(np.float32))
+    state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
+    _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    return np.array(dr.select(votes >= max(3.0, VOTES * bank.count), least, 0.0), dtype=np.float64)
+
+
+def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
+    """Return the share (N,) of the seeing views that bound balls (N,), `_radius` without sharpening."""
+
+    def body(view: Any, tight: Any, votes: Any) -> tuple[Any, Any, Any]:
+        allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
+        bounds = seen & ((allowed - reach) * px_a_mm < _TIGHT_PX)
+        return view + 1, tight + dr.select(bounds, 1.0, 0.0), votes + dr.select(seen, 1.0, 0.0)
+
+    point, reach = mi.Point3f(points.T.astype(np.float32)), mi.Float(radius.astype(np.float32))
+    state = (mi.UInt32(0), dr.zeros(mi.Float, len(points)), dr.zeros(mi.Float, len(points)))
+    _, tight, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    return np.array(tight / dr.maximum(votes, 1.0), dtype=np.float64)
+
+
+def _allowed(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, *, sharpen: bool) -> tuple[Any, Any, Any]:
+    """Return the radius in mm of the largest ball about a point that a view allows, px/mm there, and whether the view sees it."""
+    p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
+    slopes, peak = [], distance
+    for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
+        # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
+        near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
+        slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
+        if sharpen:
+            falls = [near[side] - maps.at(view, p.px + sign * 2.0 * unit, seen) for side, sign in ((0, 1.0), (1, -1.0))]
+            crease = 0.5 * (near[0] + near[1]) + dr.clip(dr.minimum(falls[0], falls[1]), 0.0, _REACH_PX)
+            peak = dr.maximum(peak, crease)
+    norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
+    g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
+    g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
+    return peak / g, g, seen
+
+
+def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Cut leaves until each lies wholly inside the balls or is a finest node.
+
+    Returns
+    -------
+    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the balls (N,).
+    """
+    listed = _Listed.of(balls, leaves)
+    done: list[tuple[NDArray[Any], ...]] = []
+    carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+    for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
+        chosen = leaves.size == edge
+        index = np.concatenate([carried[0], leaves.index[chosen]])
+        hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
+        depth = listed.depth_mm(index, edge)
+        size_mm = edge * leaves.grid.size_mm
+        inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
+        whole = depth > 0.87 * size_mm if edge > 1 else np.ones(len(index), bool)
+        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
+        offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
+        carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
+    index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
+    return index, size, hull, inside
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """Balls listed by the cubic bins they reach into."""
+
+    leaves: Leaves
+    low_mm: Array
+    shape: NDArray[np.int64]
+    entries: Any
+    """mi.Float, x y z r of the balls of one bin after the other."""
+    begins: Any
+    """mi.UInt32, first entry of each bin, and the end."""
+
+    @staticmethod
+    def of(balls: Balls, leaves: Leaves) -> _Listed:
+        """List balls in bins that cover the leaves."""
+        size_mm, origin = leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
+        low = origin + leaves.index.min(axis=0) * size_mm
+        high = origin + (leaves.index + leaves.size[:, None]).max(axis=0) * size_mm
+        shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
+        reach = balls.radius_mm[:, None] + size_mm
+        first = np.clip(np.floor((balls.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        extent = np.clip(np.floor((balls.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
+        count = extent.prod(axis=1)
+        ball = np.repeat(np.arange(len(count)), count)
+        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[ball]
+        offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
+        bins = ((first[ball] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
+        order = np.argsort(bins, kind="stable")
+        begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
+        packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
+        return _Listed(leaves, low, shape, mi.Float(packed.ravel()), mi.UInt32(begins))
+
+    def depth_mm(self, index: NDArray[np.int32], edge: int) -> NDArray[np.float32]:
+        """Return how deep (N,) the centres of nodes of an edge lie inside the union of the balls; negative outside."""
+        if not len(index):
+            return np.zeros(0, np.float32)
+        size_mm, origin, shape = self.leaves.grid.size_mm, self.leaves.grid.origin_mm, self.shape
+        q = [mi.Float(index[:, a].astype(np.float32)) * size_mm + float(origin[a] + 0.5 * edge * size_mm) for a in range(3)]
+        cell = [dr.clip(mi.Int32((q[a] - float(self.low_mm[a])) / _BIN_MM), 0, int(shape[a]) - 1) for a in range(3)]
+        bin_ = mi.UInt32((cell[0] * int(shape[1]) + cell[1]) * int(shape[2]) + cell[2])
+        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(*q)
+
+        def body(k: Any, depth: Any) -> tuple[Any, Any]:
+            ball = dr.gather(mi.Vector4f, self.entries, k)
+            return k + 1, dr.maximum(depth, ball.w - dr.norm(centre - mi.Point3f(ball.x, ball.y, ball.z)))
+
+        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(index)))
+        return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
+
+
+def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> Mask:
+    """Tell which of the doubted finest nodes (N, 3) silhouettes need that the trimmed shape does not explain: (N,)."""
+    width, height = maps.samples_wh
+    voxel, size, filled = to_voxels(trimmed, 2)
+    solid = _points(trimmed, 2 * even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
+    doubtful = _points(trimmed, doubted, 1)
+    votes = dr.zeros(mi.UInt32, dr.width(doubtful))
+    values = np.array(maps.values).reshape(bank.count, height, width)
+    for view in range(bank.count):
+        covered = dr.zeros(mi.UInt8, width * height)
+        u, v, seen = _sample(bank, maps, view, solid)
+        dr.scatter(covered, mi.UInt8(1), v * width + u, seen)
+        picture = cv2.dilate(np.array(covered).reshape(height, width), np.ones((3, 3), np.uint8))
+        unexplained = (values[view] > _DEEP_PX) & (values[view] < carve.TELLS_PX) & (picture == 0)
+        if not unexplained.any():
+            continue
+        lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((5, 5), np.uint8)).ravel())
+        u, v, seen = _sample(bank, maps, view, doubtful)
+        votes += mi.UInt32(dr.gather(mi.UInt8, lacking, v * width + u, seen))
+        dr.eval(votes)
+    return np.array(votes) >= _AGREEING_VIEWS
+
+
+def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
+    parts = []
+    for edge in np.unique(size):
+        offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
+        parts.append((index[size == edge][:, None] + offset).reshape(-1, 3))
+    return np.concatenate(parts) if parts else index
+
+
+def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Any:
+    """Return the centres of nodes of an edge on the device."""
+    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
+    return mi.Point3f(centres.T.astype(np.float32))
+
+
+def _sample(bank: ViewBank, maps: DistanceMaps, view: int, points: Any) -> tuple[Any, Any, Any]:
+    """Return the column and row of points on a view's distance map, and whether the view sees them."""
+    p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
+    (width, height), place = maps.samples_wh, maps.sample(p.px)
+    u, v = place.x + 0.5, place.y + 0.5
+    seen = p.seen & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return mi.UInt32(dr.select(seen, u, 0)), mi.UInt32(dr.select(seen, v, 0)), seen

@@ -1,0 +1,92 @@
+"""From leaves of many sizes to even voxels, and to a surface."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from skimage import measure
+
+from recon.hull.carve import Leaves
+
+_BRICK = 96
+
+
+def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Gather leaves into voxels of ``units`` finest nodes.
+
+    Parameters
+    ----------
+    units : a power of two.
+
+    Returns
+    -------
+    index : (N, 3) lowest corner in voxels. size : (N,) edge in voxels, 1 or more. occupancy : (N,) fraction inside.
+    """
+    large = leaves.size >= units
+    small = ~large
+    parent = (leaves.index[small] // units).astype(np.int64)
+    share = leaves.occupancy[small] * (leaves.size[small] / units).astype(np.float32) ** 3
+    low = parent.min(axis=0) if len(parent) else np.zeros(3, np.int64)
+    span = parent.max(axis=0) - low + 1 if len(parent) else np.ones(3, np.int64)
+    key = ((parent - low)[:, 0] * span[1] + (parent - low)[:, 1]) * span[2] + (parent - low)[:, 2]
+    unique, inverse = np.unique(key, return_inverse=True)
+    filled = np.bincount(inverse, weights=share, minlength=len(unique)).astype(np.float32)
+    gathered = np.stack([unique // (span[1] * span[2]), unique // span[2] % span[1], unique % span[2]], axis=1) + low
+    index = np.concatenate([leaves.index[large] // units, gathered.astype(np.int32)])
+    size = np.concatenate([leaves.size[large] // units, np.ones(len(unique), np.int32)])
+    return index, size, np.concatenate([leaves.occupancy[large], np.minimum(filled, 1.0)])
+
+
+def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
+    """Write leaves into a dense block, clipped to it; one vectorised write a leaf size."""
+    for edge in np.unique(size):
+        chosen = size == edge
+        offset = np.stack(np.meshgrid(*[np.arange(edge)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        at = (index[chosen][:, None, :] + offset[None]).reshape(-1, 3)
+        value = np.repeat(occupancy[chosen], len(offset))
+        inside = ((at >= 0) & (at < volume.shape)).all(axis=1)
+        volume[tuple(at[inside].T)] = value[inside]
+
+
+def _bricks(
+    index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+    """Yield (lowest corner, dense block) of the parts of space that hold leaves; blocks overlap by one layer and are padded."""
+    low = index.min(axis=0) - 1
+    # a leaf, smaller than a brick, touches one or two bricks a way
+    first, last = -((low - index) // _BRICK) - 1, (index + size[:, None] - 1 - low) // _BRICK
+    shape = last.max(axis=0) + 2
+    touched = []
+    for corner in np.ndindex(2, 2, 2):
+        brick = np.where(corner, last, first)
+        repeated = ((first == last) & np.array(corner, bool)).any(axis=1)
+        key = ((brick[:, 0] + 1) * shape[1] + brick[:, 1] + 1) * shape[2] + brick[:, 2] + 1
+        touched.append(np.stack([key[~repeated], np.flatnonzero(~repeated)]))
+    key, leaf = np.concatenate(touched, axis=1)
+    order = np.argsort(key, kind="stable")
+    keys, starts = np.unique(key[order], return_index=True)
+    for k, members in zip(keys, np.split(leaf[order], starts[1:]), strict=True):
+        place = np.array([k // (shape[1] * shape[2]), k // shape[2] % shape[1], k % shape[2]]) - 1
+        corner = low + place * _BRICK
+        block = np.zeros((_BRICK + 1,) * 3, np.float32)
+        paint(block, index[members] - corner.astype(np.int32), size[members], occupancy[members])
+        yield corner.astype(np.int64), block
+
+
+def surface(
+    index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32], *, origin_mm: NDArray[np.float64], voxel_mm: float
+) -> trimesh.Trimesh:
+    """Return the surface at half occupancy as a closed mesh in the canister frame, mm (marching cubes, brick by brick)."""
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    for corner, block in _bricks(index, size, occupancy):
+        if block.max() <= 0.5 or block.min() >= 0.5:
+            continue
+        v, f, _, _ = measure.marching_cubes(block, level=0.5, allow_degenerate=False)
+        vertices.append(v.astype(np.float64) + corner)
+        faces.append(f[:, ::-1].astype(np.int64) + count)  # counter-clockwise from outside
+        count += len(v)
+    mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    mesh.merge_vertices(digits_vertex=5)
+    mesh.vertices = origin_mm + (np.asarray(mesh.vertices) + 0.5) * voxel_mm
+    return mesh

@@ -1,0 +1,245 @@
+"""Projection of water points through the canister into many views: the fast kernel (Dr.Jit, float32).
+
+The mathematics and its symbols are those of `recon.optics.refraction`; here the two equations of a projection,
+
+    f1 = P . nu - b_w = 0                                               the point lies beside the line
+    f2 = z_entry + p_z / h_w (P . t + sqrt(R_i^2 - b_w^2)) - P_z = 0    and at its height
+
+are solved for (b_a, p_z) by Newton's method with the analytic Jacobian, started from a small table per view. Points that a view
+sees not at all, or twice (the water is a lens), are treated alike: such a view says nothing about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy import ndimage
+
+from recon.device import numbers
+from recon.optics import refraction
+from recon.optics.cameras import View
+from recon.optics.refraction import Array, Optics
+from scenes import frames
+
+_PARAMETERS = 32
+_CELL_MM = 1.0
+NEWTON_STEPS = 3
+
+
+def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
+    """Tabulate b_a and the number of images over (x, y >= 0) for rays of one slope, azimuth frame.
+
+    Returns
+    -------
+    b_a : (ny, nx) impact parameter in air, mm, of the (only) image.
+    count : (ny, nx) number of images.
+    """
+    r_i = optics.inner_radius_mm
+    x = np.arange(-np.ceil(r_i) - 1, np.ceil(r_i) + 2, _CELL_MM)
+    y = np.arange(-1.0, np.ceil(r_i) + 2, _CELL_MM)
+    at = np.stack(np.meshgrid(x, y), axis=-1)
+    # A line of impact w sweeps past every point: count the sign changes of f1 along w and interpolate the root.
+    w = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193)) * optics.w_limit
+    line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
+    count = np.zeros(at.shape[:2])
+    b_a = np.zeros(at.shape[:2])
+    f_last = at @ line.nu[0] - line.b_mm[0]
+    for k in range(1, len(w)):
+        f = at @ line.nu[k] - line.b_mm[k]
+        crossing = np.signbit(f) != np.signbit(f_last)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            root = w[k - 1] + (w[k] - w[k - 1]) * f_last / (f_last - f)
+        b_a = np.where(crossing, root * optics.outer_radius_mm, b_a)
+        count += crossing
+        f_last = f
+    return b_a, count
+
+
+def _view_table(optics: Optics, view: View) -> Array:
+    """Return (ny, nx, 2): starting b_a, and the distance in mm (horizontal) to where the view is blind or sees double."""
+    z_cam, reach = float(view.centre_mm[2]), view.rho_mm - optics.outer_radius_mm
+    steepest = max(abs(optics.water_z_mm - z_cam), abs(optics.floor_z_mm - z_cam))
+    p_max = float(np.sin(np.arctan2(steepest, reach)))
+    b_a, count = _start_table(optics, view.rho_mm, 0.5 * p_max)
+    single = count == 1
+    for p_z in (0.0, p_max):
+        single &= _start_table(optics, view.rho_mm, p_z)[1] == 1
+    if optics.n_water == 1.0 and optics.n_wall == 1.0:
+        single[:] = True
+    whole = np.concatenate([single[:1:-1], single[1:]])  # y < 0 mirrors y > 0
+    clear_mm = np.full(whole.shape, 1e3) if whole.all() else ndimage.distance_transform_edt(whole) * _CELL_MM
+    clear_mm = clear_mm[len(single) - 3 :]
+    return np.stack([b_a, clear_mm], axis=-1)
+
+
+@dataclass(frozen=True)
+class ViewBank:
+    """The views of a dataset packed for the kernel."""
+
+    optics: Optics
+    count: int
+    parameters: Any
+    """mi.Float, `_PARAMETERS` numbers a view."""
+    tables: Any
+    """mi.Float, the start tables one after the other, (V, ny, nx, 2)."""
+    table_shape: tuple[int, int]
+
+    @staticmethod
+    def of(views: Sequence[View], optics: Optics) -> ViewBank:
+        """Pack views; cameras at the same distance and height (within 0.2 mm and 2 mm) share a start table's contents."""
+        packed = np.zeros((len(views), _PARAMETERS))
+        made: dict[tuple[int, int], Array] = {}
+        tables = []
+        for k, view in enumerate(views):
+            cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
+            turn = view.azimuth_from_canister
+            packed[k, :9] = cam_from_azimuth[:3, :3].ravel()
+            packed[k, 9:13] = view.rho_mm, view.centre_mm[2], turn[0, 0], turn[1, 0]
+            packed[k, 13:15], packed[k, 15:17] = view.camera.focal_px, view.camera.principal_px
+            packed[k, 17:22] = view.camera.distortion
+            packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
+            key = (round(view.rho_mm / 0.2), round(float(view.centre_mm[2]) / 2.0))
+            if key not in made:
+                made[key] = _view_table(optics, view)
+            tables.append(made[key])
+        shape = tables[0].shape[:2]
+        return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
+
+    def chosen(self, which: Sequence[int]) -> ViewBank:
+        """Return some of the views."""
+        parts = (np.array(part).reshape(self.count, -1)[list(which)] for part in (self.parameters, self.tables))
+        parameters, tables = (numbers(part) for part in parts)
+        return ViewBank(self.optics, len(which), parameters, tables, self.table_shape)
+
+
+@dataclass
+class Projected:
+    """Where points lie in a view."""
+
+    px: Any
+    """mi.Vector2f, pixels."""
+    seen: Any
+    """mi.Bool, whether the view sees the point exactly once."""
+    clear_mm: Any
+    """mi.Float, horizontal distance within which everything else is seen exactly once as well."""
+    du: Any
+    """mi.Vector3f, gradient of the column by the point, px/mm, canister frame."""
+    dv: Any
+    """mi.Vector3f, gradient of the row by the point."""
+
+
+def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
+    """Project points into views, with the Jacobian.
+
+    Parameters
+    ----------
+    view : mi.UInt32, index of the view.
+    point : mi.Point3f, canister frame, mm, inside the water.
+    active : mask of the points to be projected.
+    """
+    o = bank.optics
+    r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
+    base = view * _PARAMETERS
+
+    def parameter(index: int) -> Any:
+        return dr.gather(mi.Float, bank.parameters, base + index, active)
+
+    rho, z_cam, c, s, n_w = (parameter(i) for i in (9, 10, 11, 12, 22))
+    x, y, z = c * point.x - s * point.y, s * point.x + c * point.y, point.z
+
+    # start: table over (x, |y|)
+    ny, nx = bank.table_shape
+    col = dr.clip(x + (np.ceil(r_i) + 1.0), 0.0, nx - 1.001)
+    row = dr.clip(dr.abs(y) + 1.0, 0.0, ny - 1.001)
+    col_0, row_0 = mi.UInt32(col), mi.UInt32(row)
+    fc, fr = col - mi.Float(col_0), row - mi.Float(row_0)
+    at = ((view * ny + row_0) * nx + col_0) * 2
+    t00 = dr.gather(mi.Vector2f, bank.tables, at // 2, active)
+    t01 = dr.gather(mi.Vector2f, bank.tables, at // 2 + 1, active)
+    t10 = dr.gather(mi.Vector2f, bank.tables, at // 2 + nx, active)
+    t11 = dr.gather(mi.Vector2f, bank.tables, at // 2 + nx + 1, active)
+    start = (1 - fr) * ((1 - fc) * t00 + fc * t01) + fr * ((1 - fc) * t10 + fc * t11)
+    seen = active & (start.y > 0.5 * _CELL_MM)
+    b = dr.select(y < 0, -start.x, start.x)
+    limit = 0.9995 * o.w_limit * r_o
+    b = dr.clip(b, -limit, limit)
+    # p_z from the straight line of equal optical lengths
+    b_w0 = b / n_w
+    c_w0 = dr.sqrt(r_i * r_i - b_w0 * b_w0)
+    length = dr.sqrt(rho * rho - b * b) - dr.sqrt(r_o * r_o - b * b) + (r_o - r_i) / o.n_wall
+    length += (c_w0 + dr.safe_sqrt(x * x + y * y - b_w0 * b_w0) * dr.select(x < 0, 1.0, -1.0)) / n_w
+    p = (z - z_cam) * dr.rsqrt(dr.square(z - z_cam) + dr.square(length))
+
+    for step in range(NEWTON_STEPS + 1):
+        p2 = p * p
+        h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, n_w**2 - p2
+        h_a, ih_g, ih_w = dr.sqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
+        k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
+        b_g, b_w = b * k_g, b * k_w
+        b_g_p, b_w_p = b_g * p * (1 / h_g2 - 1 / h_a2), b_w * p * (1 / h_w2 - 1 / h_a2)
+        c_r, c_o = dr.sqrt(rho * rho - b * b), dr.sqrt(r_o * r_o - b * b)
+        c_og, c_ig, c_w = dr.sqrt(r_o**2 - b_g * b_g), dr.sqrt(r_i**2 - b_g * b_g), dr.sqrt(r_i**2 - b_w * b_w)
+        # heading - pi, and its derivatives
+        delta = dr.asin(b / r_o) - dr.asin(b / rho) - dr.asin(b_g / r_o) + dr.asin(b_g / r_i) - dr.asin(b_w / r_i)
+        delta_b = 1 / c_o - 1 / c_r - k_g / c_og + k_g / c_ig - k_w / c_w
+        delta_p = b_g_p * (1 / c_ig - 1 / c_og) - b_w_p / c_w
+        sin_d, cos_d = dr.sincos(delta)
+        along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
+        # f and its Jacobian by (b, p)
+        m_a, m_g, m_w = p / h_a, p * ih_g, p * ih_w  # climbs
+        s_a, s_g, s_w = c_r - c_o, c_og - c_ig, along + c_w
+        f1 = beside - b_w
+        f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
+        f2 = z_cam + m_a * s_a + m_g * s_g + m_w * s_w - z
+        s_a_b, s_g_bg = b / c_o - b / c_r, b_g / c_ig - b_g / c_og
+        f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + b_w / c_w * k_w)
+        f2_p = s_a / (h_a2 * h_a) + o.n_wall**2 * s_g * ih_g / h_g2 + n_w**2 * s_w * ih_w / h_w2
+        f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + b_w / c_w * b_w_p)
+        inv = 1 / (f1_b * f2_p - f1_p * f2_b)
+        if step < NEWTON_STEPS:
+            b = dr.clip(b - inv * (f2_p * f1 - f1_p * f2), -limit, limit)
+            p = dr.clip(p - inv * (f1_b * f2 - f2_b * f1), -0.98, 0.98)
+    seen &= (dr.abs(f1) < 3e-4) & (dr.abs(f2) < 3e-4)
+    entry_z = z_cam + m_a * s_a + m_g * s_g
+    seen &= (entry_z < o.water_z_mm) & (entry_z > o.floor_z_mm) & (z_cam + m_a * s_a > o.bottom_z_mm)
+
+    # direction in air, and its derivatives by (b, p)
+    d_y = b * h_a / rho
+    q = dr.sqrt(h_a2 - d_y * d_y)
+    d_y_b, d_y_p = h_a / rho, -b * p / (h_a * rho)
+    d_x_b, d_x_p = d_y * d_y_b / q, (p + d_y * d_y_p) / q
+    r = [parameter(i) for i in range(9)]
+    cx, cy, cz = (-r[3 * i] * q + r[3 * i + 1] * d_y + r[3 * i + 2] * p for i in range(3))
+    cx_b, cy_b, cz_b = (r[3 * i] * d_x_b + r[3 * i + 1] * d_y_b for i in range(3))
+    cx_p, cy_p, cz_p = (r[3 * i] * d_x_p + r[3 * i + 1] * d_y_p + r[3 * i + 2] for i in range(3))
+    iz = 1 / cz
+    xn, yn = cx * iz, cy * iz
+    xn_b, yn_b = (cx_b - xn * cz_b) * iz, (cy_b - yn * cz_b) * iz
+    xn_p, yn_p = (cx_p - xn * cz_p) * iz, (cy_p - yn * cz_p) * iz
+    # lens
+    k1, k2, p1, p2_, k3 = (parameter(i) for i in range(17, 22))
+    r2 = xn * xn + yn * yn
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    radial_r2 = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    u = xn * radial + 2 * p1 * xn * yn + p2_ * (r2 + 2 * xn * xn)
+    v = yn * radial + p1 * (r2 + 2 * yn * yn) + 2 * p2_ * xn * yn
+    u_x = radial + 2 * xn * xn * radial_r2 + 2 * p1 * yn + 6 * p2_ * xn
+    u_y = 2 * xn * yn * radial_r2 + 2 * p1 * xn + 2 * p2_ * yn
+    v_y = radial + 2 * yn * yn * radial_r2 + 6 * p1 * yn + 2 * p2_ * xn
+    fx, fy, px0, py0 = (parameter(i) for i in range(13, 17))
+    u_b, u_p = fx * (u_x * xn_b + u_y * yn_b), fx * (u_x * xn_p + u_y * yn_p)
+    v_b, v_p = fy * (u_y * xn_b + v_y * yn_b), fy * (u_y * xn_p + v_y * yn_p)
+    # implicit function theorem: d(b, p) = -J^-1 df, with df1 = nu . dP and df2 = m_w t . dP - dP_z
+    f1_x, f1_y, f2_x, f2_y = -sin_d, cos_d, -m_w * cos_d, -m_w * sin_d
+    b_x, b_y, b_z = (-inv * (f2_p * g1 - f1_p * g2) for g1, g2 in ((f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)))
+    p_x, p_y, p_z = (-inv * (f1_b * g2 - f2_b * g1) for g1, g2 in ((f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)))
+    u_az, v_az = u_b * b_x + u_p * p_x, v_b * b_x + v_p * p_x
+    u_ay, v_ay = u_b * b_y + u_p * p_y, v_b * b_y + v_p * p_y
+    du = mi.Vector3f(c * u_az + s * u_ay, c * u_ay - s * u_az, u_b * b_z + u_p * p_z)
+    dv = mi.Vector3f(c * v_az + s * v_ay, c * v_ay - s * v_az, v_b * b_z + v_p * p_z)
+    return Projected(mi.Vector2f(fx * u + px0, fy * v + py0), seen & (cz > 0), start.y, du, dv)

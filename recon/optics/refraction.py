@@ -1,0 +1,231 @@
+"""Refraction at a round canister in closed form: the readable reference, in float64 numpy.
+
+Concentric cylinders about z conserve two optical invariants along a ray with optical direction ``p = n d`` (``|p| = n``):
+``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)`` the ray's horizontal
+impact parameter in medium i is ``b_i = L / h_i``; between the radii r1 > r2 it covers the horizontal length
+``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius r its horizontal heading turns by
+``asin(b_i / r) - asin(b_j / r)``. Everything here is in the camera's azimuth frame: the canister frame turned about z so that the
+camera's centre is at (rho, 0, z_cam). A camera is then just (rho, z_cam), and the unknowns of a projection are ``p_z`` and
+``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister.
+
+`recon.optics.projection` is the same mathematics as a Dr.Jit kernel; a test holds the two together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.model import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """The canister as an optical system."""
+
+    outer_radius_mm: float
+    inner_radius_mm: float
+    n_wall: float
+    n_water: float
+    floor_z_mm: float
+    """Lowest height at which a ray may enter the water."""
+    water_z_mm: float
+    """Highest height at which a ray may enter the water."""
+    bottom_z_mm: float
+    """Underside of the canister: lowest height at which a ray may enter the wall."""
+
+    @property
+    def w_limit(self) -> float:
+        """Largest impact parameter in air, over the outer radius, of rays that reach the water (1 unless an index is near 1)."""
+        to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water)
+        return min(1.0, to_water) * (1.0 - 1e-9)
+
+    @staticmethod
+    def of(scene: Scene) -> "Optics":
+        """Return the optics of a scene as it is described."""
+        can = scene.canister
+        return Optics(
+            outer_radius_mm=can.outer_radius_mm,
+            inner_radius_mm=can.inner_radius_mm,
+            n_wall=can.n_wall,
+            n_water=scene.water.n_water,
+            floor_z_mm=can.floor_z_mm,
+            water_z_mm=min(scene.water.level_mm, scene.net_pot.grid_z_mm),
+            bottom_z_mm=-can.height_mm,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterLine:
+    """Straight lines of sight in the water, in the camera's azimuth frame; every field has the shape of the rays."""
+
+    b_mm: Array
+    """Signed distance from the axis: P . nu = b on the line."""
+    heading_rad: Array
+    """Azimuth of the horizontal direction t."""
+    slope: Array
+    """Climb per horizontal mm, p_z / h_water."""
+    entry_z_mm: Array
+    """Height where the line enters the water at the inner wall."""
+    outer_z_mm: Array
+    """Height where the ray meets the outer wall."""
+
+    @property
+    def t(self) -> Array:
+        """Horizontal unit directions (..., 2)."""
+        return np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad)], axis=-1)
+
+    @property
+    def nu(self) -> Array:
+        """Horizontal unit normals (..., 2) with P . nu = b on the line."""
+        return np.stack([np.sin(self.heading_rad), -np.cos(self.heading_rad)], axis=-1)
+
+
+def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:
+    """Follow camera rays into the water.
+
+    Parameters
+    ----------
+    rho_mm, z_cam_mm : horizontal distance of the camera from the axis, and its height, canister frame.
+    w : (...) impact parameter in air over the outer radius, in (-1, 1).
+    p_z : (...) vertical component of the unit direction in air.
+    """
+    r_o, r_i = optics.outer_radius_mm, optics.inner_radius_mm
+    h_a = np.sqrt(1.0 - p_z**2)
+    h_g = np.sqrt(optics.n_wall**2 - p_z**2)
+    h_w = np.sqrt(optics.n_water**2 - p_z**2)
+    b_a = w * r_o
+    b_g = b_a * h_a / h_g
+    b_w = b_a * h_a / h_w
+    heading = np.pi - np.arcsin(b_a / rho_mm)
+    heading = heading + np.arcsin(b_a / r_o) - np.arcsin(b_g / r_o)
+    heading = heading + np.arcsin(b_g / r_i) - np.arcsin(b_w / r_i)
+    s_a = np.sqrt(rho_mm**2 - b_a**2) - np.sqrt(r_o**2 - b_a**2)
+    s_g = np.sqrt(r_o**2 - b_g**2) - np.sqrt(r_i**2 - b_g**2)
+    outer_z = z_cam_mm + p_z / h_a * s_a
+    return WaterLine(b_mm=b_w, heading_rad=heading, slope=p_z / h_w, entry_z_mm=outer_z + p_z / h_g * s_g, outer_z_mm=outer_z)
+
+
+def transmittance(optics: Optics, w: Array, p_z: Array) -> Array:
+    """Return the share (...) of unpolarised light that rays of these invariants keep on their way into the water and out again.
+
+    Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius r:
+    ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
+    """
+    momentum = w * optics.outer_radius_mm * np.sqrt(1.0 - p_z**2)
+    through = np.ones(np.broadcast(w, p_z).shape)
+    for radius, n_1, n_2 in ((optics.outer_radius_mm, 1.0, optics.n_wall), (optics.inner_radius_mm, optics.n_wall, optics.n_water)):
+        a_1, a_2 = (np.sqrt(np.maximum(n**2 - p_z**2 - (momentum / radius) ** 2, 1e-12)) for n in (n_1, n_2))
+        r_s = ((a_1 - a_2) / (a_1 + a_2)) ** 2
+        r_p = ((n_2**2 * a_1 - n_1**2 * a_2) / (n_2**2 * a_1 + n_1**2 * a_2)) ** 2
+        through = through * (1.0 - 0.5 * (r_s + r_p)) ** 2
+    return through
+
+
+def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
+    """Return the height (...) of each line where it passes the horizontal position (..., 2), azimuth frame."""
+    along = np.sum(points_xy_mm * line.t, axis=-1)
+    return line.entry_z_mm + line.slope * (along + np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2))
+
+
+def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
+    """Solve f2 for p_z at given w: the ray of impact w whose water line has the point's height beside it (monotone in p_z)."""
+    p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
+    step = 1e-6
+    for _ in range(12):
+        f = height_at(optics, trace(optics, rho, z_cam, w, p_z), points[..., :2]) - points[..., 2]
+        f_up = height_at(optics, trace(optics, rho, z_cam, w, p_z + step), points[..., :2]) - points[..., 2]
+        p_z = np.clip(p_z - f * step / (f_up - f), -0.99, 0.99)
+        if np.abs(f).max(initial=0.0) < 1e-11:
+            break
+    return p_z
+
+
+def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> tuple[Array, Array]:
+    """Return f1 = P . nu - b (horizontal distance of the point from the line of impact w) and that line's p_z."""
+    p_z = _p_z_through(optics, rho, z_cam, w, points)
+    line = trace(optics, rho, z_cam, w, p_z)
+    return np.sum(points[..., :2] * line.nu, axis=-1) - line.b_mm, p_z
+
+
+def images(
+    optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array, *, samples: int = 96, max_images: int = 3
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Find every image of water points in one camera: all rays that reach them (brute scan of w, then bisection).
+
+    Parameters
+    ----------
+    points_mm : (N, 3) points with x^2 + y^2 < R_i^2, azimuth frame.
+
+    Returns
+    -------
+    w, p_z : (N, max_images), NaN where there are fewer images; ordered by w.
+    count : (N,) number of images.
+    """
+    n = len(points_mm)
+    grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, samples + 1)) * optics.w_limit
+    at = np.repeat(points_mm[:, None, :], samples + 1, axis=1)
+    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, samples + 1)), at)[0]
+    row, cell = np.nonzero(np.signbit(f[:, :-1]) != np.signbit(f[:, 1:]))
+    low, high = grid[cell], grid[cell + 1]
+    f_low = f[row, cell]
+    row_2, low_2, high_2, f_low_2 = _near_fold(optics, rho_mm, z_cam_mm, points_mm, grid, f)
+    row = np.concatenate([row, row_2])
+    low, high, f_low = np.concatenate([low, low_2]), np.concatenate([high, high_2]), np.concatenate([f_low, f_low_2])
+    order = np.lexsort((low, row))
+    row, low, high, f_low = row[order], low[order], high[order], f_low[order]
+    p_z = np.zeros_like(low)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        f_mid, p_z = _side(optics, rho_mm, z_cam_mm, middle, points_mm[row])
+        same = np.signbit(f_mid) == np.signbit(f_low)
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    found_w = np.full((n, max_images), np.nan)
+    found_p = np.full((n, max_images), np.nan)
+    rank = np.arange(len(row)) - np.searchsorted(row, row, side="left")
+    keep = rank < max_images
+    line = trace(optics, rho_mm, z_cam_mm, 0.5 * (low + high), p_z)
+    keep &= (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
+    found_w[row[keep], rank[keep]] = 0.5 * (low + high)[keep]
+    found_p[row[keep], rank[keep]] = p_z[keep]
+    order = np.argsort(found_w, axis=1)  # NaN last
+    found_w, found_p = np.take_along_axis(found_w, order, 1), np.take_along_axis(found_p, order, 1)
+    return found_w, found_p, np.isfinite(found_w).sum(axis=1)
+
+
+def _near_fold(
+    optics: Optics, rho: float, z_cam: float, points_mm: Array, grid: Array, f: Array
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Find pairs of images so close to the caustic that both lie between neighbours of a local extremum of f1."""
+    size, same = np.abs(f), np.signbit(f)
+    dip = (size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+    dip &= (same[:, 1:-1] == same[:, :-2]) & (same[:, 1:-1] == same[:, 2:])
+    row, cell = np.nonzero(dip)
+    left, right = grid[cell], grid[cell + 2]
+    sign = np.where(same[row, cell], -1.0, 1.0)
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    low, high = left.copy(), right.copy()
+    for _ in range(45):
+        a, b = high - golden * (high - low), low + golden * (high - low)
+        f_a, f_b = (sign * _side(optics, rho, z_cam, w, points_mm[row])[0] for w in (a, b))
+        low, high = np.where(f_a < f_b, low, a), np.where(f_a < f_b, b, high)
+    middle = 0.5 * (low + high)
+    f_mid = _side(optics, rho, z_cam, middle, points_mm[row])[0]
+    pair = np.signbit(f_mid) != same[row, cell]
+    row, left, right, middle, f_left, f_mid = row[pair], left[pair], right[pair], middle[pair], f[row[pair], cell[pair]], f_mid[pair]
+    return np.concatenate([row, row]), np.concatenate([left, middle]), np.concatenate([middle, right]), np.concatenate([f_left, f_mid])
+
+
+def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array) -> Array:
+    """Return the unit directions (..., 3) of camera rays in the azimuth frame from their invariants."""
+    h_a = np.sqrt(1.0 - p_z**2)
+    d_y = w * outer_radius_mm * h_a / rho_mm
+    return np.stack([-np.sqrt(h_a**2 - d_y**2), d_y, p_z], axis=-1)
+
+
+def invariants(rho_mm: float, outer_radius_mm: float, directions: Array) -> tuple[Array, Array]:
+    """Return (w, p_z) of unit directions (..., 3) in air that leave the camera, azimuth frame; |w| >= 1 misses the canister."""
+    p_z = directions[..., 2]
+    return rho_mm * directions[..., 1] / np.sqrt(1.0 - p_z**2) / outer_radius_mm, p_z

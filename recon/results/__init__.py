@@ -1,0 +1,1 @@
+"""A result as a folder: numbers, traits, files, pictures and the page for people."""

@@ -1,0 +1,259 @@
+"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides. Matplotlib without a screen."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
+
+from recon.results import shading, surface_distance
+from recon.results.result_files import Mesh, picture_path, read_grey
+from scenes import frames, plan
+from scenes.dataset import Dataset, read_image
+from scenes.model import Scene
+
+Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""(left, right, bottom, top) in mm."""
+
+SHAPE_RGB = (0.86, 0.55, 0.25)
+TRUTH_RGB = (0.42, 0.62, 0.80)
+UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
+SHRINK = 2
+"""Renderings are made this much finer than shown, then averaged."""
+PANEL_PX = 640
+"""Height of a rendering."""
+
+
+def figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure that draws without a screen and shares nothing with other figures."""
+    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    FigureCanvasAgg(made)
+    return made
+
+
+def inputs_and_silhouettes(summary: dict[str, Any], result_folder: Path, dataset: Dataset, *, count: int = 4) -> Figure | None:
+    """Draw a few views, evenly over the scan: the picture above its silhouette, what says nothing tinted red."""
+    used = [view for view in summary["views"] if view["used"]]
+    used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
+    if not used:
+        return None
+    chosen = [used[i] for i in np.unique(np.linspace(0, len(used), min(count, len(used)), endpoint=False).astype(int))]
+    by_file = {frame.file: frame for frame in dataset.frames}
+    width, height = dataset.scene.camera.image_wh
+    drawn = figure(3.6 * len(chosen), 7.2 * height / width + 0.9)
+    axes = drawn.subplots(2, len(chosen), squeeze=False)
+    for column, view in enumerate(chosen):
+        picture = read_image(dataset, by_file[view["file"]]).astype(np.float64)
+        picture /= max(np.percentile(picture, 99.8), 1.0)
+        if not dataset.masks:
+            picture = np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)  # the pictures are linear in light, screens are not
+        coverage = read_grey(picture_path(result_folder / "silhouettes", view["file"])).astype(np.float64)
+        seen_path = picture_path(result_folder / "seen", view["file"])
+        seen = read_grey(seen_path) > 0.5 if seen_path.is_file() else np.ones(coverage.shape, np.bool_)
+        silhouette = np.repeat(coverage[..., None], 3, axis=2)
+        silhouette[~seen] = 0.55 * silhouette[~seen] + 0.45 * UNSEEN_RGB
+        axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
+        axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
+        angle = "" if view.get("table_deg") is None else f", table {view['table_deg']:.0f} deg"
+        axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9)
+        fill = "" if view.get("fill") is None else f", fills {100.0 * view['fill']:.1f} % of what is seen"
+        axes[1, column].set_title(f"silhouette{fill}", fontsize=9)
+        for axis in axes[:, column]:
+            axis.set_xticks([])
+            axis.set_yticks([])
+    drawn.supxlabel("silhouette: white is root; red tint: the picture says nothing there", fontsize=9)
+    return drawn
+
+
+def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
+    """Return where each frame's camera should have stood by the plan, (3,) in the canister frame; nothing where nobody planned."""
+    centres: dict[str, Floats] = {}
+    for frame in dataset.frames:
+        if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
+            continue
+        ring = dataset.scene.plan.rings[frame.ring]
+        cam_from_rig = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+        cam_from_table = cam_from_rig @ plan.rig_from_table(dataset.scene, frame.table_deg)
+        centres[frame.file] = frames.invert(cam_from_table)[:3, 3]
+    return centres
+
+
+def camera_ring(summary: dict[str, Any], dataset: Dataset) -> Figure:
+    """Draw the cameras round the canister from above and from the side; views that were left out are crossed."""
+    scene = dataset.scene
+    nominal = nominal_centres(dataset)
+    used: list[Floats] = []
+    left_out: list[Floats] = []
+    lost = 0
+    for view in summary["views"]:
+        pose = view.get("cam_from_canister")
+        if view["used"] and pose is not None:
+            used.append(frames.invert(np.array(pose, np.float64)))
+        elif pose is not None:
+            left_out.append(frames.invert(np.array(pose, np.float64))[:3, 3])
+        elif view["file"] in nominal:
+            left_out.append(nominal[view["file"]])
+        else:
+            lost += 1
+    drawn = figure(12.0, 6.2)
+    top, side = drawn.subplots(1, 2, width_ratios=[1.0, 1.0])
+    _canister_from_above(top, scene)
+    _canister_from_side(side, scene)
+    for axes, (i, j) in ((top, (0, 1)), (side, (0, 2))):
+        for canister_from_cam in used:
+            centre, forward = canister_from_cam[:3, 3], canister_from_cam[:3, 2]
+            tip = centre + 30.0 * forward
+            axes.plot([centre[i], tip[i]], [centre[j], tip[j]], color="#9db7cc", linewidth=1.0, zorder=2)
+        if used:
+            centres = np.array([pose[:3, 3] for pose in used])
+            axes.scatter(centres[:, i], centres[:, j], s=22, color="#1f5f8b", zorder=3, label=f"used ({len(used)})")
+        if left_out:
+            centres = np.array(left_out)
+            axes.scatter(centres[:, i], centres[:, j], s=55, marker="x", color="#c0392b", zorder=4, label=f"left out ({len(left_out)})")
+        axes.set_aspect("equal")
+        axes.grid(color="#eeeeee", linewidth=0.6, zorder=0)
+        axes.set_axisbelow(True)
+        axes.set_xlabel("x (mm)")
+    top.set_ylabel("y (mm)")
+    side.set_ylabel("z (mm)")
+    top.set_title("cameras in the canister's frame, from above")
+    side.set_title("from the side")
+    if used or left_out:
+        top.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    if lost:
+        drawn.supxlabel(f"{lost} view(s) left out whose place is not known", fontsize=9)
+    return drawn
+
+
+def _canister_from_above(axes: Axes, scene: Scene) -> None:
+    can, pot = scene.canister, scene.net_pot
+    axes.add_patch(Circle((0.0, 0.0), can.outer_radius_mm, facecolor="#f0f0f0", edgecolor="#808080", linewidth=1.2))
+    axes.add_patch(Circle((0.0, 0.0), can.inner_radius_mm, facecolor="#e8f3fa", edgecolor="#a0a0a0", linewidth=0.8))
+    half = scene.strip.marker_mm / pot.outer_radius_mm / 2.0
+    for column in range(scene.strip.columns):
+        middle = (column + 0.5) * 2.0 * np.pi / scene.strip.columns
+        arc = np.linspace(middle - half, middle + half, 6)
+        axes.plot(pot.outer_radius_mm * np.cos(arc), pot.outer_radius_mm * np.sin(arc), color="black", linewidth=2.0, solid_capstyle="butt")
+    axes.annotate("seam", (pot.outer_radius_mm + 4.0, 0.0), fontsize=7, va="center", color="#606060")
+
+
+def _canister_from_side(axes: Axes, scene: Scene) -> None:
+    _canister_outline(axes, scene)
+    pot, strip = scene.net_pot, scene.strip
+    axes.add_patch(
+        Rectangle(
+            (-pot.outer_radius_mm, pot.skirt_bottom_mm),
+            2.0 * pot.outer_radius_mm,
+            pot.top_mm - pot.skirt_bottom_mm,
+            facecolor="#dcdcdc",
+            edgecolor="#808080",
+            linewidth=0.8,
+        )
+    )
+    for row in range(strip.rows):
+        for column in range(strip.columns):
+            angle = (column + 0.5) * 2.0 * np.pi / strip.columns
+            if np.sin(angle) > 0.0:  # the half that faces away
+                continue
+            width = strip.marker_mm * -np.sin(angle)
+            low = strip.bottom_mm + row * strip.row_pitch_mm
+            axes.add_patch(Rectangle((pot.outer_radius_mm * np.cos(angle) - width / 2.0, low), width, strip.marker_mm, facecolor="#404040"))
+
+
+def _canister_outline(axes: Axes, scene: Scene) -> None:
+    """Draw the canister's walls, floor and water from the side."""
+    can = scene.canister
+    outer, inner, floor = can.outer_radius_mm, can.inner_radius_mm, can.floor_z_mm
+    axes.add_patch(Rectangle((-outer, -can.height_mm), 2.0 * outer, can.height_mm, facecolor="#f4f4f4", edgecolor="#808080", linewidth=1.2))
+    axes.add_patch(
+        Rectangle((-inner, floor), 2.0 * inner, scene.water.level_mm - floor, facecolor="#eff7fc", edgecolor="#a0c4dc", linewidth=0.8)
+    )
+
+
+def shape_in_canister(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
+    """Draw the shape where it is in the canister, from the front and from the side, to one scale in mm."""
+    can = scene.canister
+    reach = can.outer_radius_mm + 5.0
+    box = (-reach, reach, -can.height_mm - 5.0, 5.0)
+    drawn = figure(12.0, 12.0 * (box[3] - box[2]) / (2.0 * (box[1] - box[0])) + 0.9)
+    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+        raster, px_mm = _raster(shape, side, box)
+        _show(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
+        axes.set_title(side.name, fontsize=10)
+    drawn.suptitle(title, fontsize=11)
+    return drawn
+
+
+def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
+    """Draw the shape, the truth and the distance between them, from the front (upper row) and from the side, close up."""
+    points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
+    sides = (shading.FRONT, shading.SIDE)
+    boxes = [_box(points, side) for side in sides]
+    seen = [_raster(shape, side, box) for side, box in zip(sides, boxes, strict=True)]
+    apart = [distances_shown(found, side, box, px_mm, truth) for side, box, (found, px_mm) in zip(sides, boxes, seen, strict=True)]
+    shown = np.concatenate([distance[found.hit] for distance, (found, _) in zip(apart, seen, strict=True)])
+    most = float(np.percentile(shown, 98.0)) if len(shown) else 0.0
+    scale = ScalarMappable(norm=Normalize(0.0, max(0.05, most)), cmap="viridis")
+    tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
+    drawn = figure(14.5, 0.9 + 4.4 * sum(tall))
+    grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
+    for row, side, box, (found, px_mm), distance in zip(grid, sides, boxes, seen, apart, strict=True):
+        true, _ = _raster(truth, side, box)
+        by_distance = np.asarray(scale.to_rgba(distance), np.float32)[..., :3]
+        drawings = (
+            shading.shade(found, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK),
+            shading.shade(true, TRUTH_RGB, px_mm=px_mm, shrink=SHRINK),
+            shading.shade(found, by_distance, px_mm=px_mm, shrink=SHRINK, flat=True),
+        )
+        for axes, drawing in zip(row, drawings, strict=True):
+            _show(axes, scene, side, box, drawing)
+            axes.set_title(side.name, fontsize=9)
+    for axes, name in zip(grid[0], ("reconstructed", "truth", "reconstructed, by its distance to the truth"), strict=True):
+        axes.set_title(f"{name}\n{sides[0].name}", fontsize=9)
+    bar = drawn.colorbar(scale, ax=list(grid[:, 2]), shrink=0.7, extend="max")
+    bar.set_label("distance to the true surface (mm)")
+    drawn.suptitle(title, fontsize=11)
+    return drawn
+
+
+def _box(points_mm: Floats, side: shading.Side) -> Box:
+    """Return (left, right, bottom, top) round the points with a margin, neither very narrow nor very flat."""
+    flat = points_mm @ side.axes[:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0 + 4.0
+    half = np.maximum(half, [0.75 * half[1], 0.6 * half[0]])
+    return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
+
+
+def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
+    """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing; one point a pixel of the picture."""
+    row, column = np.nonzero(found.hit)
+    _, first, number = np.unique((row // SHRINK) * found.hit.shape[1] + column // SHRINK, return_index=True, return_inverse=True)
+    flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)[first]
+    distance = np.zeros(found.hit.shape)
+    if len(first):
+        distance[row, column] = surface_distance.distances(flat @ side.axes, truth.vertices_mm, truth.faces)[number]
+    return distance
+
+
+def _raster(mesh: Mesh, side: shading.Side, box: Box) -> tuple[shading.Raster, float]:
+    px_mm = (box[3] - box[2]) / (PANEL_PX * SHRINK)
+    return shading.rasterise(mesh, side, box_mm=box, px_mm=px_mm), px_mm
+
+
+def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArray[np.float32]) -> None:
+    """Put a rendering into its place in the canister."""
+    _canister_outline(axes, scene)
+    axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")
+    axes.set_xlim(box[0], box[1])
+    axes.set_ylim(box[2], box[3])
+    axes.set_aspect("equal")
+    axes.set_xlabel(side.right_label)
+    axes.set_ylabel("z (mm)")

@@ -1,0 +1,147 @@
+"""Pictures of the found roots: centre lines from two sides beside the input, and where their length is."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from recon.results import pictures, shading
+from scenes import frames
+from scenes.dataset import Dataset, read_image
+from scenes.rsml import Root
+from scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
+
+Floats = NDArray[np.float64]
+
+ORDER_COLOURS = ("#222222", "#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e")
+"""Taproot first; the last stands for all higher orders."""
+THICKEST_PERCENT = 98.0
+"""Colours by diameter end here: a few thick points do not take the scale from the laterals."""
+LEAST_WIDTH_PT = 0.7
+"""Thinner lines hardly show."""
+PANEL_IN = 4.6
+MARGIN_MM = 4.0
+BAR_RGB = "#4c86b0"
+
+
+def roots_and_inputs(roots: tuple[Root, ...], summary: dict[str, Any], dataset: Dataset) -> Figure:
+    """Draw from the front (upper row) and from the side: the picture nearest to that side, the roots by diameter, and by order."""
+    points = np.concatenate([root.points_mm for root in roots])
+    diameters = np.concatenate([root.diameters_mm for root in roots])
+    scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
+    sides = (shading.FRONT, shading.SIDE)
+    boxes = [_box(points, side) for side in sides]
+    tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
+    drawn = pictures.figure(3.0 * PANEL_IN + 0.8, 1.0 + PANEL_IN * sum(tall))
+    grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
+    for row, side, box in zip(grid, sides, boxes, strict=True):
+        _input(row[0], side, box, summary, dataset)
+        for axes, by in ((row[1], "diameter"), (row[2], "order")):
+            _lines(axes, roots, side, box, scale if by == "diameter" else None)
+            axes.set_title(f"by {by}, {side.name}", fontsize=9)
+    bar = drawn.colorbar(scale, ax=list(grid[:, 1]), location="bottom", shrink=0.8, extend="max", aspect=40)
+    bar.set_label("diameter (mm)")
+    highest = min(max(root.order for root in roots), len(ORDER_COLOURS) - 1)
+    orders = ScalarMappable(norm=Normalize(-0.5, highest + 0.5), cmap=ListedColormap(ORDER_COLOURS[: highest + 1]))
+    bar = drawn.colorbar(orders, ax=list(grid[:, 2]), location="bottom", shrink=0.8, ticks=range(highest + 1), aspect=40)
+    bar.set_label("order (0: taproot)")
+    return drawn
+
+
+def length_plots(traits: Traits) -> Figure:
+    """Draw the length by depth, by diameter and by order."""
+    drawn = pictures.figure(13.0, 4.2)
+    depth, diameter, order = drawn.subplots(1, 3, width_ratios=[1.0, 1.4, 0.7])
+    bins = np.array(traits.length_by_depth_mm)
+    depth.barh((np.arange(len(bins)) + 0.5) * DEPTH_BIN_MM, bins, height=0.92 * DEPTH_BIN_MM, color=BAR_RGB)
+    depth.invert_yaxis()
+    depth.set_ylabel("depth below the top (mm)")
+    bins = np.array(traits.length_by_diameter_mm)
+    diameter.bar((np.arange(len(bins)) + 0.5) * DIAMETER_BIN_MM, bins, width=0.92 * DIAMETER_BIN_MM, color=BAR_RGB)
+    diameter.set_xlabel("diameter (mm)")
+    if traits.mean_diameter_mm is not None and traits.median_diameter_mm is not None:
+        diameter.axvline(traits.mean_diameter_mm, color="#c0392b", label=f"mean {traits.mean_diameter_mm:.3f} mm")
+        diameter.axvline(traits.median_diameter_mm, color="#c0392b", linestyle=":", label=f"median {traits.median_diameter_mm:.3f} mm")
+        diameter.legend(fontsize=8)
+    bins = np.array(traits.length_by_order_mm)
+    order.bar(np.arange(len(bins)), bins, color=[ORDER_COLOURS[min(k, len(ORDER_COLOURS) - 1)] for k in range(len(bins))])
+    order.set_xticks(range(len(bins)))
+    order.set_xlabel("order (0: taproot)")
+    for axes, name in ((depth, "depth"), (diameter, "diameter"), (order, "order")):
+        axes.set_title(f"length by {name}", fontsize=10)
+        (axes.set_xlabel if axes is depth else axes.set_ylabel)("length (mm)")
+        axes.spines[["top", "right"]].set_visible(False)
+    return drawn
+
+
+def _box(points_mm: Floats, side: shading.Side) -> pictures.Box:
+    """Return the roots' frame with a margin, at least half as wide as high and half as high as wide."""
+    flat = points_mm @ side.axes[:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0 + MARGIN_MM
+    half = np.maximum(half, 0.5 * half[::-1])
+    return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
+
+
+def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: pictures.Box, scale: ScalarMappable | None) -> None:
+    """Draw roots as lines of true width, the far ones first."""
+    pieces, shades, diameters, depth = [], [], [], []
+    for root in roots:
+        seen = root.points_mm @ side.axes.T
+        pieces.append(np.stack([seen[:-1, :2], seen[1:, :2]], axis=1))
+        depth.append((seen[:-1, 2] + seen[1:, 2]) / 2.0)
+        thick = (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0
+        diameters.append(thick)
+        if scale is None:
+            shades += [ORDER_COLOURS[min(root.order, len(ORDER_COLOURS) - 1)]] * len(thick)
+        else:
+            shades += list(scale.to_rgba(thick))
+    far_first = np.argsort(np.concatenate(depth), kind="stable")
+    width = np.maximum(np.concatenate(diameters) * 72.0 * PANEL_IN / (box[1] - box[0]), LEAST_WIDTH_PT)
+    axes.add_collection(
+        LineCollection(
+            list(np.concatenate(pieces)[far_first]), colors=[shades[k] for k in far_first], linewidths=width[far_first], capstyle="round"
+        )
+    )
+    axes.set_xlim(box[0], box[1])
+    axes.set_ylim(box[2], box[3])
+    axes.set_aspect("equal")
+    axes.set_xlabel(side.right_label)
+    axes.set_ylabel("z (mm)")
+
+
+def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: dict[str, Any], dataset: Dataset) -> None:
+    """Show the picture whose camera stands nearest to a side, cut to the roots, with room for the lens that the water is."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]
+    toward = side.axes[2]
+    frontal = [frames.invert(np.array(view["cam_from_canister"], np.float64))[:3, 3] for view in used]
+    if not used:
+        axes.set_title("no picture", fontsize=9)
+        return
+    near = int(np.argmax([centre @ toward / np.linalg.norm(centre) for centre in frontal]))
+    view = used[near]
+    picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == view["file"])).astype(np.float64)
+    picture /= max(np.percentile(picture, 99.8), 1.0)
+    if not dataset.masks:
+        picture = np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
+    corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
+    seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
+    camera = dataset.scene.camera
+    pixels = seen[:, :2] / seen[:, 2:] * np.array(camera.focal_px) + np.array(camera.principal_px)
+    middle = pixels.mean(axis=0)
+    # the water shows the roots about n times wider, as high as they are
+    low, high = (middle + (corner - middle) * [dataset.scene.water.n_water, 1.1] for corner in (pixels.min(axis=0), pixels.max(axis=0)))
+    width, height = camera.image_wh
+    left, right = np.clip([low[0], high[0]], -0.5, width - 0.5)
+    top, bottom = np.clip([low[1], high[1]], -0.5, height - 0.5)
+    axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_title(f"{view['file']}, through the water", fontsize=9)

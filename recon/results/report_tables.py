@@ -1,0 +1,74 @@
+"""The tables of a result's page: the volume and how far it can be trusted, the traits, and what the scan calibrated by itself."""
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from recon.calibration import calibrated
+from scenes import frames
+from scenes.trait_table import DEFINITIONS, shown
+from scenes.traits import Traits
+
+
+def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
+    """Return rows of text as HTML, escaped; ``numbers`` are the columns that are aligned to the right."""
+    top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
+    body = ("".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row)) for row in rows)
+    return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
+
+
+def volume(summary: dict[str, Any]) -> str:
+    """Return the volume with its interval, and the verdict and budget where the result has them."""
+    low, high = summary["volume_interval_mm3"]
+    found = summary["volume_mm3"]
+    text = f"<p class=volume>{found:.1f} mm³ <small>({found / 1000.0:.3f} ml), between {low:.1f} and {high:.1f} mm³</small></p>"
+    if summary.get("volume_verdict"):
+        kind = "" if summary.get("volume_trusted", True) else " class=warning"
+        text += f"<p{kind}>{html.escape(str(summary['volume_verdict']))}</p>"
+    budget = summary.get("volume_budget") or []
+    if budget:
+        rows = [[str(term["name"]), f"-{term['less_mm3']:.1f}", f"+{term['more_mm3']:.1f}"] for term in budget]
+        text += table(rows, head=("what the interval allows for", "less (mm³)", "more (mm³)"), numbers=(1, 2))
+    return text
+
+
+def traits(found: Traits) -> str:
+    """Return every trait that is one number, with unit and definition."""
+    rows = [[d.name.replace("_", " "), shown(getattr(found, d.field)), d.unit, d.meaning] for d in DEFINITIONS]
+    note = "" if found.total_length_mm is not None else "<p>No thin roots were found as centre lines: what needs them is a dash.</p>"
+    return note + table(rows, head=("trait", "value", "unit", "definition"), numbers=(1,))
+
+
+def calibration(summary: dict[str, Any]) -> str:
+    """Return what all views together gave, with uncertainties and the reprojection before and after; empty where the poses were given."""
+    rig = summary.get("rig") or {}
+    rows = [
+        (
+            *(row.quantity, f"{row.given:.6g}", f"{row.found:.6g}", "" if row.sigma is None else f"{row.sigma:.2g}", row.unit),
+            "" if row.taken else "not sure enough: as given",
+        )
+        for row in calibrated.rows(rig)
+    ]
+    parts = [table(rows, head=("quantity", "given", "found", "sigma", "unit", ""), numbers=(1, 2, 3))] if rows else []
+    off = [[what, f"{before:.4f}", f"{after:.4f}", unit] for what, before, after, unit in calibrated.reprojection(rig)]
+    parts += [table(off, head=("what was off", "before", "after", "unit"), numbers=(1, 2))] if off else []
+    stood = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
+    parts += [table(stood, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if stood else []
+    return "".join(parts)
+
+
+def _ring(ring: dict[str, Any]) -> list[list[str]]:
+    """Return where a ring's camera stands; its covariance is of rotation (rad) and translation (mm) along the camera's axes."""
+    name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
+    pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))
+    spread = np.sqrt(np.maximum(np.diag(np.array(ring["covariance"], np.float64)), 0.0))
+    tilt = float(np.rad2deg(np.arcsin(np.clip(pose[2, 2], -1.0, 1.0))))
+    return [
+        [f"{name}: distance from the table's axis", f"{np.hypot(*pose[:2, 3]):.3f}", f"{spread[5]:.3f}", "mm"],
+        [f"{name}: height over the rim", f"{pose[2, 3]:.3f}", f"{spread[4]:.3f}", "mm"],
+        [f"{name}: looks up", f"{tilt:.4f}", f"{np.rad2deg(spread[0]):.4f}", "deg"],
+        [f"{name}: movement of its own from view to view", f"{ring['own_movement_mm']:.4f}", "", "mm"],
+        [f"{name}: turn of its own from view to view", f"{ring['own_movement_deg']:.4f}", "", "deg"],
+    ]

@@ -1,0 +1,122 @@
+"""Traits of a result: from its roots, its surface and its volume, as numbers, CSV and JSON."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recon.results import result_files
+from scenes import rsml, trait_table, tube_surface
+from scenes.rsml import Root
+from scenes.traits import Traits, measure_traits
+
+Floats = NDArray[np.float64]
+
+THICK_CELLS = 3.0
+"""Roots of a larger radius, in finest voxels, are measured on the mesh; the mesh of thinner ones is eaten (-10 % of 0.3 mm roots' area)."""
+
+
+def of_shape(
+    vertices_mm: Floats,
+    faces: NDArray[np.int64],
+    roots: Sequence[Root],
+    *,
+    volume_mm3: float,
+    finest_mm: float,
+    mass_g: float | None = None,
+    extents_mm: tuple[Sequence[float], Sequence[float]],
+) -> Traits:
+    """Measure the traits of a reconstructed shape.
+
+    Parameters
+    ----------
+    vertices_mm, faces : (V, 3) and (F, 3), the surface.
+    roots : may be empty; what needs centre lines is None then.
+    finest_mm : edge of the voxels from which the surface was drawn.
+    extents_mm : lowest and highest corner of the shape, for one whose surface is empty.
+    """
+    points = np.concatenate([vertices_mm, *(root.points_mm for root in roots)]) if len(vertices_mm) or roots else np.array(extents_mm)
+    surface_mm2 = _area_mm2(vertices_mm, faces, roots, THICK_CELLS * finest_mm)
+    return measure_traits(roots, points, volume_mm3=volume_mm3, surface_mm2=surface_mm2, mass_g=mass_g)
+
+
+def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
+    """Measure the traits of a result folder; without a mass, with the one that was given at the reconstruction.
+
+    Raises
+    ------
+    UserError
+        Where a file of the result is missing or damaged.
+    """
+    summary = result_files.read_summary(result_folder)
+    mesh = result_files.read_mesh(result_folder / "shape.ply")
+    file = result_folder / "roots.rsml"
+    return of_shape(
+        mesh.vertices_mm,
+        mesh.faces,
+        rsml.read_rsml(file) if file.is_file() else (),
+        volume_mm3=float(summary["volume_mm3"]),
+        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
+        mass_g=summary.get("mass_g") if mass_g is None else mass_g,
+        extents_mm=(summary["extents_min_mm"], summary["extents_max_mm"]),
+    )
+
+
+def to_json(traits: Traits, summary: dict[str, Any], *, mass_g: float | None) -> dict[str, Any]:
+    """Return the content of ``traits.json``."""
+    return {
+        "scene": summary["scene"],
+        "volume_interval_mm3": list(summary["volume_interval_mm3"]),
+        "mass_g": mass_g,
+        **trait_table.to_json(traits),
+        "warnings": list(summary["warnings"]),
+    }
+
+
+def spreadsheet(rows: Sequence[tuple[str, dict[str, Any], Traits]]) -> str:
+    """Return one row a result as CSV: its name, scene, traits with their units in the head, the volume's interval, warnings.
+
+    Parameters
+    ----------
+    rows : (name, summary, traits) of each result.
+    """
+    head = ["result", "scene", *(d.heading for d in trait_table.DEFINITIONS), "volume_low (mm3)", "volume_high (mm3)", "warnings"]
+    table: list[Sequence[Any]] = [head]
+    for name, summary, traits in rows:
+        values = (getattr(traits, d.field) for d in trait_table.DEFINITIONS)
+        low, high = summary["volume_interval_mm3"]
+        numbers = [trait_table.written(value) for value in (*values, low, high)]
+        table.append([name, summary["scene"], *numbers, "; ".join(str(warning) for warning in summary["warnings"])])
+    return trait_table.csv_text(table)
+
+
+def as_text(traits: Traits, summary: dict[str, Any], *, mass_g: float | None) -> dict[str, str]:
+    """Return the texts of ``traits.csv`` and ``traits.json``."""
+    content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
+    return {"traits.csv": trait_table.to_csv(traits), "traits.json": f"{content}\n"}
+
+
+def _area_mm2(vertices_mm: Floats, faces: NDArray[np.int64], roots: Sequence[Root], thick_mm: float) -> float:
+    """Return the outside's area: thin roots as tubes, the rest as meshed."""
+    a, b, c = (vertices_mm[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    if not roots:
+        return float(area.sum())
+    tubes = tube_surface.stations(roots)
+    thin, middle = tubes.radius_mm < thick_mm, (a + b + c) / 3.0
+    to_thin, to_thick = (_height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
+    meshed = (to_thick <= to_thin) | (to_thin > thick_mm)
+    return float(area[meshed].sum() + tube_surface.outside_mm2(tubes)[thin].sum())
+
+
+def _height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
+    """Return how far points (P, 3) are above the skin of the nearest of some stations; infinite without any."""
+    if not len(centre_mm):
+        return np.full(len(points_mm), np.inf)
+    away, near = cKDTree(centre_mm).query(points_mm, workers=-1)
+    height: Floats = away - radius_mm[near]
+    return height

@@ -1,0 +1,157 @@
+"""A small orthographic renderer for meshes: depth buffer, smooth normals, soft shading. For pictures, not for measuring."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.results.result_files import Mesh
+
+Floats = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+PAIRS_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    """A direction to look from: axes of the canister frame that point right, up and towards the eye."""
+
+    name: str
+    right: tuple[float, float, float]
+    up: tuple[float, float, float]
+    right_label: str
+
+    @property
+    def axes(self) -> Floats:
+        """Rows: right, up, towards the eye."""
+        return np.array([self.right, self.up, np.cross(self.right, self.up)])
+
+
+FRONT = Side(name="front (seen from +x)", right=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), right_label="y (mm)")
+SIDE = Side(name="side (seen from -y)", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raster:
+    """A mesh seen from one side; row 0 is the top."""
+
+    hit: NDArray[np.bool_]
+    """(H, W) whether the surface is met."""
+    depth_mm: Pixels
+    """(H, W) towards the eye; meaningless where nothing is met."""
+    normal: Pixels
+    """(H, W, 3) unit vectors: right, up, towards the eye."""
+
+
+def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, float], px_mm: float) -> Raster:
+    """Render a mesh orthographically.
+
+    Parameters
+    ----------
+    box_mm
+        (left, right, bottom, top) of the picture along the side's axes.
+    px_mm
+        Size of a pixel.
+    """
+    left, right, bottom, top = box_mm
+    width, height = max(1, round((right - left) / px_mm)), max(1, round((top - bottom) / px_mm))
+    view = mesh.vertices_mm @ side.axes.T
+    # Pixel centres at integers, rows downwards.
+    flat = np.stack([(view[:, 0] - left) / px_mm - 0.5, (top - view[:, 1]) / px_mm - 0.5, view[:, 2]], axis=1)
+    normals = vertex_normals(mesh) @ side.axes.T
+
+    depth = np.full(width * height, -np.inf)
+    found = np.zeros((width * height, 3), np.float32)
+    corners = flat[mesh.faces]
+    low = np.maximum(np.ceil(corners[:, :, :2].min(axis=1)).astype(np.int64), 0)
+    high = np.minimum(np.floor(corners[:, :, :2].max(axis=1)).astype(np.int64) + 1, [width, height])
+    size = np.maximum(high - low, 0)
+    pairs = size[:, 0] * size[:, 1]
+    block = np.cumsum(pairs) // PAIRS_AT_ONCE
+    for part in np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(block)) + 1):
+        triangle = np.repeat(part, pairs[part])
+        if not len(triangle):
+            continue
+        step = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs[part]) - pairs[part], pairs[part])
+        step_y, step_x = np.divmod(step, size[triangle, 0])
+        x, y = low[triangle, 0] + step_x, low[triangle, 1] + step_y
+        weights, inside = _barycentric(corners[triangle], x, y)
+        triangle, weights, pixel = triangle[inside], weights[inside], (y * width + x)[inside]
+        z = np.einsum("ij,ij->i", weights, corners[triangle, :, 2])
+        np.maximum.at(depth, pixel, z)
+        front = z == depth[pixel]
+        found[pixel[front]] = np.einsum("ij,ijk->ik", weights[front], normals[mesh.faces[triangle[front]]])
+    hit = np.isfinite(depth)
+    length = np.sqrt(np.einsum("ij,ij->i", found, found))[:, None]
+    normal = (found / np.where(length > 0.0, length, 1.0)).astype(np.float32)
+    shape = (height, width)
+    return Raster(
+        hit=hit.reshape(shape),
+        depth_mm=np.where(hit, depth, 0.0).astype(np.float32).reshape(shape),
+        normal=normal.reshape(*shape, 3),
+    )
+
+
+def _barycentric(corners: Floats, x: NDArray[np.int64], y: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the weights (N, 3) of pixels in their triangles, and whether they lie inside."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    det = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    safe = np.where(det != 0.0, det, 1.0)
+    w_b = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (y - a[:, 1]) * (c[:, 0] - a[:, 0])) / safe
+    w_c = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (b[:, 1] - a[:, 1]) * (x - a[:, 0])) / safe
+    weights = np.stack([1.0 - w_b - w_c, w_b, w_c], axis=1)
+    return weights, (det != 0.0) & (weights >= -1e-9).all(axis=1)
+
+
+def vertex_normals(mesh: Mesh) -> Floats:
+    """Return (V, 3) outward normals, the sum of the neighbouring faces' area vectors, not normalised.
+
+    A mesh whose faces are turned inside out (its signed volume is negative) gets the same normals as its mirror image.
+    """
+    a, b, c = (mesh.vertices_mm[mesh.faces[:, k]] for k in range(3))
+    area = np.cross(b - a, c - a)
+    if np.einsum("ij,ij->", a - mesh.vertices_mm.mean(axis=0), area) < 0.0:
+        area = -area
+    count = len(mesh.vertices_mm)
+    return np.stack([np.bincount(mesh.faces.ravel(), weights=np.repeat(area[:, k], 3), minlength=count) for k in range(3)], axis=1)
+
+
+def _blurred(image: Pixels, sigma_px: float) -> Pixels:
+    """Return an image under a wide Gaussian, computed on fewer pixels where it is wide."""
+    fewer = max(1, int(sigma_px / 4.0))
+    height, width = image.shape
+    small = cv2.resize(image, (max(1, width // fewer), max(1, height // fewer)), interpolation=cv2.INTER_AREA)
+    soft = cv2.GaussianBlur(small, (0, 0), max(sigma_px / fewer, 0.5))
+    return np.asarray(cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def shade(
+    raster: Raster, colour: tuple[float, float, float] | NDArray[np.floating], *, px_mm: float, shrink: int = 1, flat: bool = False
+) -> Pixels:
+    """Return an RGBA picture (H / shrink, W / shrink, 4) in 0..1, transparent where nothing is met.
+
+    Light falls from the upper left; hollows behind nearer parts are darkened, far parts fade a little towards white.
+    ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours that carry
+    numbers can be read.
+    """
+    light = np.array([-0.45, 0.65, 0.75], np.float32)
+    light /= np.linalg.norm(light)
+    lambert = np.clip(raster.normal @ light, 0.0, 1.0)
+    hit = raster.hit.astype(np.float32)
+    around = _blurred(raster.depth_mm * hit, 0.7 / px_mm) / np.maximum(_blurred(hit, 0.7 / px_mm), 1e-9)
+    hollow = np.clip((around - raster.depth_mm) / 6.0, 0.0, 1.0)
+    ambient = 0.8 if flat else 0.38
+    light_here = (ambient + (1.0 - ambient) * lambert) * (1.0 - (0.25 if flat else 0.6) * hollow)
+    rgb = np.asarray(colour, np.float32) * light_here[..., None]
+    if raster.hit.any() and not flat:
+        near, far = raster.depth_mm[raster.hit].max(), raster.depth_mm[raster.hit].min()
+        fade = 0.35 * np.clip((near - raster.depth_mm) / max(near - far, 20.0), 0.0, 1.0)[..., None]
+        rgb = rgb * (1.0 - fade) + 0.92 * fade
+    rgba = np.concatenate([np.clip(rgb, 0.0, 1.0) * hit[..., None], hit[..., None]], axis=2)
+    if shrink > 1:
+        height, width = (n // shrink for n in hit.shape)
+        rgba = rgba[: height * shrink, : width * shrink].reshape(height, shrink, width, shrink, 4).mean(axis=(1, 3))
+    rgba[..., :3] /= np.maximum(rgba[..., 3:], 1e-9)
+    return np.asarray(np.clip(rgba, 0.0, 1.0))

@@ -1,0 +1,182 @@
+"""Where cells fall on the pictures of all views, kept small, and the two things done with it: casting shadows and reading pictures.
+
+A cell's footprint in a view is six bytes: its column and row in steps of a fraction of a pixel, 16 bits each, and its area in half
+precision. Of every picture only the window that holds cells is kept, one view after the other, so that work goes with the plant
+and not with the picture. Views are a loop inside of one kernel: a kernel for each would cost more time to compile than to run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.coverage.evidence import Evidence, bilinear
+from recon.optics import projection
+
+Array = NDArray[np.float64]
+
+_STEPS = 65535
+"""A picture's longer side in steps: 1/80 px where it is 800 px."""
+_PARTS = 256
+"""Bounds are sought in so many parts of a view's cells side by side, without a copy of them."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The part of every view's picture that holds cells, flattened one after the other."""
+
+    low: NDArray[np.int64]
+    """(V, 2) first column and row."""
+    size: NDArray[np.int64]
+    """(V, 2) columns and rows."""
+    begin: NDArray[np.int64]
+    """(V + 1,) first entry of each view, and the end."""
+
+    @staticmethod
+    def around(*several: Footprints) -> Windows:
+        """Lay windows one after the other that hold all footprints, their four pixels each."""
+        bounds = [prints.bounds() for prints in several]
+        low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+        size = np.maximum(high - low + 2, 0)  # none where nothing is seen
+        return Windows(low, size, np.concatenate([[0], np.cumsum(size.prod(axis=1))]))
+
+    def cut(self, evidence: Evidence, pictures: Any) -> Any:
+        """Cut the windows out of whole pictures, mi.Float (V, H, W) flattened."""
+        stack = np.array(pictures).reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
+        parts = [
+            picture[low[1] : low[1] + size[1], low[0] : low[0] + size[0]].ravel()
+            for picture, low, size in zip(stack, self.low, self.size, strict=True)
+        ]
+        return mi.Float(np.concatenate(parts))
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """Footprints of cells in all views."""
+
+    views: int
+    count: int
+    """Number of cells."""
+    steps_a_px: float
+    place: Any
+    """mi.UInt32, (V, N) flattened: column and row in steps, 16 bits each."""
+    px2_a_mm2: Any
+    """mi.Float16, (V, N) flattened: area of a mm2 in the picture; 0 where the view says nothing about the cell."""
+
+    @staticmethod
+    def of(evidence: Evidence, centre_mm: Array) -> Footprints:
+        """Project cells (N, 3) into all views."""
+        count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
+        steps_a_px = _STEPS / max(width, height)
+        point = mi.Point3f(centre_mm.T.astype(np.float32))
+        lane = dr.arange(mi.UInt32, count * views)
+        view = lane // dr.opaque(mi.UInt32, count)
+        point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
+        p = projection.project(evidence.bank, view, point, mi.Bool(True))
+        seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
+        px = dr.select(seen, p.px, mi.Vector2f(0.0))
+        told = dr.gather(mi.Float, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(p.du, p.dv)), 0.0))
+        place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
+        dr.eval(place, area)
+        return Footprints(views, count, steps_a_px, place, area)
+
+    def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the lowest and highest pixels (V, 2) of each view's footprints; the highest lie far below where there are none."""
+        lane = dr.arange(mi.UInt32, self.views * _PARTS)
+        view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
+
+        def body(cell: Any, *found: Any) -> tuple[Any, ...]:
+            at = view * count + cell
+            place, seen = dr.gather(mi.UInt32, self.place, at), dr.gather(mi.Float16, self.px2_a_mm2, at) > 0
+            u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
+            low = [dr.select(seen, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
+            high = [dr.select(seen, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
+            return cell + _PARTS, *low, *high
+
+        state = [dr.full(mi.Int32, none, self.views * _PARTS) for none in (1 << 16, 1 << 16, -(1 << 16), -(1 << 16))]
+        _, *found = dr.while_loop((lane % _PARTS, *state), lambda cell, *_: cell < count, body)
+        dr.eval(found)
+        pixels = np.array([np.array(part) for part in found], np.int64).reshape(4, self.views, _PARTS)
+        return pixels[:2].min(axis=-1).T, pixels[2:].max(axis=-1).T
+
+    def chosen(self, kept: Any) -> Footprints:
+        """Return those of some cells, by number (mi.UInt32)."""
+        count = dr.width(kept)
+        lane = dr.arange(mi.UInt32, count * self.views)
+        view = lane // dr.opaque(mi.UInt32, count)
+        source = view * dr.opaque(mi.UInt32, self.count) + dr.gather(mi.UInt32, kept, lane - view * dr.opaque(mi.UInt32, count))
+        place, area = dr.gather(mi.UInt32, self.place, source), dr.gather(mi.Float16, self.px2_a_mm2, source)
+        dr.eval(place, area)
+        return Footprints(self.views, count, self.steps_a_px, place, area)
+
+
+class Table:
+    """Footprints with the windows that they are looked up in."""
+
+    def __init__(self, prints: Footprints, windows: Windows) -> None:
+        self.prints, self.windows = prints, windows
+        self._low = [mi.Float(windows.low[:, axis].astype(np.float32)) for axis in (0, 1)]
+        self._width, self._begin = mi.UInt32(windows.size[:, 0].astype(np.uint32)), mi.UInt32(windows.begin.astype(np.uint32))
+        dr.eval(self._low, self._width, self._begin)
+
+    def chosen(self, kept: Any) -> Table:
+        """Return those of some cells, by number (mi.UInt32)."""
+        return Table(self.prints.chosen(kept), self.windows)
+
+    def _at(self, view: Any) -> tuple[Any, Any, Any, Any, Any]:
+        """Return column and row within the window, its begin and width, and the area, of all cells in a view."""
+        prints = self.prints
+        lane = view * dr.opaque(mi.UInt32, prints.count) + dr.arange(mi.UInt32, prints.count)
+        place, area = dr.gather(mi.UInt32, prints.place, lane), mi.Float(dr.gather(mi.Float16, prints.px2_a_mm2, lane))
+        u, v = (
+            mi.Float(steps) / prints.steps_a_px - dr.gather(mi.Float, low, view)
+            for steps, low in zip((place & 0xFFFF, place >> 16), self._low, strict=True)
+        )
+        return u, v, dr.gather(mi.UInt32, self._begin, view), dr.gather(mi.UInt32, self._width, view), area
+
+    def cast(self, onto: Any, views: range, amount: Any) -> None:
+        """Add the shadows of cells (mi.Float, mm2) to the windows of consecutive views, bilinearly; ``onto`` begins with the first."""
+        first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
+
+        def body(view: Any) -> tuple[Any]:
+            u, v, begin, width, area = self._at(view)
+            column, row = mi.UInt32(u), mi.UInt32(v)
+            fu, fv = u - mi.Float(column), v - mi.Float(row)
+            at, shadow, seen = begin - first + row * width + column, amount * area, area > 0
+            for step, weight in ((0, (1 - fu) * (1 - fv)), (1, fu * (1 - fv)), (width, (1 - fu) * fv), (width + 1, fu * fv)):
+                dr.scatter_reduce(dr.ReduceOp.Add, onto, shadow * weight, at + step, seen)
+            return (view + 1,)
+
+        self._loop(views, (), body)
+        dr.eval(onto)
+
+    def mean_log(self, pictures: Any, views: range, least: float, most: float) -> Any:
+        """Return the mean over the views that see a cell of the logarithm of a picture there, clipped: mi.Float; 0 where none does.
+
+        Parameters
+        ----------
+        pictures : the windows of the views.
+        """
+        first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
+
+        def body(view: Any, total: Any, votes: Any) -> tuple[Any, Any, Any]:
+            u, v, begin, width, area = self._at(view)
+            seen = area > 0
+            value = bilinear(pictures, begin - first, width, u, v, seen)
+            return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
+
+        count = self.prints.count
+        _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)
+        return total / dr.maximum(votes, 1.0)
+
+    def _loop(self, views: range, state: tuple[Any, ...], body: Any) -> tuple[Any, ...]:
+        end = dr.opaque(mi.UInt32, views.stop)
+        begin = dr.opaque(mi.UInt32, views.start, self.prints.count)
+        found: tuple[Any, ...] = dr.while_loop((begin, *state), lambda view, *_: view < end, body)
+        return found

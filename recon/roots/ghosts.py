@@ -1,0 +1,137 @@
+"""Which parts of a tree of tubes are no roots: what explains nothing, what lies inside others, and short ends that prove nothing.
+
+All functions tell nodes (N,) that should go, which `Tubes.staying` turns into cuts from the tips; but for `doubtful_ends`: these are
+mostly pieces of true roots, whose ends others hide. They stay, without a tip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recon.roots.proof import Proof
+from recon.tubes.tubes import Index, Tubes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FLANK_PX = 1.0
+"""The balls that stand for thick organs are not as precise as tubes, nor is the end at the rim of sight: this much about them is theirs."""
+_EXPLAINED = 0.5
+"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a ghost."""
+_EXPLAINED_PX = 1.0
+"""... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
+_END_NODES = 3
+_NEIGHBOURS = 12
+_INSIDE = 0.9
+"""Share of a root's radius within which another centre line is its own."""
+_SHORT_MM = 1.5
+"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
+_LONG_MM, _TIP_NODES = 8.0, 5
+"""The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
+_FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
+"""A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
+_CERTAIN = 0.15
+"""With less evidence a tip is none: here as many true ones are lost as false ones stay (see docs/decisions/tubes-for-thin-roots.md)."""
+
+
+def flanked(tubes: Tubes, organ: Mask) -> Mask:
+    """Tell the nodes (N,) about which `FLANK_PX` more belong to them: thick organs, and the top, where the plant goes out of sight."""
+    top = np.zeros(len(organ), bool)
+    top[tubes.branches[0][0]] = True
+    return organ | top
+
+
+def unexplaining(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
+    """Tell the nodes (N,) that explain no pixels of their own, averaged over neighbours along their branch."""
+    gone = np.zeros(len(organ), bool)
+    for k in range(len(tubes.branches)):
+        own = tubes.own(k)
+        explained, left = (
+            np.convolve(np.pad(value[own], _END_NODES // 2, mode="edge"), np.full(_END_NODES, 1.0 / _END_NODES), "valid")
+            for value in (proved.explained, proved.left)
+        )
+        gone[own] = (explained < _EXPLAINED * (explained + left)) | (explained < _EXPLAINED_PX)
+    return gone & ~organ
+
+
+def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
+    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top: second paths along the same root.
+
+    Parameters
+    ----------
+    flank_mm : `FLANK_PX` in mm.
+    """
+    centre, owner = tubes.centre_mm, tubes.owner
+    reach = np.where(flanked(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
+    distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
+    inside: Mask = ((owner[near] < owner[:, None]) & (distance < reach[near])).any(axis=1)
+    return inside
+
+
+def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of branches that bear none and are so short that they may be an artefact of their neighbours."""
+    gone = np.zeros(len(organ), bool)
+    for k, line in _ends(tubes):
+        if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
+            gone[line[1:]] = True
+    return gone & ~organ
+
+
+def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of ends, from a branch's last lateral to its tip, whose tips are likely none.
+
+    Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little of what lies about
+    it unexplained, compared with what tips usually leave (noise and blur count for all of them). They are weighed together, as a false tip
+    may pass in one of them. What stands out of its parent by less than its own diameter is a bulge and has no tip, whatever speaks for it.
+
+    Parameters
+    ----------
+    visible : (N,) share of each node, over all views, that no other hides.
+    """
+    gone = np.zeros(len(organ), bool)
+    ends = _ends(tubes)
+    if not ends:
+        return gone
+    owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
+    share, free_mm = np.zeros(len(ends)), np.full(len(ends), _FREE_MM)
+    for number, (k, line) in enumerate(ends):
+        last = line[1:][-_TIP_NODES:]
+        share[number] = proved.left[last].sum() / max(float((proved.explained + proved.left)[last].sum()), 1e-6)
+        tip = tubes.centre_mm[line[-1]]
+        others = np.array([n for n in near.query_ball_point(tip, _FREE_MM + float(radius.max())) if owner[n] != k], np.int64)
+        if len(others):
+            free_mm[number] = min(_FREE_MM, float((np.linalg.norm(tubes.centre_mm[others] - tip, axis=1) - radius[others]).min()))
+    usual = max(float(np.median(share)), 1e-6)
+    shown = visible[[line[-1] for _, line in ends]]
+    evidence = shown + _OF_FREE * free_mm / _FREE_MM - _OF_LEFT * np.log(share / usual + _LEAST_TIMES)
+    for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
+        if weak and _length(tubes, line) < _LONG_MM:
+            gone[line[1:]] = ~organ[line[1:]]
+        if _is_bulge(tubes, k, line):  # on thick organs too
+            gone[line[1:]] = True
+    return gone
+
+
+def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
+    """Tell whether an end is a whole branch that stands out by less than its own diameter."""
+    whole = len(line) == len(tubes.branches[branch])
+    return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
+
+
+def _ends(tubes: Tubes) -> list[tuple[int, Index]]:
+    """Return the branches but the first that go on beyond their last lateral, with the nodes from where that leaves, or from their base."""
+    bearing = np.zeros(len(tubes.radius_mm), bool)
+    bearing[[nodes[0] for nodes in tubes.branches[1:]]] = True
+    found = []
+    for k in range(1, len(tubes.branches)):
+        last = int(np.flatnonzero(bearing[tubes.own(k)]).max(initial=-1)) + 1
+        if last + 1 < len(tubes.branches[k]):
+            found.append((k, tubes.branches[k][last:]))
+    return found
+
+
+def _length(tubes: Tubes, line: Index) -> float:
+    """Return the length of a line of nodes (n,), mm."""
+    return float(np.linalg.norm(np.diff(tubes.centre_mm[line], axis=0), axis=1).sum())

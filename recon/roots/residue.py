@@ -1,0 +1,130 @@
+"""Roots that the tubes found so far leave unexplained: traced on what is left of the coverage, and hung on the tree.
+
+Where tubes are drawn already, a pixel of measured coverage m and explained coverage e = 1 - exp(-t) tells of another root by
+
+    d = m - e = u c,    u = exp(-t)
+
+with u the part of the pixel that the tubes leave free and c the other root's own coverage. Over all views the least-squares estimate of
+c at a point of the search space is sum(u d) / sum(u^2): views in which the place is hidden say nothing, and a place that is empty in
+some views, as a ghost is, gets little. It needs no iteration, and it sees short laterals beside thick roots, which the density stage
+cannot tell from their parents.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from recon.coverage.evidence import Evidence, bilinear
+from recon.optics import projection
+from recon.roots import ghosts, tracing
+from recon.roots.density import Cells
+from recon.tubes import tubes
+from recon.tubes.translucent_tube import radius_of
+from recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+
+_SURE = 0.25
+"""Own coverage from which a place belongs to a root: a third of a pixel wide."""
+_LEAST_VIEWS = 4.0
+"""Views (sum of u^2) that must tell something about a place."""
+_THINNEST_MM = 0.05
+_LEAST_MM = 0.4
+"""A new branch has at least this length outside of the tubes."""
+_BEGIN_MM = 1.0
+"""A new branch on the flank of a root costs as much as this much more of a root that goes on at its tip."""
+_TIP_MM = 0.4
+
+
+def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
+    """Return the coverage (N,) that points have of their own, averaged over the views; 0 where too few tell.
+
+    Parameters
+    ----------
+    depth : optical depth of the tubes in all views, as `tube_picture.optical_depth` draws it.
+    """
+    free = dr.exp(-depth)
+    left = (evidence.coverage - (1.0 - free)) * evidence.seen
+    dr.eval(free, left)
+    width, height = evidence.image_wh
+    point, pixels = mi.Point3f(points_mm.T.astype(np.float32)), dr.opaque(mi.UInt32, evidence.pixels)
+
+    def body(view: Any, top: Any, weight: Any) -> tuple[Any, Any, Any]:
+        p = projection.project(evidence.bank, view, point, mi.Bool(True))
+        seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
+        px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
+        tells = bilinear(evidence.seen, base, width, px.x, px.y, seen)
+        u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
+        good = seen & (tells > 0.99)
+        return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
+
+    state = (dr.zeros(mi.UInt32, len(points_mm)), dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm)))
+    _, top, weight = dr.while_loop(state, lambda view, *_: view < evidence.bank.count, body)
+    dr.eval(top, weight)
+    return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
+
+
+def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cells, depth: Any, px_a_mm: float) -> Tubes:
+    """Hang on a tree the roots that its tubes leave unexplained.
+
+    Parameters
+    ----------
+    organ : (N,) nodes of thick organs.
+    cells : search space, thick organs left out.
+    px_a_mm : scale in the middle of the water.
+    """
+    centre = cells.centre_mm  # once: it is computed anew each time
+    own = own_coverage(evidence, centre, depth)
+    line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
+    away, nearest = cKDTree(line).query(centre, workers=-1)
+    reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(ghosts.flanked(found, organ)[node], ghosts.FLANK_PX / px_a_mm, 0.0)
+    inside = away < reach[nearest]
+    sure = ~inside & (own > _SURE)
+    if not sure.any() or not inside.any():
+        return found
+    ends = np.array([nodes[-1] for nodes in found.branches])
+    at_tip = cKDTree(found.centre_mm[ends]).query(centre, workers=-1)[0] < _TIP_MM
+    # half a step inside a tube costs as much as the additional way of a branch on its flank, but nothing at a tip
+    flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
+    density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
+    cost, before, _ = dijkstra(
+        tracing.graph(cells, density), directed=False, indices=np.flatnonzero(inside), min_only=True, return_predecessors=True
+    )
+    length = tracing.lengths(cost, before, centre)
+    claim = tracing.CLAIM_CELLS * cells.grid.size_mm + 0.5 * own / px_a_mm  # a wider root covers more beside its middle
+    lines = tracing.branches(centre, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
+    paths, radii, parents = [], [], []
+    for way in lines:
+        thick = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
+        if evidence.mu_per_mm is not None:
+            thick = radius_of(thick, evidence.mu_per_mm)
+        paths.append(centre[way])
+        radii.append(np.full(len(way), float(np.median(thick[1:]))))
+        first = int(node[nearest[way[0]]])
+        if inside[way[0]] and at_tip[way[0]]:
+            first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])
+        parents.append(first if inside[way[0]] else -1)
+    return tubes.hang(found, paths, radii, parents)
+
+
+def _dense(found: Tubes, step_mm: float) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return points (P, 3) along the tubes, their radii, and the nearest node of each."""
+    a, b = found.segments.T
+    count = np.maximum(np.ceil(np.linalg.norm(found.centre_mm[b] - found.centre_mm[a], axis=1) / step_mm), 1).astype(np.int64)
+    of = np.repeat(np.arange(len(a)), count)
+    share = (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[of]
+    first, second = a[of], b[of]
+    # a branch's first node has its parent's radius
+    radius = np.minimum(found.radius_mm[first], found.radius_mm[second])
+    return (
+        found.centre_mm[first] + share[:, None] * (found.centre_mm[second] - found.centre_mm[first]),
+        radius,
+        np.where(share < 0.5, first, second),
+    )

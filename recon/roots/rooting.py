@@ -1,0 +1,278 @@
+"""The tube stage: from coverage to a tree of tubes, roots too thin for a hull included."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from recon.calibration import root_calibration
+from recon.calibration.root_calibration import Sights
+from recon.coverage import evidence
+from recon.coverage.evidence import CORE_PX, Evidence
+from recon.coverage.silhouettes import Image, Silhouette, Window
+from recon.hull import carve, parsimony
+from recon.hull.carve import DistanceMaps, Grid
+from recon.hull.parsimony import Balls
+from recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
+from recon.roots.density import Cells
+from recon.roots.proof import Proof
+from recon.run import Run
+from recon.tubes import tube_fit, tube_law, tube_picture, tubes
+from recon.tubes.tube_law import TubeLaw
+from recon.tubes.tube_picture import Pull
+from recon.tubes.tubes import Tubes
+from scenes.rsml import Root
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CELL_PX = 0.75
+"""Edge of the cells of the search space, seen from the cameras."""
+_MOST_CELLS = 2_000_000
+"""A search space with more cells is made coarser: its footprints in all views must fit in memory."""
+_THIN_MM = (0.05, 0.3)
+"""Radii that shadows can tell at the start; thicker roots shade their own cells."""
+_FLANK_PX = 0.5
+"""About `CORE_PX` and this beyond a core point lies the flank of a thick organ."""
+_BEYOND_PX = 1.25
+"""Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
+_BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+_BLUR_VIEWS = 24
+"""Views in which blurs are tried: they come in an order that spreads neighbours over the turn."""
+_SEARCHES = 2
+"""Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
+_FIRST_STEPS = 3
+_BETWEEN_STEPS = 4
+_LAST_STEPS = 4
+_AFTER_STEPS = 2
+
+
+@dataclass(frozen=True)
+class Water:
+    """The space in which roots can be."""
+
+    radius_mm: float
+    top_mm: float
+    bottom_mm: float
+
+
+@dataclass(frozen=True)
+class RootSystem:
+    """Roots found as tubes."""
+
+    tubes: Tubes
+    buried: Mask
+    """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
+    core_mm: Array
+    """(M, 3) points deep inside thick organs."""
+    margin_mm: float
+    """Within this of a core point lies the whole of a thick organ."""
+    px_a_mm: float
+    law: TubeLaw
+    """How much light roots let through, and how blurred the pictures are."""
+    seen: Evidence
+    """What it was fitted to, with cameras and water as the roots corrected them."""
+    doubtful: Mask
+    """(N,) nodes of ends whose tips are likely none."""
+
+    @property
+    def blur_px(self) -> float:
+        """Return the standard deviation of the pictures' blur."""
+        return self.law.blur_px
+
+    def roots(self) -> tuple[Root, ...]:
+        """Return the branches as roots, parents before children."""
+        owner, orders = self.tubes.owner, list[int]()
+        roots: list[Root] = []
+        for k, nodes in enumerate(self.tubes.branches):
+            parent = int(owner[nodes[0]]) if k else -1
+            orders.append(orders[parent] + 1 if k else 0)
+            points, diameters, tip_seen = self.tubes.centre_mm[nodes], 2.0 * self.tubes.radii(k), not self.doubtful[nodes[-1]]
+            roots.append(Root(points_mm=points, diameters_mm=diameters, order=orders[k], parent=parent, tip_seen=tip_seen))
+        return hierarchy.arrange(roots)
+
+
+def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -> RootSystem | None:
+    """Find the roots as a tree of tubes; None where there are none.
+
+    Parameters
+    ----------
+    seen : measured coverage.
+    sights : its cameras, which the roots themselves may correct.
+    balls : balls inside the hull, as `parsimony.trim` grew them.
+    """
+    px_a_mm = _scale(seen, water)
+    margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
+    with run.stage("search"):
+        cells, core = _search_space(run, seen, water, _CELL_PX / px_a_mm)
+        if not len(cells.index):
+            return None
+        dr.flush_malloc_cache()  # what carving left to be used again is in the way of the footprints, and these of what follows
+    with run.stage("density"):
+        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+        organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
+        thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
+        cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+        dr.flush_malloc_cache()
+    with run.stage("trace"):
+        paths = tracing.trace(cells, depth) if len(cells.index) else []
+        if not paths:
+            return None
+        start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
+    with run.stage("tubes"):
+        near_mm = 1.5 * cells.grid.size_mm
+        start, _, _ = organs.thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
+        core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
+        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+        start, buried, organ = organs.centred(start, core, balls, near_mm)
+        fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
+        blur_px = _blur(seen, fitted)
+    with run.stage("translucency"):
+        law, fitted = tube_law.find(seen, fitted, organ, blur_px)
+        if law.mu_per_mm is None and run.law is not None and run.law.mu_per_mm is not None:
+            # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
+            seen = seen.by_light()
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
+            law = replace(law, blur_px=_blur(seen, fitted))
+        if law.mu_per_mm is not None:
+            seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
+        blur_px = law.blur_px
+        run.warnings += law.warnings()
+    with run.stage("branches"):
+        settle = _Settling(seen, core, balls, near_mm, blur_px, ghosts.FLANK_PX / px_a_mm)
+        fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
+        stays = fitted.staying(ghosts.short_leaves(fitted, organ))
+        fitted, organ = fitted.keep(stays), organ[stays]
+    with run.stage("residue"):
+        outside = cells.chosen(depth <= depth.min())
+        for _ in range(_SEARCHES):
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
+            depth_px = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
+            grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
+            fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        fitted, buried, organ = settle.ended(fitted, pull, organ)
+    if law.mu_per_mm is not None:
+        with run.stage("translucency again"):
+            law, fitted = tube_law.refine(seen, fitted, organ, law)
+            blur_px, seen = law.blur_px, replace(seen, mu_per_mm=law.mu_per_mm)
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
+    with run.stage("index"):
+        seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
+    with run.stage("last tubes"):
+        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
+        doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(seen, fitted, blur_px), organ)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, doubtful)
+
+
+@dataclass(frozen=True)
+class _Settling:
+    """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and mended."""
+
+    seen: Evidence
+    core: Cells
+    balls: Balls
+    near_mm: float
+    blur_px: float
+    flank_mm: float
+    """Within this of an organ's radius, what is found is the organ's."""
+
+    def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
+        """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
+        tree, _, organ = organs.centred(tree, self.core, self.balls, self.near_mm)
+        tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+        gone = ghosts.unexplaining(tree, _proof(self.seen, tree, self.blur_px), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
+        return self.joined(tree.keep(tree.staying(gone)))
+
+    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
+        """Join the ends that are none where they can go on; return as `settled` does.
+
+        Parameters
+        ----------
+        pull : what the pictures said of each node of the tree at rest.
+        organ : (N,) nodes of organs.
+        """
+        doubtful = ghosts.doubtful_ends(tree, pull.visible, _proof(self.seen, tree, self.blur_px), organ)
+        tree, kept = mending.mend(tree, doubtful)
+        inner = ghosts.inside_another(tree, organ[kept], self.flank_mm)
+        return self.joined(tree.keep(tree.staying(inner)))
+
+    def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
+        """Return the tree with its pieces connected, and the nodes (N,) as above."""
+        return organs.centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
+
+
+def _proof(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:
+    """Weigh what every node explains."""
+    at = seen.project(tree.centre_mm)
+    depth = tube_picture.optical_depth(seen, tree, at, blur_px)
+    return proof.weigh(seen, tree, at, depth, tube_picture.unexplained(seen, depth), blur_px)
+
+
+def _scale(seen: Evidence, water: Water) -> float:
+    """Return px/mm at the middle of the water."""
+    at = seen.project(np.array([[0.0, 0.0, 0.5 * (water.top_mm + water.bottom_mm)]]))
+    return float(np.median(np.sqrt(np.linalg.norm(at.du, axis=-1) * np.linalg.norm(at.dv, axis=-1))))
+
+
+def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tuple[Cells, Cells]:
+    """Carve where roots may be, and where thick organs are for certain."""
+    generous = _outlines(run, seen, evidence.generous_outline, "search")
+    low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
+    while True:
+        grid = Grid.over(low, high, size_mm)
+        cells = density.even_cells(_carve(seen, generous, grid, water))
+        if len(cells.index) <= _MOST_CELLS:
+            break
+        size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # each 1.26 halves their number
+    del generous
+    core = density.even_cells(_carve(seen, _outlines(run, seen, evidence.core_outline, "core"), grid, water))
+    return cells, core
+
+
+def _outlines(run: Run, seen: Evidence, outline: Callable[[Silhouette], Image], name: str) -> DistanceMaps:
+    """Draw outlines in all views."""
+    window = Window.around(seen.silhouettes)
+    drawn = run.each(lambda k: outline(seen.silhouettes[k].cut(window)), name, list(range(seen.bank.count)))
+    return DistanceMaps.of(np.stack(drawn), seen.image_wh, window)
+
+
+def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carve.Leaves:
+    """Carve outlines out of the water."""
+    least = max(3, math.ceil(parsimony.VOTES * seen.bank.count))
+    hull = carve.carve(
+        seen.bank,
+        maps,
+        grid,
+        radius_mm=water.radius_mm,
+        top_mm=water.top_mm,
+        bottom_mm=water.bottom_mm,
+        min_votes=least,
+        slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
+    )
+    return hull.leaves
+
+
+def _first_radius(path: tracing.Path) -> Array:
+    """Guess radii along a path: the shadow of a millimetre of root is its diameter."""
+    way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
+    share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
+    radius: Array = np.clip(0.5 * share, *_THIN_MM)
+    return radius
+
+
+def _blur(seen: Evidence, fitted: Tubes) -> float:
+    """Find the blur with which the tubes explain the pictures best."""
+    seen = seen.of_views(range(min(seen.bank.count, _BLUR_VIEWS)))
+    at = seen.project(fitted.centre_mm)
+    cost = []
+    for blur_px in _BLURS_PX:
+        difference = tube_picture.unexplained(seen, tube_picture.optical_depth(seen, fitted, at, blur_px))
+        cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
+    return _BLURS_PX[int(np.argmin(cost))]

@@ -1,0 +1,207 @@
+"""From a density to centre lines: the tree of easiest paths to the top of the root system.
+
+The paths from every cell to the top (Dijkstra), with a cost a millimetre that falls with the density, form a tree. Branches are read
+off it as TEASAR does (Sato et al. 2000, Pacific Graphics): the path from the farthest cell that no branch has claimed yet is a
+branch down to where it meets another; it claims the cells about it; and so on until no dense cell is left. Gaps are bridged where
+the search space allows it, at a cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from recon.roots.density import Cells
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_SMOOTH_CELLS = 0.7
+_CAP = 37.5
+"""Density (shadow a volume, 1/mm) above which more tells nothing."""
+_BRIDGE = 0.125
+"""Density, 1/mm, that empty cells of the search space count for: a root of 0.3 mm has about 2."""
+_DENSE = 0.25
+"""Density, 1/mm, from which a cell must belong to a branch."""
+_IN_CORE, _BY_DEPTH = 10.0, 100.0
+"""Density given to cells inside thick organs, and its rise with depth, a mm: paths keep to their middle."""
+CLAIM_CELLS = 1.5
+_CORE_CLAIM_MM = 0.65
+"""Cells this far beyond the core about a path in a thick organ are claimed with it."""
+_LEAST_MM = 1.0
+_TOP_MM, _RISE_MM = 1.0, 6.0
+"""The plant's top is sought in its highest millimetre; laterals rise so far above what is seen of the stem, at most."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """A branch as it was traced."""
+
+    points_mm: Array
+    """(N, 3) from where it leaves its parent to its tip; the first point is one of the parent's."""
+    shadow_mm2: Array
+    """(N,) shadow of the cells about each point."""
+
+
+def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Array:
+    """Return how deep (N,) cells lie in a core, given as indices (M, 3) on the same lattice, mm.
+
+    Outside it is less the distance to the core, or less ``reach_mm`` where that is farther.
+    """
+    depth = np.full(len(cells.index), -reach_mm)
+    if not len(core):
+        return depth
+    size_mm = cells.grid.size_mm
+    pad = int(np.ceil(reach_mm / size_mm)) + 1
+    low = core.min(axis=0) - pad
+    block = np.zeros(core.max(axis=0) - low + pad + 1, bool)
+    block[tuple((core - low).T)] = True
+    at = cells.index - low
+    near = ((at >= 0) & (at < block.shape)).all(axis=1)
+    place = tuple(at[near].T)
+    inner, outer = (ndimage.distance_transform_edt(part)[place] * size_mm for part in (block, ~block))
+    depth[near] = np.maximum(inner - outer, -reach_mm)
+    return depth
+
+
+def trace(cells: Cells, depth_mm: Array) -> list[Path]:
+    """Trace the branches of a density.
+
+    Parameters
+    ----------
+    cells : search space with shadows.
+    depth_mm : (N,) depth of the cells in the cores of thick organs, as from `core_depth`; cells that lie outside of a core but not
+        as far as the lowest of the depths belong to the organ and bear no tips.
+
+    Returns
+    -------
+    Branches, parents before children; empty where nothing is dense.
+    """
+    density = np.minimum(_smooth(cells), _CAP)
+    density = np.where(depth_mm > 0, _IN_CORE + _BY_DEPTH * depth_mm, density)
+    dense = (density > _DENSE) & ((depth_mm > 0) | (depth_mm <= depth_mm.min()))
+    if not dense.any():
+        return []
+    centre = cells.centre_mm
+    joined = graph(cells, density)
+    # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
+    body = (density > _DENSE) | (depth_mm > depth_mm.min())  # with the organs, and what lies between them and the roots on them
+    number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
+    plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
+    plant = plant[dense[plant]]
+    high = _top(plant, centre[:, 2], depth_mm)
+    heavy = high[density[high] > 0.5 * density[high].max()]
+    start = heavy[centre[heavy, 2].argmax()]
+    cost, before = dijkstra(joined, directed=False, indices=start, return_predecessors=True)
+    length = lengths(cost, before, centre)
+    claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
+    lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
+    if not lines:
+        return []
+    nearest = cKDTree(centre[np.concatenate(lines)]).query(centre, workers=-1)[1]
+    total = np.bincount(nearest, weights=cells.shadow_mm2, minlength=sum(len(line) for line in lines)).astype(np.float64)
+    shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
+    return [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
+
+
+def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
+    """Return the highest cells of a plant; where its laterals alone reach a little higher, those of its thick organ."""
+    highest = float(height_mm[plant].max())
+    core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
+    if highest - _RISE_MM < core_mm < highest - _TOP_MM:
+        highest = core_mm
+    return plant[(height_mm[plant] > highest - _TOP_MM) & (height_mm[plant] <= highest)]
+
+
+def _smooth(cells: Cells) -> Array:
+    """Return the density (N,) of cells, shadow a volume in 1/mm, smoothed by a Gaussian of 0.7 cells."""
+    low = cells.index.min(axis=0) - 2
+    block = np.zeros(cells.index.max(axis=0) - low + 3, np.float32)
+    block[tuple((cells.index - low).T)] = cells.shadow_mm2 / cells.grid.size_mm**3
+    smooth = ndimage.gaussian_filter(block, _SMOOTH_CELLS, truncate=2.0)
+    return np.asarray(smooth[tuple((cells.index - low).T)], np.float64)
+
+
+def graph(cells: Cells, density: Array) -> csr_matrix:
+    """Join each cell with its 26 neighbours at the cost of the way between their centres."""
+    low = cells.index.min(axis=0) - 1
+    shape = cells.index.max(axis=0) - low + 2
+    weights = np.array([shape[1] * shape[2], shape[2], 1], np.int64)
+    place = (cells.index - low).astype(np.int64) @ weights
+    number = np.full(int(shape.prod()), -1, np.int32)
+    number[place] = np.arange(len(place))
+    cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
+    ends: list[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]] = []
+    for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
+        there = number[place + int(step @ weights)]
+        here = np.flatnonzero(there >= 0).astype(np.int32)
+        there = there[here]
+        way = np.float32(cells.grid.size_mm * np.linalg.norm(step))
+        ends.append((here, there, way * np.float32(0.5) * (cost[here] + cost[there])))
+    rows, columns, values = (np.concatenate(part) for part in zip(*ends, strict=True))
+    return coo_matrix((values, (rows, columns)), shape=(len(place), len(place))).tocsr()
+
+
+def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
+    """Return the length (N,) of each cell's path, mm, by pointer doubling."""
+    start = before < 0
+    jump = np.where(start, np.arange(len(before)), before)
+    length = np.where(start, 0.0, np.linalg.norm(centre - centre[jump], axis=1))
+    while True:
+        onward = jump[jump]
+        if (onward == jump).all():
+            return np.where(np.isfinite(cost), length, -1.0)
+        length = length + length[jump]
+        jump = onward
+
+
+def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: Array, least_mm: float = _LEAST_MM) -> list[Index]:
+    """Read branches off the tree of paths: cells (n,) of each, from the cell of its parent to its tip.
+
+    Parameters
+    ----------
+    before : (N,) the cell before each on its path, negative at its beginning.
+    length : (N,) of the paths, mm; negative where a cell is no tip.
+    claim_mm : (N,) cells this near a branch belong to it.
+    least_mm : length that a branch must have among cells that no other has claimed.
+    """
+    tree = cKDTree(centre)
+    owned = np.zeros(len(centre), bool)
+    left = length.copy()
+    lines: list[Index] = []
+    for tip in np.argsort(-length, kind="stable"):
+        if length[tip] <= 0:
+            break
+        if left[tip] < 0:
+            continue
+        way = [int(tip)]
+        while before[way[-1]] >= 0 and not owned[way[-1]]:
+            way.append(int(before[way[-1]]))
+        line = np.array(way[::-1])
+        fresh = np.linalg.norm(np.diff(centre[line], axis=0), axis=1)[left[line[1:]] >= 0].sum()
+        if fresh < max(least_mm, claim_mm[tip]):
+            left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
+            continue
+        # in thick organs the balls are large: a few of them cover the way
+        for cell in line[_apart(centre[line], claim_mm[line])]:
+            left[tree.query_ball_point(centre[cell], claim_mm[cell])] = -1.0
+        owned[line] = True
+        lines.append(line)
+    return lines
+
+
+def _apart(line: Array, claim_mm: Array) -> list[int]:
+    """Choose cells along a line no farther apart than a third of what they claim, the last one included."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    chosen, begin = [0], 0
+    for k in range(1, len(line)):
+        if along[k] - along[begin] > claim_mm[k] / 3.0 or k == len(line) - 1:
+            chosen.append(k)
+            begin = k
+    return chosen

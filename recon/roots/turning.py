@@ -1,0 +1,82 @@
+"""Turn round the branches of a tree that were traced from their tips, by the ways to the top and by how roots leave each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, children_of, owners
+
+Array = NDArray[np.float64]
+
+_TOUCH_MM = 1.0
+"""A tip this near the surface of another root may be where it leaves that root."""
+_ROUNDS = 8
+
+
+def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
+    """Turn round branches that begin at their tips.
+
+    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent
+    against its growth and end at a root that they would leave onward.
+
+    Parameters
+    ----------
+    branches : node numbers of each, None where one is gone; changed in place, and returned.
+    """
+    centre = tubes.centre_mm
+    owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
+    _find_ways(centre, branches, owner, way, 0)
+    for _ in range(_ROUNDS):
+        turned = False
+        tips = np.array([nodes[-1] for nodes in branches if nodes is not None])
+        near = cKDTree(centre).query_ball_point(centre[tips], _TOUCH_MM + float(tubes.radius_mm.max()))
+        for tip, those in zip(tips, near, strict=True):
+            k, around = int(owner[tip]), np.array(those, np.int64)
+            if k <= 0:
+                continue
+            others = around[(owner[around] != k) & (owner[around] >= 0)]
+            if not len(others):
+                continue
+            gap = np.linalg.norm(centre[others] - centre[tip], axis=1) - tubes.radius_mm[others]
+            best = int(np.argmin(gap))
+            parent, line = int(others[best]), branches[k]
+            assert line is not None
+            nearer = way[parent] + max(gap[best], 0.0) + _TOUCH_MM <= way[line[0]]
+            if gap[best] > _TOUCH_MM or not (nearer or _leaves_onward_turned(tubes, branches, owner, line, parent)):
+                continue
+            if k not in above(branches, owner, int(owner[parent])):
+                branches[k] = np.concatenate([[parent], line[:0:-1]])
+                _find_ways(centre, branches, owner, way, k)
+                turned = True
+        if not turned:
+            break
+    return branches
+
+
+def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
+    """Write the ways to the top of a branch, from its first node's, and of all that hang on it."""
+    children = children_of(branches, owner)
+    waiting = [branch]
+    while waiting:
+        k = waiting.pop()
+        nodes = branches[k]
+        assert nodes is not None
+        way[nodes[1:]] = way[nodes[0]] + np.cumsum(np.linalg.norm(np.diff(centre[nodes], axis=0), axis=1))
+        waiting += children.get(k, [])
+
+
+def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
+    """Tell whether a branch leaves its parent against growth, and would leave another root, at a node near its tip, onward."""
+    centre, reach = tubes.centre_mm, min(COURSE_NODES, len(line) - 1)
+    away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]
+    return bool(away @ _growth(tubes, branches, owner, int(line[0])) < 0.0 < back @ _growth(tubes, branches, owner, root))
+
+
+def _growth(tubes: Tubes, branches: list[Index | None], owner: Index, node: int) -> Array:
+    """Return the direction, not normalised, in which the branch that owns a node grows there."""
+    line = branches[int(owner[node])]
+    assert line is not None
+    place = int(np.flatnonzero(line == node)[0])
+    return np.asarray(tubes.centre_mm[line[min(place + COURSE_NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - COURSE_NODES, 0)]])

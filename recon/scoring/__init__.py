@@ -1,0 +1,1 @@
+"""A result against the truth of a simulated dataset; the reconstruction itself never opens it."""

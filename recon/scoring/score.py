@@ -1,0 +1,230 @@
+"""Score a reconstruction against the truth of a simulated dataset: the reconstruction itself never opens its ``truth`` folder."""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.results import result_files, result_traits
+from recon.scoring import score_traits
+from recon.scoring.score_rig import RigError, compare_rig
+from recon.scoring.score_roots import RootScore, compare_roots
+from recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from recon.scoring.score_traits import TraitScore, compare_traits
+from recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
+from scenes import rsml
+from scenes.dataset import load_dataset
+from scenes.errors import UserError
+from scenes.traits import Traits, measure_traits
+from scenes.truth import load_truth
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How well a result agrees with the truth, as a whole and stage by stage. Errors are signed fractions: found / true - 1."""
+
+    scene: str
+    voxel_mm: float
+    volume_mm3: float
+    volume_true_mm3: float
+    volume_error: float
+    volume_interval_mm3: tuple[float, float]
+    """The result's 90 % interval."""
+    interval_holds_truth: bool
+    volume_trusted: bool
+    """Whether the result says that the scan gives a volume."""
+    volume_verdict: str
+    extents_mm: Triple
+    """Size of the bounding box along x, y, z of the canister frame."""
+    extents_true_mm: Triple
+    extents_error: Triple
+    extents_error_max: float
+    """Largest of the three without its sign."""
+    voxels: VoxelScore
+    surface: SurfaceScore
+    poses: PoseScore | None
+    """None where no view was used."""
+    rig: tuple[RigError, ...]
+    """What the pictures told of the rig, where the truth knows it."""
+    masks: MaskScore | None
+    """None where the result holds no silhouettes."""
+    hull: HullScore
+    roots: RootScore | None
+    """None where the truth or the result has no roots."""
+    traits: dict[str, TraitScore]
+    """By the names of `scenes.trait_table`."""
+    blind_mm3: float
+    """Volume of the water that too few views could see."""
+    timings_s: dict[str, float]
+    peak_memory_mib: float | None
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: recall, precision and iou at the top; what is not finite becomes None."""
+        found = asdict(self)
+        voxels = found.pop("voxels")
+        found = {**found, **voxels}
+        return {key: _plain(value) for key, value in found.items()}
+
+    def table(self) -> str:
+        """Return the score as lines of text for the terminal."""
+        rows = [*self._shape_rows(), ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
+        width = max(len(row[0]) for row in rows) + 2
+        title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
+        lines = [title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)]
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+    def _shape_rows(self) -> list[tuple[str, str]]:
+        low, high = self.volume_interval_mm3
+        verdict = "holds" if self.interval_holds_truth else "misses"
+        rows = [
+            ("volume", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {_percent(self.volume_error)}"),
+            ("  90 % interval", f"{low:.1f} to {high:.1f} mm3, {verdict} the truth"),
+            ("  trusted", "yes" if self.volume_trusted else f"no, {self.volume_verdict}"),
+        ]
+        for axis, found, true, error in zip("xyz", self.extents_mm, self.extents_true_mm, self.extents_error, strict=True):
+            rows.append((f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {_percent(error)}"))
+        v, s = self.voxels, self.surface
+        if self.roots is not None:
+            r = self.roots
+            rows += [
+                ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {_percent(r.length_error)}"),
+                ("  centre lines", f"recall {r.recall:.4f}, precision {r.precision:.4f}, median distance {r.distance_median_mm:.3f} mm"),
+                ("  radii", f"median {_percent(r.radius_error_median)}"),
+                ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
+            ]
+        return [
+            *rows,
+            ("voxels", f"recall {v.recall:.4f}, precision {v.precision:.4f}, IoU {v.iou:.4f}"),
+            ("  by volume", f"recall {v.recall_weighted:.4f}, precision {v.precision_weighted:.4f}, IoU {v.iou_weighted:.4f}"),
+            ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
+            ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),
+            ("  truth to result", f"median {s.truth_to_result_median_mm:.3f} mm, 95 % {s.truth_to_result_p95_mm:.3f} mm"),
+        ]
+
+    def _stage_rows(self) -> list[tuple[str, str]]:
+        rows: list[tuple[str, str]] = [("stage by stage", "")]
+        if self.poses is not None:
+            p = self.poses
+            rows += [
+                ("  cameras", f"{p.used} used, {p.left_out} left out"),
+                ("  camera positions", f"median {p.median_mm:.4f} mm, worst {p.max_mm:.4f} mm"),
+                ("  camera directions", f"median {p.median_deg:.4f} deg, worst {p.max_deg:.4f} deg"),
+                ("  common to all", f"{p.common_mm:.4f} mm at the specimen, {p.common_deg:.4f} deg; left in a view {p.own_mm:.4f} mm"),
+            ]
+        rows += [(f"  {error.quantity}", error.text) for error in self.rig]
+        if self.masks is not None:
+            m = self.masks
+            rows += [
+                ("  silhouettes", f"area {_percent(m.area_error)}, IoU {m.iou:.4f}, mean error {100.0 * m.mean_abs:.2f} % of the area"),
+                ("  unseen", f"{100.0 * m.unseen:.2f} % of the true area is where the pictures say nothing"),
+            ]
+        h = self.hull
+        rows += [
+            ("  hull", f"{h.volume_mm3:.1f} mm3: {_percent(h.volume_error)}; holds {100.0 * h.recall:.2f} % of the truth"),
+            ("  trimmed", f"holds {100.0 * h.kept_recall:.2f} % of the truth"),
+            ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {_percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
+            ("  blind", f"{self.blind_mm3:.1f} mm3 of the water"),
+            ("  time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in self.timings_s.items())),
+        ]
+        if self.peak_memory_mib is not None:
+            rows.append(("  memory", f"{self.peak_memory_mib:.0f} MiB at most"))
+        return rows
+
+
+def _percent(fraction: float) -> str:
+    return f"{100.0 * fraction:+.2f} %"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value made of JSON's types only."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def _triple(values: Any) -> Triple:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def truth_mesh_path(dataset_folder: Path) -> Path:
+    """Return the true solid's file of a simulated dataset; UserError where the dataset has no truth."""
+    truth_folder = Path(dataset_folder) / "truth"
+    if not truth_folder.is_dir():
+        raise UserError(f"{dataset_folder} has no truth folder, so there is nothing to score against: only simulated datasets have one.")
+    return truth_folder / "specimen.ply"
+
+
+def score(result_folder: Path, dataset_folder: Path) -> Score:
+    """Score a result folder against the truth of the dataset it was made from.
+
+    Raises
+    ------
+    UserError
+        If the dataset has no truth, the result is of another dataset, or a file is missing or damaged.
+    """
+    result_folder, dataset_folder = Path(result_folder), Path(dataset_folder)
+    summary = result_files.read_summary(result_folder)
+    dataset = load_dataset(dataset_folder)
+    mesh_path = truth_mesh_path(dataset_folder)
+    result_files.check_same_scan(summary, result_folder, dataset)
+    truth = load_truth(dataset_folder)
+    leaves, shape = result_files.read_leaves(result_folder), result_files.read_mesh(result_folder / "shape.ply")
+    solid = result_files.read_mesh(mesh_path)
+
+    extents_mm = np.subtract(summary["extents_max_mm"], summary["extents_min_mm"])
+    extents_true_mm = np.subtract(truth.extents_max_mm, truth.extents_min_mm)
+    extents_error = extents_mm / extents_true_mm - 1.0
+    try:
+        voxels, hull = compare_voxels(leaves, result_files.read_leaves(result_folder, hull=True), solid)
+    except ValueError as error:
+        raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
+    low, high = (float(value) for value in summary["volume_interval_mm3"])
+    found_roots, true_roots = result_folder / "roots.rsml", mesh_path.parent / "skeleton.rsml"
+    both = found_roots.is_file() and true_roots.is_file()
+    return Score(
+        scene=summary["scene"],
+        voxel_mm=float(summary["voxel_mm"]),
+        volume_mm3=float(summary["volume_mm3"]),
+        volume_true_mm3=truth.volume_mm3,
+        volume_error=float(summary["volume_mm3"]) / truth.volume_mm3 - 1.0,
+        volume_interval_mm3=(low, high),
+        interval_holds_truth=low <= truth.volume_mm3 <= high,
+        volume_trusted=summary["volume_trusted"],
+        volume_verdict=summary["volume_verdict"],
+        extents_mm=_triple(extents_mm),
+        extents_true_mm=_triple(extents_true_mm),
+        extents_error=_triple(extents_error),
+        extents_error_max=float(np.abs(extents_error).max()),
+        voxels=voxels,
+        surface=compare_surfaces(shape, solid),
+        poses=compare_poses(summary["views"], truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
+        rig=compare_rig(summary, truth),
+        masks=compare_masks(summary["views"], result_folder, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
+        hull=hull,
+        roots=compare_roots(rsml.read_rsml(found_roots), rsml.read_rsml(true_roots)) if both else None,
+        traits=compare_traits(result_traits.read(result_folder), _true_traits(true_roots, solid, truth.volume_mm3)),
+        blind_mm3=float(summary["blind_mm3"]),
+        timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
+        peak_memory_mib=summary.get("peak_memory_mib"),
+        warnings=tuple(summary["warnings"]),
+    )
+
+
+def _true_traits(skeleton: Path, solid: result_files.Mesh, volume_mm3: float) -> Traits:
+    """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
+    corners = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
+    a, b, c = corners
+    surface_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+    roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
+    return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)

@@ -1,0 +1,125 @@
+"""Fit tubes to the coverage of all views: Gauss-Newton with smooth branches.
+
+Where tubes hide each other their pulls are taken one by one (the nodes' normal equations are independent but for the
+smoothness along a branch); the pictures are drawn anew at every step, so that the steps settle where all agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from recon.coverage.evidence import Evidence
+from recon.tubes import tube_picture
+from recon.tubes.tube_picture import Pull
+from recon.tubes.tubes import Tubes, moved
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+STEPS = 8
+_BEND = 2.0
+"""Weight of the squared second differences of positions, 1/mm2: a view's full profile weighs some 10."""
+_TAPER = 12.0
+"""Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a centimetre.
+
+With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others hide is not held thin.
+"""
+_DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
+"""Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
+_RELAXED = 0.6
+"""Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing without end between
+too wide and too thin."""
+LEAST = 0.5
+_LARGEST_STEP_MM = 0.15
+_THINNEST_MM = 0.02
+_STIFF = 1e9
+_STRETCH_NODES = 21
+"""A stretch, 12.6 mm of nodes 0.6 mm apart, over which a root is about equally thick."""
+_BULGE = 1.12
+"""A radius stays within this ratio of its stretch's median: a bulge is another root that runs beside."""
+
+
+def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:
+    """Move the nodes and change their radii until the tubes explain the pictures.
+
+    Parameters
+    ----------
+    fixed : (N,) nodes that stay as they are (thick organs, which hide others but are measured otherwise).
+    blur_px : standard deviation of the pictures' blur.
+
+    Returns
+    -------
+    tubes : fitted.
+    pull : what the pictures said of each node at the last step.
+    """
+    smooth = prior(tubes)
+    for _ in range(steps):
+        at = evidence.project(tubes.centre_mm)
+        depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
+        difference = tube_picture.unexplained(evidence, depth)
+        pull = tube_picture.pull(evidence, tubes, at, depth, difference, blur_px)
+        tubes = _step(tubes, pull, smooth, fixed)
+        tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
+    return tubes, pull
+
+
+def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tubes:
+    """Take one damped Gauss-Newton step."""
+    count, tangent = len(tubes.radius_mm), tubes.tangents
+    hessian = pull.hessian.copy()
+    mean = np.trace(hessian[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
+    hessian[:, :3, :3] += (_DAMPING * mean + LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
+    hessian[:, 3, 3] += _RADIUS_DAMPING * hessian[:, 3, 3] + LEAST
+    hessian[fixed] += _STIFF * np.eye(4)
+    blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
+    state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
+    step = spsolve((blocks + prior).tocsc(), pull.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
+    way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+    centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
+    most = 0.3 * tubes.radius_mm + 0.01
+    radius = np.maximum(tubes.radius_mm + np.clip(_RELAXED * step[:, 3], -most, most), _THINNEST_MM)
+    return moved(tubes, centre, np.where(fixed, tubes.radius_mm, radius))
+
+
+def _even(tubes: Tubes) -> Array:
+    """Return radii (N,) held near the median of their stretch of the branch: a bulge is another root that runs beside."""
+    typical = _typical(tubes)
+    return np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE)
+
+
+def _typical(tubes: Tubes) -> Array:
+    """Return the median radius (N,) of each node's stretch of its branch."""
+    line, first, last = tubes.strung
+    first = first + (first > 0)  # a branch's first node has its parent's radius
+    own = np.arange(len(line))
+    own = own[own >= first]
+    stretch = own[:, None] + np.arange(_STRETCH_NODES) - _STRETCH_NODES // 2
+    typical = tubes.radius_mm.copy()
+    typical[line[own]] = np.median(tubes.radius_mm[line[np.clip(stretch, first[own][:, None], last[own][:, None])]], axis=1)
+    return typical
+
+
+def prior(tubes: Tubes) -> sparse.csr_matrix:
+    """Return the quadratic form (4 N, 4 N) of smooth branches: little bending, radii that change slowly within a branch.
+
+    Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a lateral.
+    """
+    count = len(tubes.radius_mm)
+    triples = np.concatenate([np.zeros((0, 3), np.int64)] + [np.stack([b[:-2], b[1:-1], b[2:]], axis=1) for b in tubes.branches])
+    pairs = [tubes.own(k) for k in range(len(tubes.branches))]
+    neighbours = np.concatenate([np.zeros((0, 2), np.int64)] + [np.stack([own[:-1], own[1:]], axis=1) for own in pairs])
+    bend = _differences(triples, np.array([1.0, -2.0, 1.0]), count)
+    taper = _differences(neighbours, np.array([-1.0, 1.0]), count)
+    typical = _typical(tubes)
+    taper = sparse.diags(typical[neighbours].prod(axis=1) ** -0.5) @ taper
+    position, radius = sparse.diags([1.0, 1.0, 1.0, 0.0]), sparse.diags([0.0, 0.0, 0.0, 1.0])
+    return (sparse.kron(_BEND * bend.T @ bend, position) + sparse.kron(_TAPER * taper.T @ taper, radius)).tocsr()
+
+
+def _differences(nodes: NDArray[np.int64], weights: Array, count: int) -> sparse.csr_matrix:
+    """Return the matrix (len(nodes), count) of weighted sums of the nodes in each row."""
+    rows = np.repeat(np.arange(len(nodes)), nodes.shape[1])
+    return sparse.coo_matrix((np.tile(weights, len(nodes)), (rows, nodes.ravel())), shape=(len(nodes), count)).tocsr()

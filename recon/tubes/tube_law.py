@@ -1,0 +1,270 @@
+"""What fitted tubes tell of the roots' translucency: the attenuation that explains the pictures of all views best.
+
+A thin root's opacity fixes mu w^2 and leaves mu and w open, but not under all angles: a root that leans towards the line of sight is darker
+by 1 / sin(theta) where it is faint and hardly darker where it is nearly opaque; and a picture shows how wide it is. So for every tried mu
+the radii are guessed anew from the same light, the tubes are refitted, and what they leave is compared on the profiles of lone roots
+(`tube_picture.misfit`), with the loss that the fit itself has: a profile in which something else stands counts little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.coverage.evidence import Evidence
+from recon.coverage.translucency import CLEARLY
+from recon.tubes import translucent_tube, tube_fit, tube_picture, tubes
+from recon.tubes.tube_picture import OUTLIER
+from recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_FAINTEST, _DARKEST = 0.5, 16.0
+"""Attenuations, 1/mm, between which is sought; roots of more count as opaque (one of 0.2 mm keeps back 97 % of the light)."""
+_COARSE, _MIDDLE, _FINE = 2.0, 2.0**0.5, 2.0**0.25
+"""Ratios of neighbouring attenuations: on the way from opaque roots, for a first parabola, and for that of the tubes at rest."""
+_STEPS = 4
+"""Gauss-Newton steps for every tried attenuation, from tubes that keep back as much light as those of the nearest one before."""
+_MOST_PROFILES = 40_000
+"""Nodes times views that are compared; of more, only some views are."""
+_LEAST_VIEWS = 12
+_OPAQUE = 1e3
+_ALONE = 0.95
+"""Share of a lone root that no other hides."""
+_LEAST_SINE = 0.3
+"""Roots that lean towards the camera more than this tell more of their bends than of their light."""
+_LEAST_LONE = 500
+"""Profiles; fewer tell nothing."""
+_PERHAPS = 1.1
+"""Half of `CLEARLY`: opaque roots of the twin left up to 1.01 times as much as the darkest translucent ones."""
+_BLUR_STEP_PX = 0.1
+_MOST_BLUR_PX = 0.8
+
+
+@dataclass(frozen=True)
+class TubeLaw:
+    """The attenuation that the tubes found."""
+
+    mu_per_mm: float | None
+    """None: roots are opaque."""
+    sigma: float
+    """Standard deviation of log mu, from the scatter of roots and views and from the doubt of the blur; 0 for opaque roots."""
+    blur_px: float
+    """With which it explains the pictures best."""
+    against_opaque: float
+    """How many times more opaque roots leave unexplained on lone roots; less than 1 where they leave less, 0 where nothing was compared."""
+    profiles: int
+    """Profiles of lone roots that told it."""
+    rival_per_mm: float | None = None
+    """Attenuation that explains the pictures better than opaque roots, but not clearly so."""
+
+    @staticmethod
+    def opaque(blur_px: float, profiles: int = 0) -> TubeLaw:
+        """Return the law of opaque roots, where nothing was compared."""
+        return TubeLaw(None, 0.0, blur_px, 0.0, profiles)
+
+    def warnings(self) -> list[str]:
+        """Return what is to be said of a law that is not sure."""
+        if self.rival_per_mm is None:
+            return []
+        return [
+            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): opaque ones leave {self.against_opaque:.2f} times as much of lone "
+            f"roots unexplained, not the {CLEARLY:g} times that would be believed; they are taken to be opaque"
+        ]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Tubes fitted with some attenuation and blur."""
+
+    mu_per_mm: float | None
+    tubes: Tubes
+    loss: Array
+    """(V, N) what is left on each profile."""
+    cost: float
+    """Of the lone profiles together."""
+
+
+@dataclass
+class _Trials:
+    """Trials on the same profiles, each made once."""
+
+    light: Evidence
+    organ: Mask
+    start: _Trial
+    lone: Mask
+    """(V, N) profiles that are compared, across the start's nodes."""
+    made: dict[tuple[float | None, float], _Trial] = field(default_factory=dict)
+
+    @staticmethod
+    def of(light: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> _Trials:
+        """Begin with tubes that were fitted to the light, or nearly so."""
+        light = _some_views(light, len(fitted.radius_mm))
+        fitted, _ = tube_fit.fit(light, fitted, organ, blur_px=blur_px, steps=_STEPS)
+        at = light.project(fitted.centre_mm)
+        depth = tube_picture.optical_depth(light, fitted, at, blur_px)
+        difference = tube_picture.unexplained(light, depth)
+        found = tube_picture.profiles(light, fitted, at, depth, difference, blur_px)
+        alone = (found.shown > _ALONE * found.whole) & (found.whole > 0.0) & (at.sine(fitted.tangents) > _LEAST_SINE) & ~organ
+        left = tube_picture.misfit(light, fitted, difference)
+        return _Trials(light, organ, _Trial(light.mu_per_mm, fitted, left, 0.0), alone & np.isfinite(left))
+
+    def at(self, mu_per_mm: float | None, blur_px: float) -> _Trial:
+        """Refit the tubes with some attenuation and blur."""
+        if (mu_per_mm, blur_px) not in self.made:
+            seen = replace(self.light, mu_per_mm=mu_per_mm)
+            fitted, _ = tube_fit.fit(seen, self._guess(mu_per_mm), self.organ, blur_px=blur_px, steps=_STEPS)
+            depth = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
+            left = tube_picture.misfit(seen, self.start.tubes, tube_picture.unexplained(seen, depth))
+            loss = np.where(self.lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0)
+            self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, fitted, loss, float(loss.sum()))
+            dr.flush_malloc_cache()  # no trial's kernels have the sizes of another's
+        return self.made[mu_per_mm, blur_px]
+
+    def _guess(self, mu_per_mm: float | None) -> Tubes:
+        """Return the tubes of the nearest trial, with radii that keep back as much light from the side."""
+        known = [*self.made.values(), self.start]
+        near = min(known, key=lambda trial: abs(np.log((trial.mu_per_mm or _OPAQUE) / (mu_per_mm or _OPAQUE))))
+        return scaled(near.tubes, self.organ, near.mu_per_mm, mu_per_mm)
+
+
+def find(seen: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> tuple[TubeLaw, Tubes]:
+    """Find the attenuation, and the tubes as they are with it.
+
+    Parameters
+    ----------
+    seen : coverage; its silhouettes hold the opacity that is compared.
+    fitted : tubes that were fitted to it.
+    organ : (N,) nodes that stay as they are.
+    blur_px : of the pictures, as opaque roots have it.
+
+    Returns
+    -------
+    law : opaque where nothing is clearly better.
+    tubes : with the law's radii; ``fitted`` as they were for opaque roots.
+    """
+    if not seen.has_opacity:
+        return TubeLaw.opaque(blur_px), fitted
+    trials = _Trials.of(seen.by_light(), fitted, organ, blur_px)
+    count = int(trials.lone.sum())
+    if count < _LEAST_LONE:
+        return TubeLaw.opaque(blur_px, count), fitted
+    opaque, dark = trials.at(None, blur_px), trials.at(_DARKEST, blur_px)
+    if opaque.cost <= dark.cost:
+        return TubeLaw(None, 0.0, blur_px, opaque.cost / dark.cost, count), fitted
+    mu = _DARKEST
+    while mu > _FAINTEST and trials.at(mu / _COARSE, 0.0).cost < trials.at(mu, 0.0).cost:
+        mu /= _COARSE
+    least = _least(trials, mu, 0.0, _MIDDLE)
+    if opaque.cost <= CLEARLY * least.cost:
+        rival = least.mu_per_mm if opaque.cost > _PERHAPS * least.cost else None
+        return TubeLaw(None, 0.0, blur_px, opaque.cost / least.cost, count, rival), fitted
+    near = trials.at(
+        min((mu for mu, blur in trials.made if mu and blur == least.blur_px), key=lambda mu: abs(np.log(mu / least.mu_per_mm))),
+        least.blur_px,
+    )
+    law = TubeLaw(least.mu_per_mm, least.sigma, least.blur_px, opaque.cost / least.cost, count)
+    return law, scaled(near.tubes, organ, near.mu_per_mm, least.mu_per_mm)
+
+
+def refine(seen: Evidence, fitted: Tubes, organ: Mask, law: TubeLaw) -> tuple[TubeLaw, Tubes]:
+    """Find attenuation and blur once more, with the tubes of ``law`` at rest.
+
+    Parameters
+    ----------
+    seen : opacity, with the attenuation of ``law``.
+    """
+    if law.mu_per_mm is None:
+        return law, fitted
+    trials = _Trials.of(seen, fitted, organ, law.blur_px)
+    if trials.lone.sum() < _LEAST_LONE:
+        return law, fitted
+    least = _joint(trials, law.mu_per_mm, law.blur_px)
+    found = replace(law, mu_per_mm=least.mu_per_mm, sigma=least.sigma, blur_px=least.blur_px, profiles=int(trials.lone.sum()))
+    return found, scaled(fitted, organ, law.mu_per_mm, least.mu_per_mm)
+
+
+@dataclass(frozen=True)
+class _Least:
+    """The best attenuation for a blur."""
+
+    mu_per_mm: float
+    blur_px: float
+    cost: float
+    sigma: float
+
+
+def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
+    """Walk from a blur to the best of the neighbouring blurs, each with its best attenuation.
+
+    Blur and attenuation look alike to some degree, so that half of what a step of blur changes counts as doubt of the attenuation.
+    """
+    known: dict[int, _Least] = {}
+
+    def at(step: int) -> _Least:
+        if step not in known:
+            near = min(known, key=lambda one: abs(one - step), default=None)
+            known[step] = _least(trials, mu_per_mm if near is None else known[near].mu_per_mm, blur_px + _BLUR_STEP_PX * step, _FINE)
+        return known[step]
+
+    def allowed(step: int) -> bool:
+        return -1e-6 < blur_px + _BLUR_STEP_PX * step < _MOST_BLUR_PX
+
+    best = 0
+    for way in (1, -1):
+        while allowed(best + way) and at(best + way).cost < at(best).cost:
+            best += way
+    found, beside = at(best), [step for step in (best - 1, best + 1) if step in known]
+    change = [np.log(known[step].mu_per_mm / found.mu_per_mm) for step in beside]
+    off = 0.0
+    if len(beside) == 2:  # between the blurs, as a parabola has it
+        bend, slope = 0.5 * (known[best - 1].cost + known[best + 1].cost) - found.cost, 0.5 * (known[best + 1].cost - known[best - 1].cost)
+        off = float(np.clip(-slope / (2.0 * bend), -0.5, 0.5)) if bend > 0.0 else 0.0
+        mu_per_mm = found.mu_per_mm * float(np.exp(0.5 * (change[1] - change[0]) * off + 0.5 * (change[0] + change[1]) * off**2))
+        found = replace(found, mu_per_mm=mu_per_mm, blur_px=found.blur_px + _BLUR_STEP_PX * off)
+    doubt = 0.5 * sum(abs(one) for one in change) / max(len(beside), 1)
+    return replace(found, sigma=float(np.hypot(found.sigma, doubt)))
+
+
+def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _Least:
+    """Walk from an attenuation to the least cost in its neighbourhood, and put a parabola through it."""
+
+    def trial(step: int) -> _Trial:
+        return trials.at(mu_per_mm * ratio**step, blur_px)
+
+    best = 0
+    for way in (-1, 1):
+        while _FAINTEST <= mu_per_mm * ratio ** (best + way) <= _DARKEST and trial(best + way).cost < trial(best).cost:
+            best += way
+    steps = (best - 1, best, best + 1)
+    loss = np.stack([trial(step).loss for step in steps])
+    owner = trials.start.tubes.owner
+    at = np.log(ratio) * np.array([-1.0, 0.0, 1.0])
+    bend, slope, level = np.polyfit(at, loss.sum(axis=(1, 2)), 2)
+    if bend <= 0.0:
+        return _Least(mu_per_mm * ratio**best, blur_px, trial(best).cost, float(np.log(_DARKEST / _FAINTEST)))  # anything that was tried
+    off = float(np.clip(-slope / (2.0 * bend), at[0], at[-1]))
+    # sandwich: the slope at the least that every root and every view has by itself
+    variance = 0.0
+    for of in (loss.sum(axis=2).T, np.stack([np.bincount(owner, weights=one.sum(axis=0)) for one in loss]).T):
+        a, b, _ = np.polyfit(at, of.T, 2)
+        variance += float(np.square((2.0 * a * off + b) / (2.0 * bend)).sum())
+    return _Least(float(mu_per_mm * ratio**best * np.exp(off)), blur_px, level + slope * off + bend * off**2, float(np.sqrt(variance)))
+
+
+def scaled(fitted: Tubes, organ: Mask, before: float | None, after: float | None) -> Tubes:
+    """Give tubes the radii that keep back as much light from the side with another attenuation; None is opaque."""
+    radius = fitted.radius_mm if before is None else translucent_tube.opaque_radius(fitted.radius_mm, before)
+    radius = radius if after is None else translucent_tube.radius_of(radius, after)
+    return tubes.moved(fitted, fitted.centre_mm, np.where(organ, fitted.radius_mm, radius))
+
+
+def _some_views(light: Evidence, nodes: int) -> Evidence:
+    """Return as many views as are compared; they come in an order that spreads neighbours over the turn."""
+    count = light.bank.count
+    most = max(_LEAST_VIEWS, _MOST_PROFILES // max(nodes, 1))
+    return light if count <= most else light.of_views(list(range(most)))

@@ -1,0 +1,326 @@
+"""Coverage pictures of tubes seen through the water, and how they change with the tubes (Dr.Jit).
+
+A tube's segment is a strip in a picture: with its axis at distance d from a pixel's centre and half-width w it covers
+
+    c = F(d + w) - F(d - w)
+
+of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the direction (t_x, t_y) it
+is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|: the square pixel seen along the edge.
+Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact in variance). Roots hide each other: coverages
+combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends,
+so that the segments of a branch add up to a strip without seams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.coverage.evidence import Evidence, Nodes, bilinear
+from recon.device import numbers, wholes
+from recon.tubes.translucent_tube import LAYERS, Strips, seen_from
+from recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+
+PIXEL_SIGMA = 12.0**-0.5
+"""Standard deviation of the square pixel."""
+_MARGIN_PX = 2.0
+_NARROWEST_PX = 0.1
+_FAR_PX = 3.0
+"""Beyond this from an edge a pixel lies on one side of it, blur and all."""
+_FULLEST = 0.995
+_PROFILE = 13
+_PROFILE_MARGIN_PX = 1.8
+_INTERPOLATION_VARIANCE = 0.1
+"""Variance, px2, by which bilinear interpolation blurs."""
+_LEAST_SPEED_PX = 0.3
+"""A tube seen end-on (px/mm along its axis) shows no strip."""
+OUTLIER = 0.05
+"""Sum of squared differences over a profile, px, from which a view loses weight: something else is there.
+
+Only what the tubes leave uncovered counts: that may be another root. What they cover and the picture shows empty is wrong for certain.
+"""
+
+
+def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
+    """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
+    a, b = tubes.segments.T
+    first, second = at.px[:, a], at.px[:, b]
+    length = np.sqrt(np.einsum("vsi,vsi->vs", second - first, second - first))
+    t_u, t_v = np.moveaxis(second - first, -1, 0) / np.maximum(length, 1e-6)
+    column, row, both = (np.einsum("vni,vni->vn", p, q) for p, q in ((at.du, at.du), (at.dv, at.dv), (at.du, at.dv)))
+    half = [  # across the segment the scale is that of t_u dv - t_v du
+        radius_mm * np.sqrt(np.maximum(t_u**2 * row[:, end] + t_v**2 * column[:, end] - 2.0 * t_u * t_v * both[:, end], 0.0))
+        for radius_mm, end in zip(tubes.segment_radii, (a, b), strict=True)
+    ]
+    strips = _ends(evidence, tubes, at)
+    reach = np.maximum(*half)[..., None] + _MARGIN_PX
+    limit = np.array(evidence.image_wh) - 1
+    low = np.clip(np.floor(np.minimum(first, second) - reach), 0, limit)
+    span = np.clip(np.ceil(np.maximum(first, second) + reach), 0, limit) - low + 1
+    drawn = at.seen[:, a] & at.seen[:, b] & (length > 1e-3)
+    base = np.broadcast_to(np.arange(evidence.bank.count)[:, None] * evidence.pixels, drawn.shape)
+
+    def number(values: Array) -> Any:
+        return numbers(values[drawn])
+
+    def whole(values: NDArray[Any]) -> Any:
+        return wholes(values[drawn])
+
+    x, y, t_x, t_y, reach_px = number(first[..., 0]), number(first[..., 1]), number(t_u), number(t_v), number(length)
+    if strips is None:
+        edges, heights = [(number(half[0]), number(half[1]))], None
+    else:
+        edges, heights = (
+            [(number(a), number(b)) for a, b in zip(*ends, strict=True)]
+            for ends in ([w * strip.width for w, strip in zip(half, strips, strict=True)], [strip.height for strip in strips])
+        )
+    left, top, columns = whole(low[..., 0]), whole(low[..., 1]), whole(span[..., 0])
+    pixels, start, width = whole(span[..., 0] * span[..., 1]), whole(base), evidence.image_wh[0]
+    depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
+    dr.eval(depth)
+    # opaque: as a literal every blur would be a kernel of its own
+    scale, spread = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5)), dr.opaque(mi.Float, 6.0 * blur_px**2)
+    box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
+    outer, inner = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b)
+
+    def side(x: Any) -> Any:
+        """Return the part of a pixel that lies on one side of an edge."""
+        x = dr.clip(x, -_FAR_PX, _FAR_PX)
+        ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
+        return 0.5 * (ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (box_a * box_b)
+
+    def body(k: Any, i: Any, j: Any) -> tuple[Any, Any, Any]:
+        u, v = left + i, top + j
+        e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
+        s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
+        part = dr.clip(s / reach_px, 0, 1)
+        c = mi.Float(0.0)
+        for n, (w_a, w_b) in enumerate(edges):
+            w = w_a + (w_b - w_a) * part
+            layer = side(d + w) - side(d - w)
+            c += layer if heights is None else layer * (heights[n][0] + (heights[n][1] - heights[n][0]) * part)
+        gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - reach_px) * scale))
+        value = -gate * dr.log(1 - dr.minimum(c, _FULLEST))
+        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, start + v * width + u, value > 1e-4)
+        last = i + 1 == columns
+        return k + 1, dr.select(last, 0, i + 1), dr.select(last, j + 1, j)
+
+    begin = tuple(dr.zeros(mi.UInt32, int(drawn.sum())) for _ in range(3))
+    dr.while_loop(begin, lambda k, *_: k < pixels, body)
+    dr.eval(depth)
+    return depth
+
+
+def _ends(evidence: Evidence, tubes: Tubes, at: Nodes) -> list[Strips] | None:
+    """Return the strips that translucent segments are at their two ends (V, S); None for opaque ones."""
+    if evidence.mu_per_mm is None:
+        return None
+    a, b = tubes.segments.T
+    way = tubes.centre_mm[b] - tubes.centre_mm[a]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    radii = zip(tubes.segment_radii, (a, b), strict=True)
+    return [seen_from(evidence.mu_per_mm, radius_mm, at.of(end).sine(way)) for radius_mm, end in radii]
+
+
+def unexplained(evidence: Evidence, depth: Any) -> Any:
+    """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float, flattened."""
+    difference = (evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen
+    dr.eval(difference)
+    return difference
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What the pictures want of each node: the normal equations of position and radius, H x = g."""
+
+    hessian: Array
+    """(N, 4, 4) of x, y, z, radius."""
+    gradient: Array
+    """(N, 4)"""
+    visible: Array
+    """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
+    views: Array
+    """(N,) views in which most of the node is visible."""
+    wish: Array
+    """(V, N) each view's part of the radius's gradient."""
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """What each view (V) says across the tube at each node (N), integrated over its profile."""
+
+    across: Array
+    """(V, N, 3) gradient of the place across the tube by the node, px/mm."""
+    scale: Array
+    """(V, N) px/mm across the tube."""
+    shift_2: Array
+    """(V, N) squared derivative of the coverage by a shift in px; 0 where the view says nothing."""
+    shift_width: Array
+    width_2: Array
+    shift: Array
+    """(V, N) derivative by the shift times what is unexplained."""
+    width: Array
+    shown: Array
+    """(V, N) coverage that nothing hides."""
+    whole: Array
+
+    def of(self, nodes: NDArray[np.int64]) -> Profiles:
+        """Return the profiles of some nodes."""
+        return Profiles(*(getattr(self, field.name)[:, nodes] for field in fields(self)))
+
+    def pull(self) -> Pull:
+        """Return the normal equations of all views together."""
+        count, scale = self.scale.shape[1], self.scale
+        hessian, gradient = np.zeros((count, 4, 4)), np.zeros((count, 4))
+        hessian[:, :3, :3] = np.einsum("vn,vni,vnj->nij", self.shift_2, self.across, self.across)
+        hessian[:, :3, 3] = hessian[:, 3, :3] = np.einsum("vn,vni->ni", self.shift_width * scale, self.across)
+        hessian[:, 3, 3] = (self.width_2 * scale**2).sum(axis=0)
+        gradient[:, :3] = np.einsum("vn,vni->ni", self.shift, self.across)
+        gradient[:, 3] = (self.width * scale).sum(axis=0)
+        visible = self.shown.sum(axis=0) / np.maximum(self.whole.sum(axis=0), 1e-9)
+        views = (self.shown > 0.5 * np.maximum(self.whole, 1e-9)).sum(axis=0).astype(np.float64)
+        return Pull(hessian, gradient, visible, views, self.width * scale)
+
+
+def pull(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Pull:
+    """Compare pictures and tubes across every node in every view, all views together."""
+    return profiles(evidence, tubes, at, depth, difference, blur_px).pull()
+
+
+def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
+    """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
+    at = evidence.project(tubes.centre_mm)
+    _, normal, scale, used = sections(tubes, at)
+
+    def number(values: Array) -> Any:
+        return numbers(values[used])
+
+    u, v, n_u, n_v, w = (number(part) for part in (at.px[..., 0], at.px[..., 1], normal[..., 0], normal[..., 1], tubes.radius_mm * scale))
+    start = wholes(np.broadcast_to(np.arange(len(at.px))[:, None] * evidence.pixels, used.shape)[used])
+    columns, rows = evidence.image_wh
+    total, reach = dr.zeros(mi.Float, int(used.sum())), w + _PROFILE_MARGIN_PX
+    for k in range(_PROFILE):
+        o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
+        total += dr.square(
+            bilinear(difference, start, columns, dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01))
+        )
+    whole = np.full(used.shape, np.nan)
+    whole[used] = np.array(total * reach * (2.0 / (_PROFILE - 1)))
+    return whole
+
+
+def sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Cut across every node in every view.
+
+    Returns
+    -------
+    across : (V, N, 3) gradient of the place across the tube by the node (canister frame), px/mm.
+    normal : (V, N, 2) unit direction across the tube in the picture, column and row.
+    scale : (V, N) px/mm across the tube.
+    used : (V, N) whether the node is seen, and not end-on.
+    """
+    tangent = tubes.tangents
+    t_u, t_v = (np.einsum("vni,ni->vn", slope, tangent) for slope in (at.du, at.dv))
+    speed = np.hypot(t_u, t_v)
+    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
+    across = at.across(normal)
+    return across, normal, np.sqrt(np.einsum("vni,vni->vn", across, across)), at.seen & (speed > _LEAST_SPEED_PX)
+
+
+def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:
+    """Compare pictures and tubes across every node in every view.
+
+    In a profile across the tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width
+    by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
+    """
+    across, normal, scale, used = sections(tubes, at)
+    strips = None if evidence.mu_per_mm is None else seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tubes.tangents))
+    half_px = tubes.radius_mm * scale
+    return Profiles(across, scale, *_profiles(evidence, at.px, normal, half_px, strips, used, depth, difference, blur_px))
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A strip of translucent roots across the profiles, all mi.Float."""
+
+    half_px: Any
+    height: Any
+    by_width: Any
+    """Derivative of the coverage by the root's half-width over that by the strip's own."""
+    by_height: Any
+    """Derivative of the height by the root's half-width, 1/px."""
+
+    @staticmethod
+    def of(strips: Strips, layer: int, half_px: Array, number: Callable[[Array], Any]) -> _Layer:
+        e, h = strips.width[layer], strips.height[layer]
+        parts = half_px * e, h, h * (e + strips.width_slope[layer]), strips.height_slope[layer] / half_px
+        return _Layer(*(number(part) for part in parts))
+
+
+def _profiles(
+    evidence: Evidence,
+    px: Array,
+    normal: Array,
+    half_px: Array,
+    strips: Strips | None,
+    used: NDArray[np.bool_],
+    depth: Any,
+    difference: Any,
+    blur_px: float,
+) -> list[Array]:
+    """Integrate over the profiles (V, N): shift^2, shift * width, width^2, both times the difference, coverage shown and whole."""
+
+    def number(values: Array) -> Any:
+        return numbers(values[used])
+
+    u, v, n_u, n_v, w = number(px[..., 0]), number(px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
+    layers = None if strips is None else [_Layer.of(strips, n, half_px, number) for n in range(LAYERS)]
+    base = np.broadcast_to(np.arange(len(px))[:, None] * evidence.pixels, used.shape)[used]
+    start = wholes(base)
+    columns, rows = evidence.image_wh
+    sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
+    scale, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
+
+    def across(o: Any, w: Any) -> tuple[Any, Any, Any]:
+        """Return a strip's coverage at an offset, and its derivatives by shift and half-width."""
+        g_plus, g_minus = (peak * dr.exp(-dr.square((o + side * w) * scale)) for side in (1.0, -1.0))
+        return 0.5 * (dr.erf((o + w) * scale) - dr.erf((o - w) * scale)), g_minus - g_plus, g_plus + g_minus
+
+    sums = [dr.zeros(mi.Float, len(base)) for _ in range(8)]
+    reach = w + _PROFILE_MARGIN_PX
+    for k in range(_PROFILE):
+        o = reach * ((2 * k - (_PROFILE - 1)) / (_PROFILE - 1))
+        at = dr.clip(u + n_u * o, 0.0, columns - 1.01), dr.clip(v + n_v * o, 0.0, rows - 1.01)
+        d, t = (bilinear(source, start, columns, *at) for source in (difference, depth))
+        if layers is None:
+            c, shift, width = across(o, w)
+        else:
+            c, shift, width = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+            for layer in layers:
+                box, box_shift, box_width = across(o, layer.half_px)
+                c += layer.height * box
+                shift += layer.height * box_shift
+                width += layer.by_width * box_width + layer.by_height * box
+        c = dr.minimum(c, _FULLEST)
+        visible = dr.exp(-dr.maximum(t + dr.log(1 - c), 0.0))
+        shift, width = shift * visible, width * visible
+        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, dr.square(dr.maximum(d, 0.0)))
+        sums = [total + term for total, term in zip(sums, terms, strict=True)]
+    step = reach * (2.0 / (_PROFILE - 1))
+    weight = step / (1.0 + sums.pop() * step / OUTLIER)
+    scattered = []
+    sums = [total * factor for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True)]
+    dr.eval(sums)  # one by one, each would look at all profiles anew
+    for total in sums:
+        whole = np.zeros(used.shape)
+        whole[used] = np.array(total)
+        scattered.append(whole)
+    return scattered

@@ -1,0 +1,215 @@
+"""What the pictures leave open about tubes: how far their volume can be wrong, cause by cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.ndimage import uniform_filter1d
+from scipy.sparse.linalg import spsolve
+
+from recon.coverage.evidence import Evidence
+from recon.roots.rooting import RootSystem
+from recon.tubes import tube_fit, tube_law, tube_picture
+from recon.tubes.tube_picture import Profiles, Pull
+from recon.tubes.tubes import Tubes
+from recon.uncertainty.budget import NINETY, Term
+
+Array = NDArray[np.float64]
+
+_BLUR_STEP_PX = 0.1
+"""The blur is found to half of this: the spacing of the blurs that are tried."""
+_UNTOLD = 0.25
+"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as much."""
+_EXPLAINED = 0.03
+"""Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
+_INSIDE = 0.3
+"""Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
+_FLAT, _FLAT_PX = 0.1, 0.1
+"""A section is flat where its half-width changes from view to view by more than this share, and more than this."""
+_FLATTEST = 0.26
+"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
+_FLAT_NODES = 5
+_ZONE = (0.02, 0.98)
+"""Quantiles of the covered pixels' rows and columns that bound the root zone."""
+
+
+@dataclass(frozen=True)
+class TubeDoubt:
+    """Terms of the budget, and what the verdict looks at."""
+
+    terms: tuple[Term, ...]
+    unexplained: float
+    fill: float
+
+
+def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
+    """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
+    tubes = system.tubes
+    at = seen.project(tubes.centre_mm)
+    depth = tube_picture.optical_depth(seen, tubes, at, system.blur_px)
+    difference = tube_picture.unexplained(seen, depth)
+    profiles = tube_picture.profiles(seen, tubes, at, depth, difference, system.blur_px)
+    pull = profiles.pull()
+    gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
+    wish = _wishes(tubes, pull, gain)
+    total = float(wish.sum())
+    blurred = tube_picture.optical_depth(seen, tubes, at, system.blur_px + _BLUR_STEP_PX)
+    other = tube_picture.pull(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX)
+    by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
+    rest = _Rest.of(seen, depth, difference, system.px_a_mm)
+    tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
+    views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
+    untold = _untold(tubes, pull, gain, rest.variance)
+    balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
+    missing = rest.missing_px3 / system.px_a_mm**3
+    flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
+    terms = (
+        _even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
+        _even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
+        _even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
+        _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
+        _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
+        *_translucency(system),
+        _even("doubtful ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends whose tips others hide may be no roots"),
+        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
+        Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
+    )
+    return TubeDoubt(terms, rest.unexplained, rest.fill)
+
+
+def _translucency(system: RootSystem) -> tuple[Term, ...]:
+    """Return what the doubt of the roots' attenuation means: other radii would keep back as much light."""
+    law, tubes = system.law, system.tubes
+
+    def volume_mm3(mu_per_mm: float | None) -> float:
+        radius = tube_law.scaled(tubes, system.buried, law.mu_per_mm, mu_per_mm).radius_mm
+        return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
+
+    if law.mu_per_mm is not None:
+        now, (low, high) = volume_mm3(law.mu_per_mm), (law.mu_per_mm * np.exp(side * NINETY * law.sigma) for side in (-1.0, 1.0))
+        why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * law.sigma:.0f} % only"
+        return (Term(name="translucency", less_mm3=now - volume_mm3(high), more_mm3=volume_mm3(low) - now, why=why),)
+    if law.rival_per_mm is not None:
+        why = f"roots may be translucent ({law.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+        return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(law.rival_per_mm) - volume_mm3(None), why=why),)
+    return ()
+
+
+def _even(name: str, half_mm3: float, why: str) -> Term:
+    return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
+
+
+def _signed(name: str, change_mm3: float, why: str) -> Term:
+    return Term(name=name, less_mm3=max(0.0, -change_mm3), more_mm3=max(0.0, change_mm3), why=why)
+
+
+def _lengths(tubes: Tubes) -> Array:
+    """Return the length of tube (N,) that each node stands for: half of every segment at it, a branch's first segment its second node's."""
+    half = np.zeros(len(tubes.radius_mm))
+    for k, nodes in enumerate(tubes.branches):
+        step = 0.5 * np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1)
+        np.add.at(half, nodes[1:], step)
+        np.add.at(half, nodes[:-1] if k == 0 else np.concatenate([nodes[1:2], nodes[1:-1]]), step)
+    return half
+
+
+def _flatness(tubes: Tubes, profiles: Profiles, px_a_mm: float) -> Array:
+    """Return by how much (N,) of its size the half-width of each node's section changes from view to view, 0 where it is round.
+
+    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike along a few nodes.
+    Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius r, drawn as a round one, have
+    the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root is two is its flatness.
+    """
+    unit = profiles.across / np.maximum(profiles.scale, 1e-9)[..., None]
+    x, y, z = np.moveaxis(unit, -1, 0)
+    parts = np.stack([x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z], axis=-1)
+    square = np.einsum("vn,vni,vnj->nij", profiles.width_2 * profiles.scale**2, parts, parts, optimize=True)
+    wish = np.einsum("vn,vni->ni", profiles.width * profiles.scale, parts)
+    for k in range(len(tubes.branches)):
+        own = tubes.own(k)
+        for value in (square, wish):
+            value[own] = uniform_filter1d(value[own], _FLAT_NODES, axis=0, mode="nearest")
+    tensor = np.linalg.solve(square + tube_fit.LEAST * np.eye(6), wish[..., None])[..., 0][:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    tangent = tubes.tangents
+    plane = np.eye(3) - tangent[:, :, None] * tangent[:, None, :]
+    section = plane @ tensor @ plane
+    trace = np.trace(section, axis1=1, axis2=2)
+    harmonic = 0.5 * np.sqrt(np.maximum(2.0 * (section**2).sum(axis=(1, 2)) - trace**2, 0.0))
+    share = harmonic / tubes.radius_mm
+    return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
+
+
+def _wishes(tubes: Tubes, pull: Pull, gain: Array) -> Array:
+    """Return by how much each view (V,) alone would change the volume: its part of one more Gauss-Newton step of all radii.
+
+    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the sandwich
+    (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common, such as its pose.
+    """
+    smooth = tube_fit.prior(tubes)[3::4, 3::4]
+    weight: Array = spsolve((sparse.diags(pull.hessian[:, 3, 3] + tube_fit.LEAST) + smooth).tocsc(), gain)
+    return np.asarray(pull.wish @ weight)
+
+
+def _untold(tubes: Tubes, pull: Pull, gain: Array, variance: float) -> float:
+    """Return the volume's 90 % half-width where pictures hardly tell the radii: alike along a branch, independent between branches."""
+    told = pull.hessian[:, 3, 3] / max(variance, 1e-9)
+    sigma = 1.0 / np.sqrt(told + 1.0 / (_UNTOLD * tubes.radius_mm) ** 2)
+    owner = tubes.owner
+    return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """What is left of the pictures when the tubes are taken away."""
+
+    variance: float
+    """Of the difference beside the tubes, a pixel."""
+    balance: float
+    """Difference beside the tubes over the area they cover."""
+    missing_px3: float
+    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a pixel's edge.
+
+    A root's volume is its covered area times a quarter of pi times its width."""
+    unexplained: float
+    """Covered area far from tubes over all covered area."""
+    fill: float
+
+    @staticmethod
+    def of(seen: Evidence, depth: Any, difference: Any, px_a_mm: float) -> _Rest:
+        """Look at all views."""
+        (width, height), count = seen.image_wh, seen.bank.count
+        known = np.array(seen.seen).reshape(count, height, width) > 0
+        rest = np.array(difference).reshape(count, height, width)
+        drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
+        near = np.stack([cv2.dilate((picture > _EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
+        area, far = float(drawn.sum(dtype=np.float64)), rest * ~near
+        if seen.light:  # what does not stand out from the noise is none
+            far *= np.stack([picture.coverage > 0.0 for picture in seen.silhouettes])
+        fills, missing = [], []
+        for picture, beyond, close in zip(seen.silhouettes, far, near, strict=True):
+            rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
+            if not len(rows):
+                continue
+            (top, bottom), (left, right) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
+            zone = np.s_[top : bottom + 1, left : right + 1]
+            fills.append(float(np.where(picture.seen, picture.coverage, 0.0)[zone].mean()))
+            inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
+            width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
+            if seen.mu_per_mm is None:
+                volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
+            else:  # faint roots keep back light by their volume
+                volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
+            missing.append(volume / max(1.0 - float(close[zone].mean()), 0.1))
+        beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
+        return _Rest(
+            variance=float(np.mean(rest[near] ** 2)) if near.any() else 0.0,
+            balance=float((rest * near).sum(dtype=np.float64)) / max(area, 1.0),
+            missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
+            unexplained=beyond_px2 / max(area + beyond_px2, 1.0),
+            fill=float(np.median(fills)) if fills else 0.0,
+        )

@@ -1,0 +1,87 @@
+"""The table of what was calibrated from the pictures, and its errors against the truth."""
+
+import numpy as np
+import pytest
+
+from recon.calibration import calibrated
+from recon.optics.refraction import Optics
+from recon.scoring.score_rig import compare_rig
+from scenes import frames
+from scenes.model import Scene
+from scenes.truth import TrueView, Truth
+
+SEAT = frames.from_rotvec(np.deg2rad([0.1, -0.05, 0.0]), np.array([0.2, 0.3, 0.0]))
+RIG = {
+    "n_water": 1.3341,
+    "n_water_given": 1.333,
+    "n_water_found": 1.3341,
+    "n_water_sigma": 0.0002,
+    "focal_scale": 1.0,
+    "focal_scale_found": 1.0002,
+    "focal_scale_sigma": 0.0001,
+    "canister_from_strip": SEAT.tolist(),
+    "canister_from_strip_sigma": [0.001, 0.001, 0.002, 0.002],
+    "canister_edges": {"count": 900, "before_mm": 0.21, "after_mm": 0.01, "radius_excess_mm": 0.0},
+    "reprojection_before_px": 0.8,
+    "reprojection_after_px": 0.05,
+    "roots": {"nodes": 700, "before_px": 0.09, "after_px": 0.05},
+    "table_correction_deg": 0.04,
+}
+
+
+def truth(**drawn: object) -> Truth:
+    shifted = SEAT.copy()
+    shifted[0, 3] += 0.004
+    rows = tuple(tuple(row) for row in shifted.tolist())
+    views = tuple(TrueView(file=f"v{k}.png", cam_from_canister=rows, table_deg=90.0 * k) for k in range(4))
+    return Truth(
+        volume_mm3=1.0,
+        extents_min_mm=(0.0, 0.0, 0.0),
+        extents_max_mm=(1.0, 1.0, 1.0),
+        n_water=1.334,
+        canister_from_strip=rows,
+        views=views,
+        drawn=dict(drawn),
+    )
+
+
+def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
+    rows = {row.quantity: row for row in calibrated.rows(RIG)}
+    assert rows["index of the water"].taken
+    assert not rows["focal length over the given"].taken
+    assert rows["canister in the strip: tilt x"].found == pytest.approx(0.1)
+    assert rows["canister in the strip: offset y"].sigma == 0.002
+    text = "\n".join(calibrated.table(RIG))
+    assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
+    assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (not sure enough: as given)" in text
+    assert "roots, sideways: 0.090 px off before, 0.050 px after" in text
+
+
+def test_a_result_of_an_older_version_has_a_table_too() -> None:
+    older = {key: value for key, value in RIG.items() if key not in ("focal_scale_found", "n_water_found", "roots")}
+    assert next(row.quantity for row in calibrated.rows(older)) == "canister in the strip: tilt x"
+
+
+def test_cameras_that_were_given_leave_no_table() -> None:
+    assert calibrated.table({}) == []
+
+
+def test_without_roots_the_index_is_said_to_be_as_given() -> None:
+    table = calibrated.table(calibrated.of_roots(None, Optics.of(Scene())))
+    assert table[1:] == ["  index of the water: 1.333 as given: no thin roots tell it"]
+
+
+def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
+    views = [{"file": f"v{k}.png", "ring": 0, "used": True, "table_deg": 90.0 * k + 0.5 + (0.01 if k % 2 else -0.01)} for k in range(4)]
+    errors = {error.quantity: error for error in compare_rig({"rig": RIG, "views": views}, truth(focal_error=0.0))}
+    assert errors["index of the water"].error == pytest.approx(1e-4)
+    assert "0.5 standard deviations" in errors["index of the water"].text
+    assert errors["canister in the strip: offset x"].error == pytest.approx(-0.004)
+    assert "2.0 standard deviations" in errors["canister in the strip: offset x"].text
+    assert errors["focal length over the given"].true == 1.0
+    assert errors["table angles, rms"].found == pytest.approx(0.01)
+    assert "canister on the table: tilt x" not in errors
+
+
+def test_what_the_truth_does_not_know_is_not_judged() -> None:
+    assert "focal length over the given" not in {error.quantity for error in compare_rig({"rig": RIG, "views": []}, truth())}

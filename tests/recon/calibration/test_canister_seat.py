@@ -1,0 +1,71 @@
+"""Edges of a canister drawn by brute force: each pixel knows how far its ray passes from the axis."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from recon.calibration.canister_seat import find_seat
+from recon.optics.cameras import View, matrix
+from scenes import frames, plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+
+CAMERA = Camera(distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0)).resized((400, 300))
+SCENE = Scene(camera=CAMERA, plan=CapturePlan(rings=(Ring(views=7, height_mm=-60.0, tilt_deg=3.0),)))
+TRUE = frames.from_rotvec(np.deg2rad([0.4, -0.3, 0.0]), np.array([0.7, -0.5, 0.0]))
+
+
+def picture(cam_from_canister: np.ndarray, *, radius_mm: float, noise: float, rng: np.random.Generator) -> np.ndarray:
+    """Draw the bare panel outside the wall, darkness at the edge and a brighter middle inside."""
+    width, height = CAMERA.image_wh
+    px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    undone = cv2.undistortPoints(px, matrix(CAMERA), np.array(CAMERA.distortion)).reshape(-1, 2)
+    rays = np.concatenate([undone, np.ones((len(undone), 1))], axis=1) @ cam_from_canister[:3, :3]
+    start = frames.invert(cam_from_canister)[:3, 3]
+    distance = np.abs(start[0] * rays[:, 1] - start[1] * rays[:, 0]) / np.hypot(rays[:, 0], rays[:, 1]) - radius_mm
+    mm_per_px = np.linalg.norm(start[:2]) / CAMERA.focal_px[0]
+    outside = np.clip(distance / mm_per_px + 0.5, 0.0, 1.0)
+    inside = 0.6 * np.sqrt(np.clip(-distance / radius_mm, 0.0, 1.0))
+    light = 0.75 * outside + (1.0 - outside) * inside + rng.normal(0.0, noise, len(outside))
+    return np.round(np.clip(light, 0.0, 1.0).reshape(height, width) * 65535.0).astype(np.uint16)
+
+
+def scan(*, seat: np.ndarray = TRUE, radius_mm: float = SCENE.canister.outer_radius_mm, noise: float = 0.0) -> tuple[list[View], list]:
+    """Return the cameras as the strip tells them and the pictures of the canister."""
+    rng = np.random.default_rng(5)
+    views, images = [], []
+    for view in plan.views(SCENE):
+        cam_from_canister = view.cam_from_rig @ plan.rig_from_table(SCENE, view.table_deg)
+        images.append(picture(cam_from_canister, radius_mm=radius_mm, noise=noise, rng=rng))
+        views.append(View(camera=CAMERA, cam_from_canister=cam_from_canister @ seat))
+    return views, images
+
+
+@pytest.mark.parametrize(("noise", "radius_mm"), [(0.0, 76.2), (0.01, 76.2), (0.01, 76.45)], ids=["clean", "noisy", "another size"])
+def test_the_seat_is_found_within_its_own_uncertainty(noise, radius_mm):
+    views, images = scan(noise=noise, radius_mm=radius_mm)
+    found = find_seat(views, images.__getitem__, SCENE)
+    error = frames.invert(TRUE) @ found.canister_from_strip
+    tilt_deg, shift_mm = np.rad2deg(frames.to_rotvec(error))[:2], error[:2, 3]
+    assert np.abs(shift_mm).max() < 0.01
+    assert np.abs(tilt_deg).max() < 0.01
+    assert (np.abs(shift_mm) < 6.0 * found.sigma[2:] + 0.003).all()
+    assert found.radius_excess_mm == pytest.approx(radius_mm - 76.2, abs=0.05)
+    assert found.after_mm < 0.2 * found.before_mm
+
+
+def test_a_canister_that_stands_true_stays_where_it_is():
+    views, images = scan(seat=np.eye(4), noise=0.01)
+    found = find_seat(views, images.__getitem__, SCENE)
+    np.testing.assert_allclose(found.canister_from_strip, np.eye(4), atol=0.005)
+
+
+def test_no_edges_no_seat():
+    views, images = scan()
+    dark = [np.zeros_like(image) for image in images]
+    assert find_seat(views, dark.__getitem__, SCENE) is None
+    even = [np.full_like(image, 40000) for image in images]
+    assert find_seat(views, even.__getitem__, SCENE) is None
+    narrow = replace(SCENE, canister=replace(SCENE.canister, outer_radius_mm=150.0))
+    assert find_seat(views, images.__getitem__, narrow) is None  # its edges are outside of the pictures

@@ -1,0 +1,125 @@
+"""Roots tell the index of the water: how pictures move with the rig, and whether a wrong index is found again."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon.calibration import root_calibration, sight_change
+from recon.calibration.root_calibration import RigDoubt, Sights
+from recon.calibration.sight_change import QUANTITIES, Quantity
+from recon.coverage.evidence import Evidence
+from recon.coverage.silhouettes import Silhouette
+from recon.optics import cameras, projection
+from recon.optics.cameras import View
+from recon.optics.refraction import Optics
+from recon.tubes import tube_fit, tube_picture, tubes
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+
+RINGS = Ring(views=6), Ring(views=6, height_mm=10.0, tilt_deg=8.0, first_deg=10.0)
+POINTS = np.array([[0.0, 0.0, -50.0], [20.0, 10.0, -30.0], [-35.0, 5.0, -90.0], [10.0, -45.0, -70.0]])
+
+
+@cache
+def rig() -> tuple[list[View], Optics]:
+    scene = Scene(camera=replace(Camera().resized((400, 300)), distortion=(-0.05, 0.02, 3e-4, -2e-4, 0.0)), plan=CapturePlan(rings=RINGS))
+    views = [
+        View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in plan.views(scene)
+    ]
+    return views, Optics.of(scene)
+
+
+@cache
+def system() -> tubes.Tubes:
+    """Return a few roots that hang and lean, out to 40 mm from the axis."""
+    rng = np.random.default_rng(3)
+    paths = []
+    for turn in np.linspace(0.0, 2.0 * np.pi, 7)[:-1]:
+        out = np.linspace(2.0, 38.0, 90)
+        bend = turn + 0.3 * np.sin(out / 9.0)
+        paths.append(np.stack([out * np.cos(bend), out * np.sin(bend), -25.0 - 40.0 * np.sqrt(out / 38.0) * rng.uniform(0.7, 1.2)], axis=1))
+    trunk = np.linspace([0.0, 0.0, -20.0], [1.0, 1.0, -75.0], 90)
+    return tubes.string([trunk, *paths], [np.full(90, 0.3)] * 7)
+
+
+def evidence(views: list[View], optics: Optics) -> Evidence:
+    """Return the coverage that the roots cast through these optics."""
+    bank = projection.ViewBank.of(views, optics)
+    shape = (300, 400)
+    seen = Evidence.of(bank, [Silhouette(np.zeros(shape, np.float32), np.ones(shape, bool)) for _ in views])
+    depth = tube_picture.optical_depth(seen, system(), seen.project(system().centre_mm), 0.0)
+    coverage = 1.0 - np.exp(-np.array(depth)).reshape(len(views), *shape)
+    return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(shape, bool)) for picture in coverage])
+
+
+def sure_rig(views: int) -> RigDoubt:
+    """Return doubt as two rings of good markers leave it."""
+    camera = np.diag(np.array([2e-5, 2e-5, 1e-5, 5e-3, 5e-3, 5e-3]) ** 2)
+    return RigDoubt(np.repeat([0, 1], views // 2), np.stack([camera, camera]), np.array([5e-6, 5e-6, 1e-3, 1e-3]), 1e-4)
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.name)
+def test_pictures_move_as_the_exact_projection_says(quantity: Quantity) -> None:
+    views, optics = rig()
+    view = views[9]
+    px = cameras.project(view, optics, POINTS)[0][:, 0]
+    step = 20.0 * quantity.step
+    above, below = (cameras.project(*quantity.changed((view, optics), side * step), POINTS)[0][:, 0] for side in (1.0, -1.0))
+    by_point = [
+        (cameras.project(view, optics, POINTS + 0.01 * axis)[0][:, 0] - cameras.project(view, optics, POINTS - 0.01 * axis)[0][:, 0]) / 0.02
+        for axis in np.eye(3)
+    ]
+    gradient = np.stack(by_point, axis=-1)  # (N, 2, 3)
+    for row in range(2):
+        found = sight_change.moves(view, optics, (quantity,), px, POINTS, gradient[:, row])[:, 0]
+        expected = (above - below)[:, row] / (2.0 * step)
+        np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max() + 1e-3)
+
+
+def test_a_wrong_index_is_found_from_the_roots() -> None:
+    views, optics = rig()
+    true = replace(optics, n_water=optics.n_water + 0.002)
+    seen = replace(evidence(views, true), bank=projection.ViewBank.of(views, optics))
+    free = np.zeros(len(system().radius_mm), bool)
+    start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
+    sights = Sights(list(range(12)), views, optics, sure_rig(12))
+    _, _, found = root_calibration.calibrate(seen, sights, start, free, blur_px=0.0)
+    assert found is not None
+    assert found.believed
+    assert found.n_water == pytest.approx(true.n_water, abs=min(4.0 * found.n_water_sigma, 3e-4))
+    assert found.after_px < found.before_px
+    assert found.sights.optics.n_water == found.n_water
+
+
+def test_a_right_index_stays_as_it_was_given() -> None:
+    views, optics = rig()
+    seen, free = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
+    sights = Sights(list(range(12)), views, optics, sure_rig(12))
+    same, fitted, found = root_calibration.calibrate(seen, sights, system(), free, blur_px=0.0)
+    assert found is not None
+    assert not found.believed
+    assert abs(found.n_water - optics.n_water) < 3.0 * found.n_water_sigma
+    assert found.sights is sights
+    assert same is seen
+    assert fitted is system()
+
+
+def test_cameras_that_nobody_doubts_leave_only_the_index_to_be_found() -> None:
+    views, optics = rig()
+    seen, free = evidence(views, replace(optics, n_water=optics.n_water - 0.001)), np.zeros(len(system().radius_mm), bool)
+    seen = replace(seen, bank=projection.ViewBank.of(views, optics))
+    start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
+    found = root_calibration.estimate(seen, Sights(list(range(12)), views, optics, None), start, free, blur_px=0.0)
+    assert found is not None
+    assert found.change.shape == (1,)
+    assert -0.0015 < found.change[0] < -0.0005
+
+
+def test_too_few_roots_tell_nothing() -> None:
+    views, optics = rig()
+    stub = tubes.string([np.linspace([0.0, 0.0, -20.0], [1.0, 1.0, -30.0], 30)], [np.full(30, 0.3)])
+    seen = evidence(views, optics)
+    sights = Sights(list(range(12)), views, optics, None)
+    assert root_calibration.calibrate(seen, sights, stub, np.zeros(len(stub.radius_mm), bool), blur_px=0.0)[2] is None

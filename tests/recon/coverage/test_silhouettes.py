@@ -1,0 +1,79 @@
+"""Silhouettes: outlines to a fraction of a pixel, coverage against a known background."""
+
+import cv2
+import numpy as np
+import pytest
+
+from recon.coverage import silhouettes
+from recon.coverage.silhouettes import Silhouette
+
+
+def strip(width_px: float, angle: float, offset: float, shape: tuple[int, int] = (96, 128), samples: int = 12) -> np.ndarray:
+    """Coverage of a straight strip, area-sampled."""
+    h, w = shape
+    y, x = (np.mgrid[0 : h * samples, 0 : w * samples] + 0.5) / samples - 0.5
+    inside = np.abs((x - w / 2 - offset) * np.cos(angle) + (y - h / 2) * np.sin(angle)) < width_px / 2
+    return inside.reshape(h, samples, w, samples).mean(axis=(1, 3)).astype(np.float32)
+
+
+def outlined_width(coverage: np.ndarray, angle: float) -> float:
+    distance = silhouettes.signed_distance(Silhouette(coverage, np.ones(coverage.shape, bool)))
+    fine = cv2.resize(distance, None, fx=4, fy=4, interpolation=cv2.INTER_LINEAR)[64:-64]
+    return float((fine > 0).mean() * coverage.shape[1] * np.cos(angle))
+
+
+@pytest.mark.parametrize("width_px", [1.0, 1.5, 2.0, 4.0, 12.0])
+def test_outline_keeps_the_width_of_strips(width_px: float) -> None:
+    widths = [outlined_width(strip(width_px, angle, offset), angle) for angle in (0.0, 0.2, 0.6) for offset in (0.1, 0.35, 0.6)]
+    assert np.mean(widths) == pytest.approx(width_px, rel=0.05 if width_px < 2 else 0.02)
+
+
+def test_outline_level_matches_the_blurred_strip() -> None:
+    """The level at the edge of a strip of half-width a under a Gaussian, from its peak: by numerical convolution."""
+    x = np.linspace(-20, 20, 40001)
+    for a in (0.2, 0.5, 1.0, 3.0):
+        kernel = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+        profile = np.convolve((np.abs(x) < a).astype(float), kernel, mode="same") * (x[1] - x[0])
+        peak, edge = profile[20000], profile[20000 + round(a / (x[1] - x[0]))]
+        assert silhouettes.outline_level(np.array([peak]))[0] == pytest.approx(edge, abs=2e-3)
+
+
+def test_level_distance_of_a_disc_is_the_distance_to_its_circle() -> None:
+    y, x = np.mgrid[0:200, 0:200].astype(np.float32)
+    true = 40.3 - np.hypot(x - 99.4, y - 101.2)
+    found = silhouettes.level_distance(np.clip(true, -1.5, 1.5).astype(np.float32))
+    assert np.abs(found - true)[np.abs(true) < 0.3].max() < 0.1
+    assert (np.abs(found - true)[np.abs(true) < 40] < 0.9).all()
+    assert (np.abs(found / true - 1)[np.abs(true) > 40] < 0.03).all()
+    assert (np.sign(found) == np.sign(true)).all()
+
+
+def test_where_nothing_is_seen_the_map_says_so() -> None:
+    coverage, seen = np.zeros((40, 60), np.float32), np.ones((40, 60), bool)
+    seen[:, 30:] = False
+    distance = silhouettes.signed_distance(Silhouette(coverage, seen))
+    assert (distance[:, 58:] == silhouettes.UNSEEN_PX).all()
+    assert (distance[:, :58] < 0).all()
+    assert distance[40, 0] == pytest.approx(-29.5, abs=0.6), "the unseen may hide a root: nothing is ruled out there"
+
+
+def test_measured_coverage_is_the_covered_fraction_whatever_the_light() -> None:
+    truth = strip(6.0, 0.3, 0.2) + strip(0.8, -0.4, 20.0)
+    x = np.linspace(0.6, 1.0, truth.shape[1], dtype=np.float32)[None]
+    background = 40000 * x * np.ones_like(truth)
+    root = 3000.0
+    image = background * (1 - truth) + root * truth
+    seen = np.ones(truth.shape, bool)
+    found = silhouettes.measure(silhouettes.opacity(image.astype(np.float32), background.astype(np.float32), seen), seen)
+    assert np.abs(found.coverage - np.clip(truth, 0, 1)).max() < 0.03
+
+
+def test_thesis_silhouette_joins_thick_and_thin() -> None:
+    rng = np.random.default_rng(0)
+    truth = np.maximum(strip(20.0, 0.2, -20.0), 0.5 * strip(2.0, 0.2, 30.0))
+    image = (40000 * (1 - truth) + rng.normal(0, 200, truth.shape)).astype(np.float32)
+    found = silhouettes.thesis(image, np.ones(truth.shape, bool)).coverage
+    assert set(np.unique(found)) == {0.0, 1.0}
+    assert found[truth > 0.9].mean() > 0.99, "the inside of the thick root is filled"
+    assert found[48, 70:110].any(), "the thin, bright root is kept"
+    assert found[:, :10].mean() < 0.02

@@ -1,0 +1,122 @@
+"""Carving a ball from exact silhouettes drawn with the reference projection."""
+
+from functools import cache
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from recon.coverage import silhouettes
+from recon.coverage.silhouettes import Silhouette
+from recon.hull import carve, surface
+from recon.optics import cameras, projection, refraction
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+
+RADIUS_MM = 8.0
+
+
+def coverage_of_ball(view: cameras.View, optics: refraction.Optics, centre_mm: np.ndarray, samples: int = 3) -> np.ndarray:
+    """Area-sampled silhouette of a ball: pixels whose line of sight in the water passes within its radius."""
+    width, height = view.camera.image_wh
+    u, v = np.meshgrid((np.arange(width * samples) + 0.5) / samples - 0.5, (np.arange(height * samples) + 0.5) / samples - 0.5)
+    line, enters = cameras.water_lines(view, optics, np.stack([u.ravel(), v.ravel()], axis=1))
+    direction = np.concatenate([line.t, line.slope[:, None]], axis=1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    foot_z = line.entry_z_mm + line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
+    to_centre = view.azimuth_from_canister[:3, :3] @ centre_mm - np.concatenate([line.nu * line.b_mm[:, None], foot_z[:, None]], axis=1)
+    across = to_centre - np.sum(to_centre * direction, axis=1, keepdims=True) * direction
+    covered = (np.linalg.norm(across, axis=1) < RADIUS_MM) & enters
+    return covered.reshape(height, samples, width, samples).mean(axis=(1, 3)).astype(np.float32)
+
+
+@cache
+def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, carve.DistanceMaps]:
+    scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
+    optics = refraction.Optics.of(scene)
+    views = [
+        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
+        for v in plan.views(scene)
+    ]
+    maps = []
+    for view in views:
+        _, enters = cameras.water_lines(view, optics, np.stack(np.meshgrid(np.arange(240.0), np.arange(180.0)), -1).reshape(-1, 2))
+        seen = enters.reshape(180, 240)
+        distance = silhouettes.signed_distance(Silhouette(coverage_of_ball(view, optics, np.array(centre_mm)), seen))
+        maps.append(distance)
+    return projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
+
+
+@cache
+def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> carve.Hull:
+    bank, maps = seen_ball(centre_mm)
+    r = bank.optics.inner_radius_mm
+    grid = carve.Grid.over(np.array([-r, -r, -110.0]), np.array([r, r, -8.0]), 0.4)
+    return carve.carve(
+        bank,
+        maps,
+        grid,
+        radius_mm=r,
+        top_mm=-8.0,
+        bottom_mm=-110.0,
+        min_votes=5,
+        ignore_blindness=ignore_blindness,
+    )
+
+
+BALL_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
+
+
+@pytest.mark.parametrize("centre_mm", [(0.0, 0.0, -50.0), (20.0, -10.0, -50.0), (40.0, 5.0, -50.0)])
+def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
+    hull = carved(centre_mm)
+    leaves = hull.leaves
+    assert leaves.volume_mm3() == pytest.approx(BALL_MM3, rel=0.025)
+    assert hull.moved_in_mm3 < BALL_MM3 < hull.moved_out_mm3
+    middle = leaves.grid.origin_mm + (leaves.index + leaves.size[:, None] / 2) * leaves.grid.size_mm
+    weight = leaves.occupancy * leaves.size.astype(float) ** 3
+    np.testing.assert_allclose((middle * weight[:, None]).sum(axis=0) / weight.sum(), centre_mm, atol=0.12)
+
+
+def test_a_ball_at_the_wall_survives_blind_directions() -> None:
+    """Beyond R_o / n_w from the axis some views are blind; carving there, as the thesis does, loses the ball."""
+    centre_mm = (64.0, 0.0, -50.0)
+    assert carved(centre_mm).leaves.volume_mm3() == pytest.approx(BALL_MM3, rel=0.15)
+    assert carved(centre_mm, ignore_blindness=True).leaves.volume_mm3() < 0.6 * BALL_MM3
+
+
+def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
+    """The pictures say nothing above some row; large nodes that the edge of the blind zone cuts are not blind as a whole."""
+    bank, maps = seen_ball((0.0, 0.0, -50.0))
+    row = float(np.array(carve.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
+    values = np.array(maps.values).reshape(bank.count, 360, 480)
+    values[:, : int(2 * row)] = silhouettes.UNSEEN_PX
+    half = carve.DistanceMaps.of(values)
+    grid = carve.Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
+    leaves = carve.carve(bank, half, grid, radius_mm=73.0, top_mm=-38.0, bottom_mm=-62.0, min_votes=5).leaves
+    z = np.arange(-50.0, -40.0, 0.05)
+    point = mi.Point3f(0.2, 0.2, mi.Float(z))
+    votes = sum(np.array(carve.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
+    on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
+    column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)
+    top = leaves.grid.origin_mm[2] + 0.4 * (leaves.index[:, 2] + leaves.size)[column].max()
+    assert top == pytest.approx(z[votes >= 5].max(), abs=0.41)
+
+
+def test_leaves_do_not_overlap_and_gather_without_loss() -> None:
+    leaves = carved((20.0, -10.0, -50.0)).leaves
+    index, size, occupancy = surface.to_voxels(leaves, 2)
+    cubes = (size * 2.0 * leaves.grid.size_mm) ** 3
+    assert float(cubes @ occupancy) == pytest.approx(leaves.volume_mm3(), rel=1e-5)
+    cells = np.concatenate([(index[size == 1]), *(index[k] + np.array(list(np.ndindex(s, s, s))) for k, s in enumerate(size) if s > 1)])
+    assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_surface_is_closed_and_holds_the_volume() -> None:
+    leaves = carved((0.0, 0.0, -50.0)).leaves
+    mesh = surface.surface(
+        leaves.index, leaves.size, leaves.occupancy, origin_mm=np.asarray(leaves.grid.origin_mm), voxel_mm=leaves.grid.size_mm
+    )
+    assert mesh.is_watertight
+    assert abs(mesh.volume) == pytest.approx(leaves.volume_mm3(), rel=0.01)
+    np.testing.assert_allclose(mesh.bounds[1] - mesh.bounds[0], 2 * RADIUS_MM, atol=0.35)

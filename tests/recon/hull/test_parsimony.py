@@ -1,0 +1,128 @@
+"""Trimming the hull: tubes get their own cross-section back, what is no tube keeps its hull."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon.coverage import silhouettes
+from recon.coverage.silhouettes import Silhouette
+from recon.hull import carve, parsimony
+from recon.optics import cameras, projection, refraction
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+
+Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
+
+TRUNK: Segment = ((0.0, 0.0, -20.0), (0.0, 0.0, -80.0), 4.0)
+TWIG: Segment = ((3.0, 0.0, -40.0), (27.0, 0.0, -58.0), 1.6)
+OTHER: Segment = ((-2.0, 2.0, -36.0), (-20.0, 14.0, -56.0), 1.6)
+
+
+def distance_to_line(segment: Segment, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Distance of lines (N) to a segment, by the closed form for two lines with the segment's end points clamped."""
+    a, b, _ = (np.array(part) for part in segment)
+    axis = b - a
+    w = origin - a
+    d_u, d_w, u_u, u_w = direction @ axis, np.sum(direction * w, 1), axis @ axis, w @ axis
+    t = np.clip((u_w - d_u * d_w) / (u_u - d_u**2), 0.0, 1.0)
+    offset = w - t[:, None] * axis
+    return np.linalg.norm(offset - np.sum(offset * direction, 1, keepdims=True) * direction, axis=1)
+
+
+def volume_of(segments: tuple[Segment, ...]) -> float:
+    """Volume of the union of round-ended tubes, by counting a fine grid."""
+    step = 0.2
+    grid = np.stack(np.meshgrid(*(np.arange(lo, hi, step) for lo, hi in ((-26, 32), (-10, 20), (-86, -14))), indexing="ij"), -1).reshape(
+        -1, 3
+    )
+    inside = np.zeros(len(grid), bool)
+    for a, b, r in segments:
+        start, axis = np.array(a), np.array(b) - np.array(a)
+        t = np.clip((grid - start) @ axis / (axis @ axis), 0, 1)
+        inside |= np.linalg.norm(grid - start - t[:, None] * axis, axis=1) < r
+    return float(inside.sum()) * step**3
+
+
+@cache
+def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, carve.DistanceMaps, carve.Leaves]:
+    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=20),)))
+    optics = refraction.Optics.of(scene)
+    views = [
+        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
+        for v in plan.views(scene)
+    ]
+    samples, maps = 3, []
+    grid = np.stack(np.meshgrid((np.arange(400 * samples) + 0.5) / samples - 0.5, (np.arange(300 * samples) + 0.5) / samples - 0.5), -1)
+    for view in views:
+        line, enters = cameras.water_lines(view, optics, grid.reshape(-1, 2))
+        direction = np.concatenate([line.t, line.slope[:, None]], axis=1)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        foot_z = line.entry_z_mm + line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
+        back = view.azimuth_from_canister[:3, :3]
+        origin, direction = np.concatenate([line.nu * line.b_mm[:, None], foot_z[:, None]], axis=1) @ back, direction @ back
+        covered = np.zeros(len(enters), bool)
+        for segment in segments:
+            covered |= distance_to_line(segment, origin, direction) < segment[2]
+        coverage = (covered & enters).reshape(300, samples, 400, samples).mean(axis=(1, 3)).astype(np.float32)
+        seen = enters.reshape(300, samples, 400, samples).all(axis=(1, 3))
+        distance = silhouettes.signed_distance(Silhouette(coverage, seen))
+        maps.append(distance)
+    r = optics.inner_radius_mm
+    bank, device_maps = projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
+    lattice = carve.Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
+    return bank, device_maps, carve.carve(bank, device_maps, lattice, radius_mm=r, top_mm=-8.0, bottom_mm=-100.0, min_votes=6).leaves
+
+
+def test_trimming_gives_tubes_their_volume_back() -> None:
+    segments = (TRUNK, TWIG, OTHER)
+    bank, maps, hull = hull_of(segments)
+    found = parsimony.trim(bank, maps, hull)
+    trimmed, balls = found.leaves, found.balls
+    true = volume_of(segments)
+    assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
+    assert trimmed.volume_mm3() == pytest.approx(true, rel=0.02)
+    assert abs(trimmed.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
+    on_twig = (balls.centre_mm[:, 0] > 10) & (balls.centre_mm[:, 2] > -56)
+    assert np.median(balls.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
+
+
+def test_trimmed_shape_lies_inside_the_hull_and_explains_the_pictures() -> None:
+    bank, maps, hull = hull_of((TRUNK, TWIG, OTHER))
+    trimmed = parsimony.trim(bank, maps, hull).leaves
+    hull_cells = parsimony.even(hull.index, hull.size)
+    cells = parsimony.even(trimmed.index, trimmed.size)
+    assert not set(map(tuple, cells.tolist())) - set(map(tuple, hull_cells.tolist()))
+    assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hide the twigs from the skeleton: the pictures still ask for them."""
+    segments = (TRUNK, TWIG, OTHER)
+    bank, maps, hull = hull_of(segments)
+    lines = parsimony.centre_lines(hull)
+    monkeypatch.setattr(parsimony, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
+    found = parsimony.trim(bank, maps, hull)
+    trimmed, balls = found.leaves, found.balls
+    assert np.hypot(balls.centre_mm[:, 0], balls.centre_mm[:, 1]).max() < 3.0
+    assert trimmed.volume_mm3() == pytest.approx(volume_of(segments), rel=0.05)
+
+
+def test_no_ball_stands_where_hardly_any_view_sees() -> None:
+    """Above the net pot's grid every picture is silent, so nothing bounds a ball there: it must not swallow the hull."""
+    bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
+    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)))
+    balls = parsimony.grow_balls(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
+    assert len(balls.radius_mm) == 0
+
+
+def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
+    """In a tube of radius R a ball e beside the axis is bounded only by views that look nearly across the offset: R - e |cos|."""
+    bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
+    at = np.array([[0.0, 0.0, -75.0], [0.0, 3.0, -75.0]])
+    share = parsimony._held(bank, maps, at, parsimony._radius(bank, maps, at))
+    assert share[0] > 0.8
+    assert share[1] < parsimony._HELD
+    lines = at + np.linspace(-1.0, 1.0, 15)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert len(parsimony.grow_balls(bank, maps, lines[:, 0]).radius_mm) > 10

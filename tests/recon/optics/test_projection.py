@@ -1,0 +1,81 @@
+"""The Dr.Jit kernel against the float64 reference."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from recon.optics import cameras, projection, refraction
+from scenes import frames
+from scenes.model import Camera, Canister, Scene, Water
+
+LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
+
+
+def bank_and_view(n_wall: float, n_water: float) -> tuple[projection.ViewBank, cameras.View, refraction.Optics]:
+    scene = Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water))
+    level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=2.0)
+    turn = frames.rotation_z(0.7)
+    view = cameras.View(
+        camera=LENS, cam_from_canister=frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ turn
+    )
+    other = cameras.View(camera=LENS, cam_from_canister=level)
+    optics = refraction.Optics.of(scene)
+    return projection.ViewBank.of([other, view], optics), view, optics
+
+
+def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.ndarray]:
+    p = projection.project(
+        bank, dr.full(mi.UInt32, 1, len(points)), mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points))
+    )
+    return {name: np.array(getattr(p, name)) for name in ("px", "seen", "clear_mm", "du", "dv")}
+
+
+def random_points(optics: refraction.Optics, count: int) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    angle, radius = rng.uniform(-np.pi, np.pi, count), (optics.inner_radius_mm - 0.01) * np.sqrt(rng.uniform(0, 1, count))
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-115, -10, count)], axis=1)
+
+
+@pytest.mark.parametrize(("n_wall", "n_water"), [(1.49, 1.333), (1.0, 1.0), (1.49, 1.36)])
+def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None:
+    bank, view, optics = bank_and_view(n_wall, n_water)
+    points = random_points(optics, 4000)
+    expected, count = cameras.project(view, optics, points)
+    found = in_kernel(bank, points)
+    seen = found["seen"]
+    assert (count[seen] == 1).all(), "the kernel uses a view only where the point has exactly one image"
+    assert np.abs(found["px"].T[seen] - expected[seen, 0]).max() < 1e-3
+    lost = (count == 1) & ~seen
+    assert lost.mean() < 0.03, "only a thin rim of the blind zone is given away"
+    if n_water > 1.0:
+        assert np.hypot(*points[lost, :2].T).min() > 54.0
+
+
+def test_gradients_agree_with_finite_differences() -> None:
+    bank, view, optics = bank_and_view(1.49, 1.333)
+    points = random_points(optics, 300)
+    found = in_kernel(bank, points)
+    step = 1e-3
+    for axis in range(3):
+        shift = np.eye(3)[axis] * step
+        (up, many_up), (down, many_down) = (cameras.project(view, optics, points + s * shift) for s in (1, -1))
+        good = found["seen"] & (many_up == 1) & (many_down == 1)
+        slope = (up[good, 0] - down[good, 0]) / (2 * step)
+        np.testing.assert_allclose(found["du"][axis][good], slope[:, 0], atol=3e-3)
+        np.testing.assert_allclose(found["dv"][axis][good], slope[:, 1], atol=3e-3)
+
+
+def test_clear_distance_reaches_no_blind_point() -> None:
+    bank, view, optics = bank_and_view(1.49, 1.333)
+    points = random_points(optics, 400)
+    clear = in_kernel(bank, points)["clear_mm"]
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(-np.pi, np.pi, len(points))
+    near = points.copy()
+    near[:, :2] += ((clear - projection._CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack(
+        [np.cos(angle), np.sin(angle)], 1
+    )
+    inside = (np.hypot(near[:, 0], near[:, 1]) < optics.inner_radius_mm) & (clear > 2 * projection._CELL_MM)
+    _, count = cameras.project(view, optics, near[inside])
+    assert (count == 1).all()

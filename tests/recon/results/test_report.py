@@ -1,0 +1,162 @@
+"""The pictures and the page of a result, and the small renderer behind them."""
+
+import json
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from recon.results import pictures, report, shading
+from recon.results.result_files import Mesh
+from scenes import frames
+from scenes.errors import UserError
+from scenes.rsml import Root, write_rsml
+
+
+def as_mesh(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(vertices_mm=np.asarray(solid.vertices), faces=np.asarray(solid.faces))
+
+
+def test_raster_of_a_ball_has_its_area_depth_and_normals():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    ball.apply_translation([1.0, 2.0, -30.0])
+    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-5.0, 9.0, -40.0, -20.0), px_mm=0.05)
+    assert seen.hit.shape == (400, 280)
+    assert seen.hit.sum() * 0.05**2 == pytest.approx(np.pi * 16.0, rel=3e-3)
+    rows, columns = np.nonzero(seen.hit)
+    assert columns.mean() * 0.05 - 5.0 + 0.025 == pytest.approx(2.0, abs=0.01)  # y of the centre
+    assert -20.0 - (rows.mean() + 0.5) * 0.05 == pytest.approx(-30.0, abs=0.01)
+    assert seen.depth_mm[seen.hit].max() == pytest.approx(5.0, abs=0.01)  # towards +x
+    assert seen.normal[200, 140] == pytest.approx([0.0, 0.0, 1.0], abs=0.03)
+
+
+def test_distances_are_those_of_the_points_that_a_picture_shows():
+    """A ball within another of the same centre but for a shift: nearest where it is shifted to, which one side sees and the other not."""
+    small, large = trimesh.creation.icosphere(subdivisions=4, radius=3.0), trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+    small.apply_translation([0.5, 0.0, 0.0])
+    box, px_mm = (-5.0, 5.0, -5.0, 5.0), 0.1
+    for side, middle in ((shading.FRONT, 0.5), (shading.SIDE, 4.0 - np.hypot(3.0, 0.5))):
+        seen = shading.rasterise(as_mesh(small), side, box_mm=box, px_mm=px_mm)
+        apart = pictures.distances_shown(seen, side, box, px_mm, as_mesh(large))
+        column = 50 if side is shading.FRONT else 55
+        assert apart[50, column] == pytest.approx(middle, abs=0.02)
+        assert (apart[seen.hit] > 0.45).all()
+        assert (apart[~seen.hit] == 0.0).all()
+
+
+def test_a_ball_turned_inside_out_looks_the_same():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
+    ball.apply_translation([50.0, 0.0, 0.0])
+    for mesh in (as_mesh(ball), Mesh(vertices_mm=np.asarray(ball.vertices), faces=np.asarray(ball.faces)[:, ::-1])):
+        assert np.einsum("ij,ij->i", shading.vertex_normals(mesh), mesh.vertices_mm - [50.0, 0.0, 0.0]).min() > 0.0
+
+
+def test_side_view_looks_along_y_and_keeps_the_nearer_surface():
+    near = trimesh.creation.box(bounds=[[-1.0, -5.0, -1.0], [1.0, -4.0, 1.0]])
+    far = trimesh.creation.box(bounds=[[-2.0, 4.0, -2.0], [2.0, 5.0, 2.0]])
+    seen = shading.rasterise(as_mesh(near + far), shading.SIDE, box_mm=(-3.0, 3.0, -3.0, 3.0), px_mm=0.1)
+    assert seen.depth_mm[30, 30] == pytest.approx(5.0)
+    assert seen.depth_mm[12, 30] == pytest.approx(-4.0)
+    assert seen.hit.sum() == 40 * 40
+
+
+def test_shading_is_transparent_off_the_surface_and_opaque_on_it():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=3.0)
+    seen = shading.rasterise(as_mesh(ball), shading.FRONT, box_mm=(-4.0, 4.0, -4.0, 4.0), px_mm=0.1)
+    picture = shading.shade(seen, (0.8, 0.5, 0.2), px_mm=0.1, shrink=2)
+    assert picture.shape == (40, 40, 4)
+    assert picture[20, 20, 3] == 1.0
+    assert picture[0, 0, 3] == 0.0
+    assert 0.0 <= picture.min() <= picture.max() <= 1.0
+    assert picture[14, 14, :3].mean() > picture[26, 26, :3].mean()  # light from the upper left
+
+
+def test_all_pictures_and_a_self_contained_page(scan):
+    made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,))
+    written = report.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+    names = ["inputs.png", "cameras.png", "shape.png", "shape_and_truth.png", "report.html"]
+    assert [path.name for path in written] == names
+    for path in written[:-1]:
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert min(picture.shape[:2]) > 300
+        assert picture.std() > 5.0
+    page = written[-1].read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert "a ball &lt;6 mm&gt;" in page
+    assert "view 3 is &lt;dark&gt;" in page
+    assert "2 markers found, 4 are needed" in page
+    assert "a dash" in page  # the ball has no centre lines
+    volume_mm3 = json.loads((made.result / "result.json").read_text())["volume_mm3"]
+    assert f"{volume_mm3:.1f} mm³" in page
+
+
+def test_roots_get_pictures_and_their_page_says_what_is_known(scan):
+    made = scan(voxel_mm=1.0)
+    turn = np.linspace(0.0, 3.0, 30)
+    tap = Root(points_mm=np.stack([4.0 * turn, -turn, -45.0 - 3.0 * turn], 1), diameters_mm=np.full(30, 1.5), order=0, parent=-1)
+    lateral = Root(points_mm=np.stack([0 * turn, 3 * turn, -45.0 - turn**2], 1), diameters_mm=np.full(30, 0.3), order=1, parent=0)
+    write_rsml(made.result / "roots.rsml", [tap, lateral])
+    stood = np.eye(4)
+    stood[:2, 3] = 0.25, -0.5
+    ring = {
+        "ring": 0,
+        "placement": 1,
+        "cam_from_rig": frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=8.0).tolist(),
+        "covariance": np.diag([1e-8, 1e-8, 1e-8, 4e-4, 4e-4, 9e-4]).tolist(),
+        "own_movement_mm": 0.01,
+        "own_movement_deg": 0.002,
+    }
+    rig = {
+        "canister_from_strip": stood.tolist(),
+        "canister_from_strip_sigma": [0.001, 0.001, 0.012, 0.013],
+        "rings": [ring],
+        "n_water": 1.33412,
+        "n_water_given": 1.333,
+        "n_water_found": 1.33412,
+        "n_water_sigma": 0.00021,
+        "reprojection_before_px": 1.25,
+        "reprojection_after_px": 0.037,
+        "canister_edges": {"count": 720, "before_mm": 0.3, "after_mm": 0.004, "radius_excess_mm": 0.0},
+    }
+    made.edit_summary(rig=rig, volume_verdict="this scan <cannot> give a volume", volume_trusted=False)
+    written = report.write_pictures(made.result, made.dataset)
+    assert {"roots.png", "lengths.png"} <= {path.name for path in written}
+    page = written[-1].read_text(encoding="utf-8")
+    for text in (
+        "this scan &lt;cannot&gt; give a volume",
+        "<td class=number>1.333</td><td class=number>1.33412</td><td class=number>0.00021</td>",
+        "offset y</td><td class=number>0</td><td class=number>-0.5</td><td class=number>0.013</td>",
+        "<td class=number>1.2500</td><td class=number>0.0370</td>",
+        "placement 2: distance from the table",
+        "<td class=number>400.000</td><td class=number>0.030</td>",
+        "<td>tips</td><td class=number>2</td>",
+    ):
+        assert text in page
+    assert not re.search(r'(src|href)="(?!data:)', page)
+
+
+def test_without_silhouettes_and_truth_there_is_still_a_report(scan):
+    made = scan(voxel_mm=1.0)
+    shutil.rmtree(made.result / "silhouettes")
+    shutil.rmtree(made.dataset / "truth")
+    written = report.write_pictures(made.result, made.dataset)
+    assert [path.name for path in written] == ["cameras.png", "shape.png", "report.html"]
+
+
+def test_pictures_repeat_exactly(scan):
+    made = scan(voxel_mm=1.0)
+    first = [path.read_bytes() for path in report.write_pictures(made.result, made.dataset)]
+    assert first == [path.read_bytes() for path in report.write_pictures(made.result, made.dataset)]
+
+
+def test_a_result_of_another_dataset_is_refused(scan):
+    made = scan(voxel_mm=1.0)
+    made.edit_summary(scene="radish", dataset_sha256="0" * 64)
+    with pytest.raises(UserError, match="radish"):
+        report.write_pictures(made.result, made.dataset)
+    assert not (made.result / "pictures").exists()

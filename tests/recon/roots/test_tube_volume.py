@@ -1,0 +1,58 @@
+"""The volume of tubes, against closed forms, and their union with thick organs."""
+
+import numpy as np
+import pytest
+
+from recon.hull.carve import Grid, Leaves
+from recon.roots import rooting, tube_volume
+from recon.tubes import tubes
+from recon.tubes.tube_law import TubeLaw
+from tests.recon.lines import line
+from tests.recon.strings import pictured, strung
+
+
+def test_filled_volume_is_that_of_the_frustum():
+    path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
+    system = tubes.string([path], [np.linspace(0.4, 0.1, len(path))])
+    length = float(np.linalg.norm(path[-1] - path[0]))
+    filled = tube_volume.fill(system, 0.05)
+    assert filled.volume_mm3.sum() == pytest.approx(np.pi * length / 3.0 * (0.16 + 0.04 + 0.01), rel=2e-3)
+
+
+def test_crossing_tubes_count_their_overlap_once():
+    a, b = line((-5.0, 0.0, -30.0), (5.0, 0.0, -30.0)), line((0.0, -5.0, -30.0), (0.0, 5.0, -30.0))
+    system = strung(a, b, radius_mm=0.3)
+    straight = tubes.Tubes(system.centre_mm, system.radius_mm, (system.branches[0], system.branches[1][1:]))
+    steinmetz = 16.0 / 3.0 * 0.3**3
+    ends = np.pi * 0.09 * np.linalg.norm(np.diff(system.centre_mm[straight.branches[1]], axis=0), axis=1).sum()
+    expected = np.pi * 0.09 * 10.0 + ends - steinmetz
+    assert tube_volume.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
+
+
+def test_uniting_keeps_thick_organs_and_adds_tubes():
+    grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
+    index = np.array([[64, 64, 200]], np.int32)
+    solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
+    core = grid.origin_mm + (index + 4) * 0.125
+    path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
+    system = strung(path)
+    nothing = np.zeros(len(system.radius_mm), bool)
+    found = rooting.RootSystem(system, nothing, core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), nothing)
+    united = tube_volume.unite(solid, found)
+    assert united.thick_mm3 == pytest.approx(1.0)
+    assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
+    far = rooting.RootSystem(system, nothing, core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, nothing)
+    assert tube_volume.unite(solid, far).thick_mm3 == 0.0
+
+
+@pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.6, 1.05), (0.75, 1.05), (0.75, 1.6)])
+def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm: float) -> None:
+    """Two upright tubes share a lens (of two circles), however thick they are."""
+    a, b = (line((x, 0.0, -20.0), (x, 0.0, -40.0)) for x in (0.0, apart_mm))
+    system = strung(a, b, radius_mm=radius_mm)
+    straight = tubes.Tubes(system.centre_mm, system.radius_mm, (system.branches[0], system.branches[1][1:]))
+    length = [np.ptp(system.centre_mm[nodes, 2]) for nodes in straight.branches]
+    half = min(apart_mm / 2.0 / radius_mm, 1.0)
+    lens = 2.0 * radius_mm**2 * (np.arccos(half) - half * np.sqrt(1.0 - half**2))
+    expected = np.pi * radius_mm**2 * sum(length) - lens * min(length)
+    assert tube_volume.fill(straight, 0.05).volume_mm3.sum() == pytest.approx(expected, rel=0.015)

@@ -1,0 +1,144 @@
+"""Tubes of translucent roots: the strips that stand for them, their pictures, and the attenuation that pictures tell."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from recon.coverage.evidence import Evidence
+from recon.coverage.silhouettes import Silhouette
+from recon.optics.cameras import View
+from recon.optics.projection import ViewBank
+from recon.optics.refraction import Optics
+from recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tubes
+from scenes import plan
+from scenes.model import Camera, CapturePlan, Ring, Scene
+
+
+@cache
+def dark(views: int = 12) -> Evidence:
+    """Return pictures without roots, from two heights."""
+    scene = Scene(
+        camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views), Ring(views=views, height_mm=60.0, tilt_deg=15.0)))
+    )
+    planned = plan.views(scene)
+    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
+    blank = Silhouette(np.zeros((300, 400), np.float32), np.ones((300, 400), bool), np.zeros((300, 400), np.float32))
+    return Evidence.of(ViewBank.of(found, Optics.of(scene)), [blank] * len(found))
+
+
+def strung(*ends: tuple[tuple[float, float, float], tuple[float, float, float], float]) -> tubes.Tubes:
+    """Return straight tubes from one point to another, each with a radius."""
+    return tubes.string([np.linspace(a, b, 100) for a, b, _ in ends], [np.full(100, radius) for *_, radius in ends])
+
+
+def pictured(system: tubes.Tubes, mu_per_mm: float | None, *, noise: float = 0.0) -> Evidence:
+    """Return what the pictures of tubes tell, as opacity."""
+    blank = replace(dark(), mu_per_mm=mu_per_mm)
+    depth = tube_picture.optical_depth(blank, system, blank.project(system.centre_mm), 0.0)
+    opacity = (1.0 - np.exp(-np.array(depth))).astype(np.float32).reshape(blank.bank.count, 300, 400)
+    opacity += np.random.default_rng(0).normal(0.0, noise, opacity.shape).astype(np.float32)
+    shown = [Silhouette(np.clip(picture, 0.0, 1.0), np.ones(picture.shape, bool), picture) for picture in opacity]
+    return Evidence.of(blank.bank, shown)
+
+
+STAR = (
+    ((0.0, 0.0, -25.0), (0.0, 0.0, -55.0), 0.35),
+    ((0.0, 0.0, -28.0), (14.0, 2.0, -40.0), 0.1),
+    ((0.0, 0.0, -31.0), (-12.0, 9.0, -34.0), 0.15),
+    ((0.0, 0.0, -36.0), (2.0, -15.0, -45.0), 0.2),
+    ((0.0, 0.0, -40.0), (-9.0, -9.0, -58.0), 0.12),
+)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 0.5, 1.0, 3.0, 20.0])
+def test_strips_have_the_moments_of_a_round_root(tau: float) -> None:
+    found = translucent_tube.strips(np.array(tau))
+    for k in range(2 * translucent_tube.LAYERS):
+
+        def slab(angle: float, power: int = 2 * k) -> float:
+            return float((1.0 - np.exp(-2.0 * tau * np.sin(angle))) * np.sin(angle) * np.cos(angle) ** power)
+
+        expected = quad(slab, 0.0, np.pi, limit=200)[0]
+        assert (2.0 / (2 * k + 1) * found.width ** (2 * k + 1) * found.height).sum() == pytest.approx(expected, rel=3e-5)
+
+
+def test_dark_roots_are_one_opaque_strip() -> None:
+    found = translucent_tube.strips(np.array(50.0))
+    assert found.height.sum() == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_allclose(found.width, 1.0, atol=2e-3)
+
+
+def test_slopes_are_derivatives() -> None:
+    tau, step = np.array([0.01, 0.2, 1.3, 6.0]), 0.02
+    found, more, less = (translucent_tube.strips(tau * np.exp(s)) for s in (0.0, step, -step))
+    np.testing.assert_allclose(found.width_slope, (more.width - less.width) / (2.0 * step), atol=2e-4)
+    np.testing.assert_allclose(found.height_slope, (more.height - less.height) / (2.0 * step), atol=2e-3)
+
+
+def test_radii_that_keep_back_as_much_light_are_found_again() -> None:
+    radius = np.array([0.03, 0.1, 0.4, 2.0])
+    np.testing.assert_allclose(translucent_tube.radius_of(translucent_tube.opaque_radius(radius, 2.0), 2.0), radius, rtol=1e-4)
+
+
+def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
+    """Beer and Lambert: the optical depth over a picture's area is mu times the volume, from wherever it is seen."""
+    mu, radius = 0.5, 0.1
+    system = strung(((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0), radius))
+    seen = replace(dark(), mu_per_mm=mu)
+    at = seen.project(system.centre_mm)
+    light = 1.0 - np.exp(-np.array(tube_picture.optical_depth(seen, system, at, 0.0)).reshape(seen.bank.count, -1))
+    px2_a_mm2 = np.linalg.norm(np.cross(at.du, at.dv), axis=-1).mean(axis=1)
+    volume = np.pi * radius**2 * system.length_mm
+    np.testing.assert_allclose(light.sum(axis=1) / px2_a_mm2, mu * volume, rtol=0.09)  # less than 2 mu r / sin = 0.1 to 0.16 of saturation
+
+
+@pytest.mark.parametrize("mu", [None, 2.0])
+def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -> None:
+    system = strung(((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0), 0.25))
+    thicker = tubes.moved(system, system.centre_mm, system.radius_mm + 0.01)
+    seen = replace(pictured(thicker, mu).by_light(), mu_per_mm=mu)
+    at = seen.project(system.centre_mm)
+    depth = tube_picture.optical_depth(seen, system, at, 0.0)
+    found = tube_picture.profiles(seen, system, at, depth, tube_picture.unexplained(seen, depth), 0.0)
+    inside = np.s_[:, 3:-3]
+    ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
+    assert ratio == pytest.approx(0.01, rel=0.15)  # the slope is that of a Gaussian pixel
+
+
+def test_fitted_radii_are_those_of_translucent_roots() -> None:
+    truth = strung(*STAR)
+    seen = replace(pictured(truth, 2.0).by_light(), mu_per_mm=2.0)
+    start = tubes.moved(truth, truth.centre_mm, 0.8 * truth.radius_mm)
+    fitted, _ = tube_fit.fit(seen, start, np.zeros(len(truth.radius_mm), bool), blur_px=0.0, steps=6)
+    assert np.median(fitted.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.03)
+
+
+def test_tubes_tell_the_attenuation() -> None:
+    truth = strung(*STAR)
+    seen = pictured(truth, 2.0, noise=0.005)
+    start = tube_law.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
+    law, found = tube_law.find(seen, start, np.zeros(len(truth.radius_mm), bool), 0.0)
+    assert law.mu_per_mm == pytest.approx(2.0, rel=0.1)
+    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.08)
+    light = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
+    again, _ = tube_law.refine(light, found, np.zeros(len(truth.radius_mm), bool), law)
+    assert abs(np.log(again.mu_per_mm / 2.0)) < 3.0 * again.sigma
+    assert again.sigma < 0.15
+
+
+def test_opaque_tubes_stay_opaque() -> None:
+    truth = strung(*STAR)
+    seen = pictured(truth, None, noise=0.005)
+    law, found = tube_law.find(seen, truth, np.zeros(len(truth.radius_mm), bool), 0.0)
+    assert law.mu_per_mm is None
+    assert found is truth
+
+
+def test_silhouettes_tell_no_attenuation() -> None:
+    truth = strung(*STAR)
+    blank = [Silhouette(s.coverage, s.seen) for s in dark().silhouettes]
+    law, _ = tube_law.find(replace(dark(), silhouettes=tuple(blank)), truth, np.zeros(len(truth.radius_mm), bool), 0.3)
+    assert (law.mu_per_mm, law.blur_px, law.profiles) == (None, 0.3, 0)

@@ -1,0 +1,67 @@
+"""The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from recon import shaping
+from recon.hull.carve import DistanceMaps, Grid, Leaves
+from recon.optics.projection import ViewBank
+from recon.roots.rooting import Water
+from recon.uncertainty import solid_doubt
+from recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
+
+
+def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:
+    return Term(name=name, less_mm3=less_mm3, more_mm3=more_mm3, why=f"of the {name}")
+
+
+def test_terms_add_in_quadrature_on_each_side() -> None:
+    budget = Budget(volume_mm3=100.0, terms=(term(3.0, 6.0), term(4.0, 8.0)), views=40)
+    np.testing.assert_allclose(budget.interval_mm3, (95.0, 110.0))
+    assert budget.doubts == ()
+    assert "between 95 and 110 mm3" in budget.verdict
+
+
+def test_the_interval_never_reaches_below_nothing() -> None:
+    assert Budget(volume_mm3=10.0, terms=(term(20.0, 1.0),), views=40).interval_mm3[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"views": LEAST_VIEWS - 1}, "only 7 views"),
+        ({"unexplained": 0.3}, "30 % of what the pictures show"),
+        ({"fill": 0.6}, "60 % of the root zone"),
+        ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
+        ({"terms": (term(20.0, 0.0, "hull"), term(20.0, 0.0, "faces"), term(0.0, 24.0, "missing roots"))}, "of the hull"),
+    ],
+    ids=["views", "unexplained", "fill", "interval", "side"],
+)
+def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object], says: str) -> None:
+    budget = Budget(**({"volume_mm3": 100.0, "terms": (term(3.0, 3.0),), "views": 40} | changes))  # type: ignore[arg-type]
+    assert budget.verdict.startswith("this scan cannot give a volume: ")
+    assert says in budget.verdict
+
+
+@pytest.mark.parametrize("count", [20, 40, 41, 80])
+def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
+    frames = [10 + place for place in shaping._spread(count)]
+    chosen = sorted(frames[place] for place in solid_doubt.every_second(frames))
+    assert chosen == list(range(10, 10 + count, 2))
+
+
+@pytest.mark.parametrize(("top_mm", "goes_on"), [(-11.8, True), (-13.0, False)])
+def test_a_root_that_ends_where_sight_ends_may_go_on(monkeypatch: pytest.MonkeyPatch, top_mm: float, goes_on: bool) -> None:
+    """Points above -11.5 mm are seen by no view: a root that ends just below may reach the water's top, one that ends lower does not."""
+    size = 0.2
+    grid = Grid(np.array([-2.0, -2.0, top_mm - 4.0]), size, 1, (10, 10, 10))
+    index = np.stack(np.meshgrid(np.arange(8, 12), np.arange(8, 12), np.arange(20), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    column = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
+    monkeypatch.setattr(solid_doubt, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
+    bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)  # only `_votes` looks into them
+    term = solid_doubt.beyond_sight(bank, maps, column, Water(70.0, -8.0, -150.0))
+    assert term.less_mm3 == 0.0
+    assert term.more_mm3 == pytest.approx(0.9 * (-8.0 - top_mm) * 0.8 * 0.8 if goes_on else 0.0)
