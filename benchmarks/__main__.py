@@ -27,7 +27,7 @@ def say(text: str) -> None:
 
 def about(given: argparse.Namespace) -> dict[str, Any]:
     """Return what the numbers were measured with."""
-    from benchmarks import sources
+    from rhizotwin import sources
 
     packages = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
     versions = {}

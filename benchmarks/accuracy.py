@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cache, datasets, sources, worker
+from benchmarks import cache, datasets, worker
 from benchmarks.cases import Case
 from benchmarks.metric import Direction, Metric
 from benchmarks.run import Run, Say
+from rhizotwin import sources
 from scenes import atomic
 from scenes.provenance import versions
 

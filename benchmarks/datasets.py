@@ -8,8 +8,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cache, sources
+from benchmarks import cache
 from benchmarks.cases import Pictures
+from rhizotwin import sources
 from scenes import atomic
 from scenes.dataset import load_dataset
 from scenes.errors import UserError

@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from rhizotwin.commands import change_scene, reconstruct_whole
+from rhizotwin.steps import change_scene, reconstruct_whole
 from scenes import files
 from scenes.atomic import beside, write_json
 from scenes.errors import UserError

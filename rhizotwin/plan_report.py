@@ -6,19 +6,17 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rhizotwin.plans import Row
 from scenes.atomic import write_bytes
-
-if TYPE_CHECKING:
-    from rhizotwin.planning import Row
 
 NOTE = (
     "volume, length: median error, and the worst of the seeds; interval: its width over the true volume, and how often it holds the truth"
 )
 
 
-def table(rows: Sequence["Row"]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Return the rows as lines of text for the terminal."""
     wide = max(len("heights (mm)"), *(len(_heights(row)) for row in rows)) + 2
     head = (
@@ -39,16 +37,16 @@ def table(rows: Sequence["Row"]) -> str:
     return "\n".join([*lines, NOTE, f"found, right: share of {_counted(rows)} that was found, and of what was found that is there"])
 
 
-def _heights(row: "Row") -> str:
+def _heights(row: Row) -> str:
     return ", ".join(height.name for height in row.variant.heights)
 
 
-def _counted(rows: Sequence["Row"]) -> str:
+def _counted(rows: Sequence[Row]) -> str:
     kinds = {"the voxels" if row.length_error is None else "the roots' length" for row in rows}
     return " or ".join(sorted(kinds))
 
 
-def csv_text(rows: Sequence["Row"]) -> str:
+def csv_text(rows: Sequence[Row]) -> str:
     """Return the rows as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -61,7 +59,7 @@ def csv_text(rows: Sequence["Row"]) -> str:
     return text.getvalue()
 
 
-def draw(rows: Sequence["Row"], path: Path, *, title: str) -> None:
+def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
     """Draw errors, and what was found, against all pictures of a plan; a line for each set of rings and picture size."""
     from recon.results.pictures import figure
 
@@ -94,7 +92,7 @@ def draw(rows: Sequence["Row"], path: Path, *, title: str) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def _errors(axis: Any, line: Sequence["Row"], of: Callable[["Row"], tuple[float, ...]], label: str) -> None:
+def _errors(axis: Any, line: Sequence[Row], of: Callable[[Row], tuple[float, ...]], label: str) -> None:
     """Draw the median over the seeds as a line, and every seed as a dot."""
     with_some = [row for row in line if of(row)]
     (drawn,) = axis.plot([r.pictures for r in with_some], [100.0 * statistics.median(of(r)) for r in with_some], linewidth=1.2, label=label)

@@ -6,24 +6,23 @@ that plans are compared and not chance. The table and the figure are in `rhizotw
 
 import itertools
 import json
-import math
 import statistics
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks import sources
-from rhizotwin import plan_report
+from rhizotwin import plan_report, sources
+from rhizotwin.plans import Row, Variant
 from scenes import files
 from scenes.atomic import write_bytes, write_json, write_text
 from scenes.checks import check_scene
 from scenes.errors import UserError
-from scenes.model import CapturePlan, Ring, Scene
+from scenes.model import Scene
 from scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
@@ -34,84 +33,6 @@ SECOND_RING_MM = 52.0
 """A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which from -42 mm is seen
 before the dark net pot, stands before the backlight."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
-
-
-@dataclass(frozen=True, order=True)
-class Height:
-    """Where the camera of a ring stands, and how it looks."""
-
-    mm: float
-    """In the rig frame (0 is the canister's rim)."""
-    tilt_deg: float | None = None
-    """Optical axis below the horizon; None: it looks at what the scene's first ring looks at."""
-
-    @property
-    def name(self) -> str:
-        """As people type it."""
-        return f"{self.mm:g}" if self.tilt_deg is None else f"{self.mm:g}:{self.tilt_deg:g}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variant:
-    """A capture plan to try."""
-
-    heights: tuple[Height, ...]
-    """Of the camera, one a ring."""
-    views: int
-    """In each ring."""
-    image_wh: tuple[int, int]
-
-    @property
-    def name(self) -> str:
-        """Short name, also of its file."""
-        heights = "_".join(height.name.replace(":", "tilt") for height in self.heights)
-        return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
-
-    def of(self, scene: Scene) -> Scene:
-        """Return the scene with this plan: every ring at the distance of the scene's first one, the rings' views interleaved."""
-        first = scene.plan.rings[0]
-        aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
-        rings = tuple(
-            Ring(
-                views=self.views,
-                height_mm=height.mm,
-                distance_mm=first.distance_mm,
-                tilt_deg=math.degrees(math.atan2(height.mm - aim_mm, first.distance_mm)) if height.tilt_deg is None else height.tilt_deg,
-                first_deg=first.first_deg + k * 360.0 / self.views / len(self.heights),
-            )
-            for k, height in enumerate(self.heights)
-        )
-        return replace(scene, plan=CapturePlan(rings=rings), camera=scene.camera.resized(self.image_wh))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """How well a plan does: medians over the seeds."""
-
-    variant: Variant
-    pictures: int
-    volume_error: float
-    """Median of found / true - 1."""
-    volume_error_worst: float
-    """The largest without its sign."""
-    volume_errors: tuple[float, ...]
-    """Of each seed."""
-    interval_width: float
-    """Of the stated interval, over the true volume."""
-    interval_holds: float
-    """Share of the runs whose interval holds the truth."""
-    length_error: float | None
-    """Median of found / true - 1; None for what has no roots, or where a run found none."""
-    length_error_worst: float | None
-    length_errors: tuple[float, ...]
-    recall: float
-    """Median share of what is there that was found: of the roots' centre lines, or of the voxels of what has no roots."""
-    precision: float
-    """Median share of what was found that is there."""
-    capture_min: float
-    """At the bench."""
-    compute_s: float
-    """Reconstruction."""
 
 
 def run_plans(

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin.picture_files import list_pictures
+from rhizotwin.steps import change_scene
 from rig.print_page import PAGES_MM, Paper
 from scenes import files
 from scenes.atomic import new_folder
@@ -85,7 +86,6 @@ def camera(options: argparse.Namespace) -> None:
 def simulate(options: argparse.Namespace) -> None:
     """Render pictures of the board."""
     from rhizotwin import engine
-    from rhizotwin.commands import change_scene
 
     scene = change_scene(files.load_scene(options.scene), image_wh=options.image_wh, profile=options.profile)
     made = _board_of(options)

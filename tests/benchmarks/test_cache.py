@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import cache, sources
+from benchmarks import cache
+from rhizotwin import sources
 
 SETTINGS = {"scene": {"name": "ball", "views": 4}, "seed": 0}
 

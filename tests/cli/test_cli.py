@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli, commands
+from rhizotwin import cli, commands, steps
 from scenes import files
 from scenes.errors import UserError
 from scenes.specimens import MeshSpecimen, RsmlSpecimen
@@ -194,19 +194,19 @@ def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, capsys: pytest.Captur
 
 def test_options_change_the_scene(tmp_path: Path) -> None:
     scene = files.load_scene("sphere_20mm")
-    changed = commands.change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
+    changed = steps.change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
     assert [ring.views for ring in changed.plan.rings] == [7] * len(scene.plan.rings)
     assert changed.camera.image_wh == (400, 300)
     assert changed.camera.focal_px[0] == pytest.approx(scene.camera.focal_px[0] * 400 / scene.camera.image_wh[0])
     assert changed.disturbances == files.load_profile("bench")
-    assert commands.change_scene(scene) == scene
+    assert steps.change_scene(scene) == scene
     for name, kind in (("a.STL", MeshSpecimen), ("a.ply", MeshSpecimen), ("a.rsml", RsmlSpecimen)):
         file = tmp_path / name
         file.touch()
-        specimen = commands.change_scene(scene, specimen=file).specimen
+        specimen = steps.change_scene(scene, specimen=file).specimen
         assert isinstance(specimen, kind)
         assert Path(specimen.file) == file
-    assert commands.change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
+    assert steps.change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
         file=str(file), unit="cm", diameter_mm=0.5
     )
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from benchmarks import cases
-from rhizotwin import cli, plan_report, planning
-from rhizotwin.planning import Height
+from rhizotwin import cli, plan_report, planning, plans
+from rhizotwin.plans import Height
 from scenes import files, frames
 from scenes.model import Ring
 
 
-def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) -> planning.Row:
-    variant = planning.Variant(heights=(Height(-42.0),), views=pictures, image_wh=image_wh)
-    return planning.Row(
+def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) -> plans.Row:
+    variant = plans.Variant(heights=(Height(-42.0),), views=pictures, image_wh=image_wh)
+    return plans.Row(
         variant=variant,
         pictures=pictures,
         volume_error=worst / 2.0,
@@ -36,7 +36,7 @@ def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) 
 def test_every_ring_of_a_variant_looks_at_the_same_point():
     scene = files.load_scene("sphere_20mm")
     scene = replace(scene, plan=replace(scene.plan, rings=(Ring(height_mm=-10.0, tilt_deg=5.0, distance_mm=390.0),)))
-    changed = planning.Variant(heights=(Height(-10.0), Height(-90.0), Height(60.0)), views=7, image_wh=(400, 300)).of(scene)
+    changed = plans.Variant(heights=(Height(-10.0), Height(-90.0), Height(60.0)), views=7, image_wh=(400, 300)).of(scene)
     assert changed.camera.image_wh == (400, 300)
     assert changed.plan.rings[0].tilt_deg == pytest.approx(5.0)
     aim = []
@@ -52,7 +52,7 @@ def test_every_ring_of_a_variant_looks_at_the_same_point():
 def test_the_second_ring_of_the_ladder_can_be_asked_for():
     words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42", "--heights=-42,10:8"]
     asked = cli.build_parser().parse_args(words).heights[1]
-    variant = planning.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(800, 600))
+    variant = plans.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(800, 600))
     scene = files.load_scene("radish_day05a")
     assert variant.of(scene).plan == cases.Pictures(scene="radish_day05a", rings=2).scene_to_render().plan
     assert variant.name == "40x800x600_at_-42_10tilt8"
@@ -60,7 +60,7 @@ def test_the_second_ring_of_the_ladder_can_be_asked_for():
 
 def test_three_rings_of_one_plan_have_no_direction_in_common():
     heights = tuple(Height(mm) for mm in (-80.0, -42.0, 10.0))
-    rings = planning.Variant(heights=heights, views=4, image_wh=(400, 300)).of(files.load_scene("radish_day05a")).plan.rings
+    rings = plans.Variant(heights=heights, views=4, image_wh=(400, 300)).of(files.load_scene("radish_day05a")).plan.rings
     assert [ring.first_deg for ring in rings] == [0.0, 30.0, 60.0]
 
 

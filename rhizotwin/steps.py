@@ -1,0 +1,80 @@
+"""Steps that several commands take: a scene as the command line changes it, and a dataset reconstructed with its pictures."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from scenes import files
+from scenes.checks import check_scene
+from scenes.errors import UserError
+from scenes.model import CapturePlan, Scene
+from scenes.specimens import MeshSpecimen, RsmlSpecimen
+
+RSML_SUFFIXES = (".rsml", ".xml")
+RESULT_NAMES = (
+    *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
+    *("silhouettes", "seen", "pictures", "report.html", "score.json"),
+)
+"""What a result folder may hold and still be replaced by a new result."""
+
+
+def change_scene(
+    scene: Scene,
+    *,
+    specimen: Path | None = None,
+    specimen_unit: str | None = None,
+    specimen_diameter_mm: float | None = None,
+    views: int | None = None,
+    image_wh: tuple[int, int] | None = None,
+    profile: str | None = None,
+) -> Scene:
+    """Return a scene with what the command line changes in it, checked."""
+    is_rsml = specimen is not None and specimen.suffix.lower() in RSML_SUFFIXES
+    for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
+        if value is not None and not is_rsml:
+            raise UserError(f"{option} {value} is for traced roots only; give them with --specimen FILE.rsml, or leave {option} out")
+    if specimen is not None:
+        if not specimen.is_file():
+            raise UserError(f"{specimen}: there is no such file; give the specimen's mesh (PLY, STL, OBJ) or traced roots (RSML)")
+        file = str(specimen.resolve())
+        traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm)
+        scene = replace(scene, specimen=traced if is_rsml else MeshSpecimen(file=file))
+    if views is not None:
+        scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))
+    if image_wh is not None:
+        scene = replace(scene, camera=scene.camera.resized(image_wh))
+    if profile is not None:
+        scene = replace(scene, disturbances=files.load_profile(profile))
+    check_scene(scene, where=f"scene {scene.name} as the command line changes it")
+    return scene
+
+
+def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: float | None = None) -> list[Path]:
+    """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
+
+    Raises
+    ------
+    UserError
+        If the dataset cannot be used, or ``output`` holds something that is not a result.
+    """
+    there = sorted(path.name for path in output.iterdir()) if output.is_dir() else []
+    if there and not (output / "result.json").is_file():
+        raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
+    strange = [name for name in there if name not in RESULT_NAMES]
+    if strange:
+        raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
+    if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
+        raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+    from recon.pipeline import reconstruct as find_shape
+    from recon.results import report
+    from recon.results.result_files import read_mesh
+    from recon.scoring.score import truth_mesh_path
+    from scenes.atomic import new_folder
+
+    truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
+    if truth_mesh is not None:
+        read_mesh(truth_mesh)  # a damaged one is named now, not after the work
+    with new_folder(output, replace=True) as building:
+        find_shape(dataset, building, voxel_mm=voxel_mm, mass_g=mass_g)
+        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh)
+        names = [path.relative_to(building) for path in written]
+    return [output / name for name in names]
