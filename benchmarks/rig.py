@@ -16,11 +16,12 @@ from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
 from recon.pipeline import reconstruct
 from recon.scoring.score import score
-from rig import calibration, inverse, kinematics
+from rig.arm import inverse, kinematics
 from rig.clock import SystemClock
+from rig.lens import calibration
 from rig.open import open_devices
 from rig.rig_file import ArmPart
-from rig.scan import scan
+from rig.scanning.scan import scan
 from rig.twin.camera import READOUT_S
 from rig.twin.server import TwinServer
 from rig.twin.stepper import ACCELERATION_DEG_PER_S2

@@ -19,7 +19,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.open import open_devices
-from rig.scan import scan
+from rig.scanning.scan import scan
 from rig.twin.faults import KIND_NAMES, draw_faults, kind_of
 from rig.twin.twin import Twin
 from scenes import plan

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rhizotwin.picture_files import list_pictures
 from rhizotwin.steps import change_scene
-from rig.print_page import PAGES_MM, Paper
+from rig.printing.print_page import PAGES_MM, Paper
 from scenes import files
 from scenes.atomic import new_folder
 from scenes.board import MARKER_SHARE, CharucoBoard, check_board, load_board, save_board
@@ -19,8 +19,8 @@ BOARD_OPTIONS = ("squares", "square_mm", "marker_mm", "dictionary")
 
 def markers(options: argparse.Namespace) -> None:
     """Write the marker strip for the printer."""
-    from rig.print_files import write_pages
-    from rig.print_strip import strip_pages
+    from rig.printing.print_files import write_pages
+    from rig.printing.print_strip import strip_pages
 
     scene = files.load_scene(options.scene)
     written = write_pages(
@@ -38,8 +38,8 @@ def calibrate(options: argparse.Namespace) -> None:
 
 def board(options: argparse.Namespace) -> None:
     """Write the calibration board for the printer, and the file that describes it."""
-    from rig.print_board import board_page
-    from rig.print_files import write_pages
+    from rig.printing.print_board import board_page
+    from rig.printing.print_files import write_pages
 
     made = _board_of(options)
     described: Path = options.output.with_suffix(".toml")
@@ -55,9 +55,9 @@ def board(options: argparse.Namespace) -> None:
 
 def camera(options: argparse.Namespace) -> None:
     """Fit the lens to pictures of the board."""
-    from rig.calibration import calibrate as fit
-    from rig.calibration import model_text, write_calibration
-    from rig.calibration_report import write_report
+    from rig.lens.calibration import calibrate as fit
+    from rig.lens.calibration import model_text, write_calibration
+    from rig.lens.calibration_report import write_report
 
     paths = list_pictures(options.pictures)
     scene = None if options.scene is None else files.load_scene(options.scene)

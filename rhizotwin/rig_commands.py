@@ -15,8 +15,8 @@ from typing import Any, Literal
 from tqdm import tqdm
 
 from rig.devices import Camera
-from rig.homing import Ask
 from rig.rig_file import RigFile, load_rig
+from rig.scanning.homing import Ask
 from scenes import files
 from scenes.atomic import write_text
 from scenes.checks import check_scene
@@ -55,7 +55,7 @@ class Bench:
 def scan(options: argparse.Namespace) -> None:
     """Take the pictures of a plan."""
     from rig.open import open_devices
-    from rig.scan import scan as take
+    from rig.scanning.scan import scan as take
 
     twin = options.rig == TWIN
     if not twin and options.scene is None:
@@ -211,7 +211,7 @@ def _recorder(path: Path | None, stack: ExitStack) -> Any:
     """Open what keeps the bytes on the wire, if it is asked for."""
     if path is None:
         return None
-    from rig.recording import Recorder
+    from rig.serial_line.recording import Recorder
 
     if path.is_file() and path.stat().st_size and not path.read_bytes().startswith(b'{"recording"'):
         raise UserError(f"{path} exists already and holds no record; choose another name")

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from rig import preflight
 from rig.clock import Clock
 from rig.devices import Arm, Camera, Lights, Turntable
 from rig.errors import RigError
 from rig.open import open_arm, open_board
-from rig.recording import Recorder
 from rig.rig_file import ArmPart, RigFile
-from rig.safety import Say
+from rig.scanning import preflight
+from rig.scanning.safety import Say
+from rig.serial_line.recording import Recorder
 from scenes.errors import UserError
 from scenes.model import Scene
 from scenes.pictures import Grey

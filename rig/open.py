@@ -4,17 +4,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from rig.arm import open_arm as arm_on
+from rig.arm.arm import open_arm as arm_on
 from rig.cameras import open_camera
 from rig.clock import Clock
 from rig.devices import Arm, Camera, Lights, Turntable
 from rig.errors import RigError
-from rig.lights import MarlinLights
-from rig.marlin import MarlinLink
-from rig.port import Port
-from rig.recording import Recorder
 from rig.rig_file import RigFile
-from rig.turntable import MarlinTurntable
+from rig.serial_line.port import Port
+from rig.serial_line.recording import Recorder
+from rig.table.lights import MarlinLights
+from rig.table.marlin import MarlinLink
+from rig.table.turntable import MarlinTurntable
 from scenes.model import Scene
 
 

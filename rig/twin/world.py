@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig import kinematics
+from rig.arm import kinematics
 from rig.rig_file import ArmPart, Joint, RigFile
 from rig.twin.imperfections import Imperfections
 from rig.twin.lamps import Lamp

@@ -174,7 +174,7 @@ def test_the_rig_loads_without_what_a_small_computer_does_not_have() -> None:
     """Neither the rig nor its command line needs Mitsuba, meshes or plots until the twin renders."""
     heavy = ("mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d")
     program = (
-        "import sys; from rhizotwin import rig_cli, rig_commands; import rig.scan, rig.jog, rig.bench, rig.open; "
+        "import sys; from rhizotwin import rig_cli, rig_commands; import rig.scanning.scan, rig.jog, rig.bench, rig.open; "
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)

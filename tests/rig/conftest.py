@@ -7,9 +7,9 @@ from functools import reduce
 
 import pytest
 
-from rig.marlin import MarlinLink
+from rig.table.marlin import MarlinLink
 from tests.rig.fake_time import Time
-from tests.rig.marlin_script import GREETING, Script, Talk
+from tests.rig.table.marlin_script import GREETING, Script, Talk
 
 Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
@@ -20,7 +20,7 @@ COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114,
 
 @dataclass
 class Board:
-    """A board behind a port: the methods of `rig.port.Port`, answers after Marlin 2.1."""
+    """A board behind a port: the methods of `rig.serial_line.port.Port`, answers after Marlin 2.1."""
 
     greets: bool = False
     unknown: tuple[str, ...] = ()

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import kinematics
+from rig.arm import kinematics
 from rig.devices import Shot
 from rig.errors import LostError
 from rig.open import Devices
 from rig.rig_file import ArmPart, RigFile
-from rig.scan import scan
+from rig.scanning.scan import scan
 from rig.twin.sketch import Sketch
 from rig.twin.world import Sight
 from scenes import frames, plan

@@ -1,0 +1,197 @@
+"""Whether a path of the arm keeps clear of canister, net pot, table, floor and bars.
+
+The arm is three capsules and a ball that holds the camera; what it must not touch are cylinders, boxes and a plane. Between two places of a
+path no point of a link moves farther than the joints' steps times the lengths beyond each joint: a piece of the way counts as clear only if
+its middle is clear by half of that, and is halved until it is. So nothing is missed between samples, however long the step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arm.kinematics import places, rig_from_arm
+from rig.arm.placing import Joints, arm_of
+from rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rig.errors import UnsafeError
+from rig.rig_file import RigFile
+from scenes import frames
+from scenes.frames import Array
+from scenes.model import Scene
+
+TABLE_THICKNESS_MM = 20.0
+"""Of the table's disc, below the canister."""
+FINE_MM = 0.1
+"""Intervals of a path are halved until the arm moves by less than this: margins are kept to within it."""
+START_SLACK_MM = 2.0
+"""An arm that begins inside a margin (it sags, it was pushed) may come nearer by this while it moves away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairs:
+    """Every piece of the arm against everything that it could touch, for some joint angles."""
+
+    names: tuple[tuple[str, str], ...]
+    """Of each pair: the piece, the other."""
+    distance_mm: Array
+    """(N, P)."""
+    margin_mm: Array
+    """(P,) that must be kept."""
+    travel_mm: Array
+    """(P, 5) most that the pair can come nearer per radian of each joint."""
+    floor: NDArray[np.bool_]
+    """(P,) whether it is about the floor, on which an arm without torque may come to lie."""
+
+
+def solids(rig: RigFile, scene: Scene) -> list[Solid]:
+    """Return what the arm must not touch."""
+    canister, pot, clearance = scene.canister, scene.net_pot, rig.clearance
+    under = -canister.height_mm
+    return [
+        Cylinder("canister", canister.outer_radius_mm, under, 0.0),
+        Cylinder("net pot", pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm),
+        Cylinder("table", clearance.table_radius_mm, under - TABLE_THICKNESS_MM, under),
+        Floor("floor", clearance.floor_z_mm),
+        *(Box(f"bar {i + 1}", bar.low_mm, bar.high_mm) for i, bar in enumerate(clearance.bars)),
+    ]
+
+
+def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
+    """Measure every pair at joint angles (N, 5).
+
+    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot, table and camera.
+    The arm's own pieces keep no margin to each other: nothing sags between them.
+    """
+    part, clearance = arm_of(rig), rig.clearance
+    at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
+    _, upper, fore, hand = part.links_mm
+    width, ball = clearance.arm_radius_mm, clearance.camera_radius_mm
+    swing = (upper + fore + hand, upper + fore + hand, fore + hand, hand, 0.0)
+    pieces = (
+        ("base", width, (0.0,) * 5),
+        ("upper arm", width, (upper, upper, 0.0, 0.0, 0.0)),
+        ("forearm", width, (upper + fore, upper + fore, fore, 0.0, 0.0)),
+        ("last link", width, swing),
+        ("camera", ball, swing),
+    )
+    names, distances, margins, travels, floor = [], [], [], [], []
+    for solid in solids(rig, scene):
+        axis_mm = least_distance(solid, at[:, [0, 1, 2, 3, 4]], at[:, [1, 2, 3, 4, 4]])
+        for k, (piece, radius, travel) in enumerate(pieces):
+            if piece == "base" and not isinstance(solid, Cylinder):
+                continue
+            names.append((piece, f"the {solid.name}"))
+            distances.append(axis_mm[:, k] - radius)
+            margins.append(clearance.margin_mm)
+            travels.append(travel)
+            floor.append(isinstance(solid, Floor))
+    for k, own, travel in ((0, "base", (0.0, *swing[1:])), (1, "upper arm", (0.0, 0.0, *swing[2:]))):
+        names.append(("camera", f"the arm's own {own}"))
+        distances.append(point_to_segment(at[:, 4], at[:, k], at[:, k + 1]) - ball - width)
+        margins.append(0.0)
+        travels.append(travel)
+        floor.append(False)
+    return Pairs(
+        names=tuple(names),
+        distance_mm=np.stack(distances, axis=-1),
+        margin_mm=np.array(margins),
+        travel_mm=np.array(travels),
+        floor=np.array(floor),
+    )
+
+
+def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
+    """Refuse a path, straight in the joint angles between its places, on which the arm comes too near to something.
+
+    Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it may lie, and moves
+    away; every other place may not.
+
+    Raises
+    ------
+    UnsafeError
+        With the piece, what it comes near to, the distance and how far along the way.
+    """
+    path = np.array(joints_path_deg, dtype=float).reshape(-1, 5)
+    here = pairs(rig, scene, path)
+    start = here.distance_mm[0]
+    least = np.where(here.floor, -rig.clearance.arm_radius_mm, 0.0)
+    if (start < least).any():
+        raise _refusal(here, start - least, "where it stands now", least, remedy="move it away by hand, torque off")
+    slack = np.minimum(here.margin_mm, np.maximum(start - START_SLACK_MM, least))
+    for k in range(1, len(path)):
+        if (here.distance_mm[k] < here.margin_mm).any():
+            where = "at the end of the way" if k == len(path) - 1 else f"at place {k} of the way"
+            raise _refusal(here, here.distance_mm[k] - here.margin_mm, where, here.margin_mm)
+        _check_between(rig, scene, path[k - 1], path[k], slack if k == 1 else here.margin_mm, (k - 1, len(path) - 1))
+
+
+def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
+    """Return the places to go to one after the other, the goal last: straight there if that is clear, or else by way of a drawn-in arm.
+
+    Raises
+    ------
+    UnsafeError
+        When none of these ways is clear: what is in the straight one's way.
+    """
+    try:
+        check_path(rig, scene, [start_deg, goal_deg])
+    except UnsafeError as error:
+        for between in _detours(rig, start_deg, goal_deg):
+            path = [*between, tuple(goal_deg)]
+            if _is_clear(rig, scene, [start_deg, *path]):
+                return path
+        raise UnsafeError(f"{error}; neither is there a clear way with the arm drawn in") from error
+    return [tuple(goal_deg)]
+
+
+def _detours(rig: RigFile, start_deg: Joints, goal_deg: Joints) -> list[list[Joints]]:
+    """Return ways through the place of rest, and with the arm drawn in or stretched upward while the base turns."""
+    part = arm_of(rig)
+    rest = tuple(part.park_deg)
+    found: list[list[Joints]] = [[rest]]
+    for shape in (rest[1:4], (0.0, 0.0, 0.0)):
+        if all(joint.min_deg <= angle <= joint.max_deg for joint, angle in zip(part.joints[1:4], shape, strict=True)):
+            found.append([(start_deg[0], *shape, start_deg[4]), (goal_deg[0], *shape, goal_deg[4])])
+    return found
+
+
+def _is_clear(rig: RigFile, scene: Scene, path_deg: Sequence[Joints]) -> bool:
+    try:
+        check_path(rig, scene, path_deg)
+    except UnsafeError:
+        return False
+    return True
+
+
+def _check_between(rig: RigFile, scene: Scene, begin_deg: Array, end_deg: Array, keep_mm: Array, leg: tuple[int, int]) -> None:
+    """Halve the way between two places until every part of it is known to keep the distances."""
+    step_deg = end_deg - begin_deg
+    middles, half = np.array([0.5]), 0.5
+    while len(middles):
+        here = pairs(rig, scene, begin_deg + middles[:, None] * step_deg)
+        spare = here.distance_mm - keep_mm
+        if (spare < 0.0).any():
+            worst = int(spare.min(axis=1).argmin())
+            percent = 100.0 * (leg[0] + middles[worst]) / leg[1]
+            raise _refusal(here, spare[worst], f"{percent:.0f} % along the way", keep_mm)
+        travel = half * here.travel_mm @ np.abs(np.deg2rad(step_deg))
+        unsure = ((spare < travel) & (travel > FINE_MM)).any(axis=1)
+        half /= 2.0
+        middles = np.concatenate([middles[unsure] - half, middles[unsure] + half])
+
+
+def _refusal(
+    here: Pairs,
+    spare_mm: Array,
+    where: str,
+    keep_mm: Array | float,
+    *,
+    remedy: str = "move the ring, the arm or what is in the way",
+) -> UnsafeError:
+    k = int(spare_mm.argmin())
+    piece, other = here.names[k]
+    keep = float(np.broadcast_to(keep_mm, spare_mm.shape)[k])
+    distance = float(spare_mm[k]) + keep
+    how = f"would touch {other}" if distance <= 0.0 else f"would come within {distance:.1f} mm of {other} ({keep:.0f} mm must be kept)"
+    return UnsafeError(f"arm: the {piece} {how} {where}; {remedy}")

@@ -1,0 +1,200 @@
+"""Joint angles for a wanted place of the camera: in closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+
+Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and the camera. The
+closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left over. Newton's method takes the least
+squares of both or, where the target may turn about an axis, meets it exactly: then there are six unknowns for six equations.
+
+Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.arm.kinematics import body_jacobian, forward, log_se3
+from rig.rig_file import ArmPart
+from scenes.frames import Array
+
+EXACT_MM = 1e-9
+"""Lengths below this are rounding."""
+NEAR_AXIS_MM = 1.0
+"""Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical axis."""
+MOST_STEPS = 20
+CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
+"""Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
+DAMPING = 0.1
+"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are Newton's own."""
+UNIT_MM = 100.0
+"""Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branches:
+    """The closed form's answers: base forward or backward, times elbow positive or negative."""
+
+    joints_rad: Array
+    """(..., 4, 5), within -pi to pi; NaN where out of reach."""
+    left_over_rad: Array
+    """(...,) smallest angle between the wanted orientation and one that five joints can give at that place."""
+    wrist_mm: Array
+    """(...,) distance of the wrist from the shoulder that is asked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """Newton's answers."""
+
+    joints_rad: Array
+    """(..., 5)."""
+    steps: NDArray[np.int64]
+    """(...,) steps taken."""
+    converged: NDArray[np.bool_]
+    """(...,) whether it came to rest."""
+    left_over: Array
+    """(..., 6) twist that is still between the camera and the target: mm, rad."""
+    turned_rad: Array
+    """(...,) how far the target was turned about the free axis."""
+
+
+def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
+    """Return q1, q2, q3 (..., 3) of a planar arm whose end is at (x, y) and whose last link points in the direction theta.
+
+    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all digits where the arm
+    is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist is out of reach.
+    """
+    l1, l2, l3 = links_mm
+    theta = np.asarray(theta_rad, dtype=float)
+    x_w = np.asarray(x_mm) - l3 * np.cos(theta)
+    y_w = np.asarray(y_mm) - l3 * np.sin(theta)
+    r = np.hypot(x_w, y_w)
+    reached = (r <= l1 + l2 + EXACT_MM) & (r >= abs(l1 - l2) - EXACT_MM)
+    beyond = np.sqrt(np.maximum((l1 + l2 - r) * (l1 + l2 + r), 0.0))
+    within = np.sqrt(np.maximum((r - l1 + l2) * (r + l1 - l2), 0.0))
+    q2 = elbow * 2.0 * np.arctan2(beyond, within)
+    q1 = np.arctan2(y_w, x_w) - np.arctan2(l2 * np.sin(q2), l1 + l2 * np.cos(q2))
+    return np.where(reached[..., None], np.stack([q1, q2, theta - q1 - q2], axis=-1), np.nan)
+
+
+def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
+    """Return all joint angles that put the camera's centre where it is wanted, with the orientation nearest to the wanted one."""
+    base, *links = part.links_mm
+    l1, l2, l3 = links
+    at, rotation = arm_from_cam[..., :3, 3], arm_from_cam[..., :3, :3]
+    azimuth = _azimuth(at, rotation[..., 2])
+    ahead, left_over = _into_plane(rotation[..., 2], azimuth)
+    answers = []
+    for base_rad in (azimuth, azimuth + np.pi):
+        out = np.cos(base_rad) * at[..., 0] + np.sin(base_rad) * at[..., 1]
+        lean = np.arctan2(np.cos(base_rad) * ahead[..., 0] + np.sin(base_rad) * ahead[..., 1], ahead[..., 2])
+        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of these alike.
+        right = np.stack([np.sin(base_rad), -np.cos(base_rad), np.zeros_like(base_rad)], axis=-1)
+        x_cam, y_cam = (np.sum(right * rotation[..., k], axis=-1) for k in (0, 1))
+        roll = np.arctan2(-y_cam, x_cam)
+        for elbow in (1, -1):
+            pitch = three_link((l1, l2, l3), at[..., 2] - base, out, lean, elbow=elbow)
+            answers.append(np.concatenate([base_rad[..., None], pitch, roll[..., None]], axis=-1))
+    joints = np.stack(answers, axis=-2)
+    joints = np.where(np.isnan(joints).any(axis=-1, keepdims=True), np.nan, _wrapped(joints))
+    wrist = at - l3 * ahead - np.array([0.0, 0.0, base])
+    return Branches(joints_rad=joints, left_over_rad=left_over, wrist_mm=np.linalg.norm(wrist, axis=-1))
+
+
+def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
+    """Find joint angles step by step, from a start, by the pseudo-inverse of the body Jacobian.
+
+    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m = 0 this is J's
+    pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m fades with |V|^2.
+
+    Parameters
+    ----------
+    arm_from_cam : (..., 4, 4) wanted.
+    start_rad : (..., 5), or (5,) for all targets.
+    arm_from_axis : a frame about whose z axis the target may be turned at no cost.
+    """
+    shape = arm_from_cam.shape[:-2]
+    goal = arm_from_cam.reshape(-1, 4, 4)
+    count = len(goal)
+    unknowns = np.zeros((count, 5 if arm_from_axis is None else 6))
+    unknowns[:, :5] = np.broadcast_to(start_rad, (*shape, 5)).reshape(-1, 5)
+    left = np.zeros((count, 6))
+    steps, converged = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    weight = np.array([1.0 / UNIT_MM] * 3 + [1.0] * 3)
+    running = np.arange(count)
+    for step in range(MOST_STEPS + 1):
+        joints = unknowns[running, :5]
+        camera = forward(part.links_mm, joints)
+        jacobian = body_jacobian(part, joints)
+        wanted = goal[running]
+        if arm_from_axis is not None:
+            wanted = _turned(arm_from_axis, unknowns[running, 5]) @ wanted
+            jacobian = np.concatenate([jacobian, -_turning(arm_from_axis, camera)[..., None]], axis=-1)
+        twist = log_se3(np.linalg.inv(camera) @ wanted)
+        left[running], steps[running] = twist, step
+        there = (np.linalg.norm(twist[:, :3], axis=1) < CLOSE_MM) & (np.linalg.norm(twist[:, 3:], axis=1) < CLOSE_RAD)
+        move = _step(jacobian * weight[:, None], twist * weight)
+        still = there | (np.abs(move).max(axis=1) < CLOSE_RAD)
+        converged[running] = still
+        running, move = running[~still], move[~still]
+        if not len(running) or step == MOST_STEPS:
+            break
+        unknowns[running] += move
+    return Found(
+        joints_rad=_wrapped(unknowns[:, :5]).reshape(*shape, 5),
+        steps=steps.reshape(shape),
+        converged=converged.reshape(shape),
+        left_over=left.reshape(*shape, 6),
+        turned_rad=(np.zeros(count) if arm_from_axis is None else _wrapped(unknowns[:, 5])).reshape(shape),
+    )
+
+
+def _azimuth(at: Array, ahead: Array) -> Array:
+    """Return the direction (...,) of the plane through the base's axis and the camera; on that axis, of the one with the optical axis."""
+    far = np.hypot(at[..., 0], at[..., 1])
+    by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
+    level = np.hypot(ahead[..., 0], ahead[..., 1])
+    off_plane = np.abs(np.sin(by_axis) * at[..., 0] - np.cos(by_axis) * at[..., 1])
+    use_axis = (far < EXACT_MM) | ((far < NEAR_AXIS_MM) & (off_plane < EXACT_MM) & (level > 1e-3))
+    return np.where(use_axis, np.where(level > EXACT_MM, by_axis, 0.0), np.arctan2(at[..., 1], at[..., 0]))
+
+
+def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
+    """Return the direction (..., 3) in the vertical plane that is nearest to the optical axis, and the angle between them."""
+    zero = np.zeros_like(azimuth)
+    normal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=-1)
+    outward = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)
+    aside = np.sum(normal * ahead, axis=-1, keepdims=True)
+    flat = ahead - aside * normal
+    length = np.linalg.norm(flat, axis=-1, keepdims=True)
+    flat = np.where(length > EXACT_MM, flat / np.maximum(length, EXACT_MM), outward)
+    return flat, np.arctan2(np.abs(aside), length)[..., 0]
+
+
+def _step(jacobian: Array, twist: Array) -> Array:
+    """Return the damped step (N, n) of the normal equations."""
+    transposed = np.swapaxes(jacobian, -1, -2)
+    damping = DAMPING * np.sum(twist**2, axis=-1) + 1e-14  # the least keeps singular poses solvable
+    normal = transposed @ jacobian + damping[:, None, None] * np.eye(jacobian.shape[-1])
+    return np.linalg.solve(normal, transposed @ twist[..., None])[..., 0]
+
+
+def _turned(arm_from_axis: Array, angle_rad: Array) -> Array:
+    """Return the rotations (N, 4, 4) of the arm's space about the axis."""
+    turn = np.zeros((len(angle_rad), 4, 4))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle_rad)
+    turn[:, 1, 0] = np.sin(angle_rad)
+    turn[:, 0, 1] = -turn[:, 1, 0]
+    turn[:, 2, 2] = turn[:, 3, 3] = 1.0
+    return arm_from_axis @ turn @ np.linalg.inv(arm_from_axis)
+
+
+def _turning(arm_from_axis: Array, camera: Array) -> Array:
+    """Return the twist (N, 6) that a camera has in its own frame when it goes round the axis."""
+    axis, lever = arm_from_axis[:3, 2], camera[:, :3, 3] - arm_from_axis[:3, 3]
+    in_arm = np.stack([np.cross(axis, lever), np.broadcast_to(axis, lever.shape)], axis=1)
+    return (in_arm @ camera[:, :3, :3]).reshape(-1, 6)
+
+
+def _wrapped(angle_rad: Array) -> Array:
+    """Return angles within -pi to pi."""
+    return np.arctan2(np.sin(angle_rad), np.cos(angle_rad))

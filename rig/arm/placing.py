@@ -1,0 +1,171 @@
+"""From a ring of the plan to joint angles, and from what the markers show to better ones. Degrees here, radians below."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arm.inverse import Branches, Found, inverse, newton
+from rig.arm.kinematics import rig_from_arm
+from rig.arm.tangency import azimuth_rad, correct, tangent
+from rig.errors import RigError, UnsafeError
+from rig.rig_file import ArmPart, RigFile
+from scenes import frames
+from scenes.frames import Array
+from scenes.model import Ring
+
+Joints = tuple[float, ...]
+
+JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
+LEFT_OVER_RAD = 1e-9
+MOST_AZIMUTH_DEG = 15.0
+"""Farther round the table's axis the camera would not face the backlight any more."""
+MOST_CORRECTION_DEG = 25.0
+"""A joint that is off by more than this is not badly calibrated: the picture or the rig file is wrong."""
+ROUNDING_DEG = 1e-6
+
+
+def camera_wanted(ring: Ring) -> Array:
+    """Return ``cam_from_rig`` where a ring of the plan wants the camera."""
+    return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+
+
+def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
+    """Return joint angles within the limits that put the camera where it is wanted, the elbow as high as it goes.
+
+    Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is turned round the
+    table's axis until they can: the canister turns anyway.
+
+    Raises
+    ------
+    UnsafeError
+        When the place is out of reach or beyond a joint's limit; with the numbers.
+    """
+    part = arm_of(rig)
+    arm_from_rig = frames.invert(rig_from_arm(part))
+    target = arm_from_rig @ frames.invert(cam_from_rig)
+    branches = inverse(part, target)
+    _refuse_beyond_reach(part, branches, cam_from_rig)
+    joints_rad = branches.joints_rad
+    if branches.left_over_rad > LEFT_OVER_RAD:
+        joints_rad = _turned_round(part, arm_from_rig, target, branches, cam_from_rig)
+    excess, joints_deg = _fitted(part, joints_rad)
+    if excess.min() > ROUNDING_DEG:
+        raise UnsafeError(
+            f"arm: {_place(cam_from_rig)} cannot be reached within the joints' limits: {_beyond(part, joints_deg[excess.argmin()])}; "
+            "move the ring or the arm's base"
+        )
+    elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
+    return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
+
+
+def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
+    """Return joint angles that bring the camera from where the markers saw it nearer to where it is wanted, at any azimuth.
+
+    Parameters
+    ----------
+    joints_deg : what was commanded when the camera was measured.
+    cam_from_rig_wanted : None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the canister.
+
+    Raises
+    ------
+    UnsafeError
+        When no such place is within reach and limits, or the correction is too large to be one; with the numbers.
+    """
+    part = arm_of(rig)
+    wanted = tangent(cam_from_rig_measured) if cam_from_rig_wanted is None else cam_from_rig_wanted
+    found = correct(part, np.deg2rad(joints_deg), cam_from_rig_measured, wanted)
+    if not _met(found)[()]:
+        left = np.linalg.norm(found.left_over[:3])
+        raise UnsafeError(
+            f"arm: {_place(wanted)} cannot be reached: the camera would stay {left:.1f} mm off; move the ring or the arm's base"
+        )
+    excess, fitted = _fitted(part, found.joints_rad[None], near_deg=joints_deg)
+    change = np.abs(fitted[0] - joints_deg)
+    if change.max() > MOST_CORRECTION_DEG:
+        k = int(change.argmax())
+        raise UnsafeError(
+            f"arm: by the markers the {JOINT_NAMES[k]} would have to go from {joints_deg[k]:.1f} to {fitted[0, k]:.1f} deg, more than a "
+            f"correction of {MOST_CORRECTION_DEG:g} deg: check joints, links_mm and position_mm in the rig file"
+        )
+    if excess[0] > ROUNDING_DEG:
+        raise UnsafeError(
+            f"arm: the camera's place cannot be corrected within the joints' limits: {_beyond(part, fitted[0])}; move the ring"
+        )
+    return _clipped(part, fitted[0])
+
+
+def arm_of(rig: RigFile) -> ArmPart:
+    """Return the rig's arm, or refuse."""
+    if rig.arm is None:
+        raise RigError(f"arm: the rig file of {rig.name!r} has no [arm]; add one, or place the camera by hand")
+    return rig.arm
+
+
+def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
+    """Return the branches (n, 5) of the wanted place turned round the table's axis to where five joints can hold it."""
+    found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
+    met = _met(found)
+    left_deg = float(np.rad2deg(branches.left_over_rad))
+    if not met.any():
+        raise UnsafeError(
+            f"arm: {_place(cam_from_rig)} leaves {left_deg:.2f} deg over that five joints cannot turn; "
+            "put the arm's base before the table, upright (position_mm and rotation_deg in the rig file)"
+        )
+    turn_deg = float(np.rad2deg(np.abs(found.turned_rad[met]).min()))
+    if turn_deg > MOST_AZIMUTH_DEG:
+        raise UnsafeError(
+            f"arm: to hold {_place(cam_from_rig)} the camera would stand {turn_deg:.1f} deg beside the rig's x axis, at most "
+            f"{MOST_AZIMUTH_DEG:g} deg face the backlight; move the arm's base (position_mm in the rig file) nearer to y = 0"
+        )
+    return found.joints_rad[met & (np.abs(found.turned_rad) <= np.deg2rad(MOST_AZIMUTH_DEG))]
+
+
+def _met(found: Found) -> NDArray[np.bool_]:
+    """Return whether the targets were really met, not only approached."""
+    left = np.maximum(np.linalg.norm(found.left_over[..., :3], axis=-1) / 1e-3, np.linalg.norm(found.left_over[..., 3:], axis=-1) / 1e-5)
+    return found.converged & (left < 1.0)
+
+
+def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
+    """Return joint angles (n, 5) in degrees, whole turns chosen to fit the limits, and by how much the worst joint is beyond its limit."""
+    low, high = _limits_deg(part)
+    middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)
+    joints_deg = np.rad2deg(joints_rad)
+    joints_deg = joints_deg - 360.0 * np.round((joints_deg - middle) / 360.0)
+    return np.maximum(low - joints_deg, joints_deg - high).max(axis=-1), joints_deg
+
+
+def _clipped(part: ArmPart, joints_deg: Array) -> Joints:
+    return tuple(round(float(angle), 9) + 0.0 for angle in np.clip(joints_deg, *_limits_deg(part)))  # + 0.0: no -0.0
+
+
+def _limits_deg(part: ArmPart) -> tuple[Array, Array]:
+    return np.array([joint.min_deg for joint in part.joints]), np.array([joint.max_deg for joint in part.joints])
+
+
+def _refuse_beyond_reach(part: ArmPart, branches: Branches, cam_from_rig: Array) -> None:
+    if not np.isnan(branches.joints_rad).any():
+        return
+    _, upper, fore, _ = part.links_mm
+    raise UnsafeError(
+        f"arm: {_place(cam_from_rig)} is out of reach: the wrist would have to be {branches.wrist_mm:.0f} mm from the shoulder, "
+        f"the links reach {abs(upper - fore):.0f} to {upper + fore:.0f} mm; move the ring or the arm's base"
+    )
+
+
+def _beyond(part: ArmPart, joints_deg: Array) -> str:
+    low, high = _limits_deg(part)
+    return ", ".join(
+        f"{name} {angle:.1f} deg (limits {least:g} to {most:g})"
+        for name, angle, least, most in zip(JOINT_NAMES, joints_deg, low, high, strict=True)
+        if not least - ROUNDING_DEG <= angle <= most + ROUNDING_DEG
+    )
+
+
+def _place(cam_from_rig: Array) -> str:
+    """Say where a camera stands in the words of a ring."""
+    rig_from_cam = frames.invert(cam_from_rig)
+    x, y, z = rig_from_cam[:3, 3]
+    tilt_deg = np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0)))
+    beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
+    beside = f", {beside_deg:.1f} deg beside the x axis" if abs(beside_deg) > 0.05 else ""
+    return f"the camera at distance {np.hypot(x, y):.0f} mm, height {z:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"

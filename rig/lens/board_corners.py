@@ -1,0 +1,187 @@
+"""Find the calibration board in a picture: OpenCV names its corners, `rig.lens.saddle_fit` measures them."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.lens.saddle_fit import Saddle, fit_saddle
+from scenes.board import CharucoBoard, opencv_board
+from scenes.frames import Array
+from scenes.markers import dictionary_named
+
+Picture = NDArray[np.uint8 | np.uint16]
+
+LONGEST_PX: Final = 2100
+"""Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+LEAST_CORNERS: Final = 8
+LEAST_MEASURED: Final = 0.5
+"""Share of the named corners that must be measurable."""
+CLEAR: Final = 0.9
+"""How much of the white between a corner and the nearest marker takes part in the fit."""
+MOST_BENT: Final = 0.2
+"""Median distance, in squares, of corners from a flat board's: more, and the corners are named wrongly."""
+OTHER_DICTIONARIES: Final = (
+    "APRILTAG_36h11",
+    "4X4_250",
+    "5X5_1000",
+    "6X6_250",
+    "7X7_250",
+    "ARUCO_ORIGINAL",
+    "APRILTAG_16h5",
+    "APRILTAG_25h9",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardView:
+    """Corners of the board that one picture shows."""
+
+    ids: NDArray[np.int64]
+    """(N,) ascending, indices into `CharucoBoard.corners_mm`."""
+    corners_px: Array
+    """(N, 2) pixel centres at integers."""
+    sigma_px: float
+    """Median standard deviation of a coordinate, as the fits to the picture say."""
+    blur_px: float
+    """Median standard deviation of the blur, the pixel's own included."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoBoard:
+    """Why a picture cannot be used."""
+
+    reason: str
+
+
+def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
+    """Find the corners of the board in a picture and measure them.
+
+    Parameters
+    ----------
+    image : (H, W) grey levels, uint8 or uint16.
+    board : what was printed.
+
+    Returns
+    -------
+    BoardView or NoBoard
+        With at least `LEAST_CORNERS` corners, not all in one row; or the reason against it.
+    """
+    ids, start_px, markers = _search(image, board)
+    if len(ids) < LEAST_CORNERS:
+        return NoBoard(reason=_why_few(image, board, corners=len(ids), markers=markers))
+    flat, at_mm = _flat(board, ids, start_px)
+    if flat is None:
+        return NoBoard(reason=f"its {len(ids)} corners lie in one row; show more of the board")
+    near_px = np.median(np.linalg.norm(start_px - _map(flat, at_mm), axis=1))
+    if near_px > MOST_BENT * _square_px(board, flat, at_mm):
+        return NoBoard(
+            reason=f"its corners do not lie as on a flat board of {_size(board)} squares; check --squares, and that the board is flat"
+        )
+    found: dict[int, Saddle] = {}
+    for corner, p_px, q_mm in zip(ids.tolist(), start_px, at_mm, strict=True):
+        fit = fit_saddle(image, p_px, _sides(board, flat, q_mm))
+        if fit is not None:
+            found[corner] = fit
+    if len(found) < max(LEAST_CORNERS, LEAST_MEASURED * len(ids)):
+        return NoBoard(
+            reason=f"only {len(found)} of its {len(ids)} corners can be measured: too blurred, too noisy, or the board too small in it"
+        )
+    chosen = np.array(sorted(found))
+    if _flat(board, chosen, np.array([found[k].at_px for k in chosen]))[0] is None:
+        return NoBoard(reason=f"its {len(found)} measurable corners lie in one row; show more of the board")
+    return BoardView(
+        ids=chosen,
+        corners_px=np.array([found[k].at_px for k in chosen]),
+        sigma_px=float(np.median([fit.sigma_px for fit in found.values()])),
+        blur_px=float(np.median([fit.blur_px for fit in found.values()])),
+    )
+
+
+def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
+    """Return ids (N,) and rough corners (N, 2) in the full picture, and how many markers were seen."""
+    small, shrink = image, 1
+    while max(image.shape) / shrink > LONGEST_PX:
+        shrink *= 2
+    if shrink > 1:
+        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
+    scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
+    parameters = cv2.aruco.CharucoParameters()
+    parameters.minMarkers = 1  # one marker beside a corner names it; measuring comes after
+    detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)
+    best: tuple[NDArray[np.int64], Array, int] = (np.zeros(0, np.int64), np.zeros((0, 2)), 0)
+    for power in (1.0, 0.5):  # the square root lifts what is much darker than the brightest
+        corners, ids, _, marker_ids = detector.detectBoard(_tone(small, power))
+        markers = 0 if marker_ids is None else len(marker_ids)
+        if ids is not None and len(ids) > len(best[0]):
+            found = np.ravel(ids).astype(np.int64)
+            order = np.argsort(found)
+            best = found[order], ((np.asarray(corners, np.float64).reshape(-1, 2) + 0.5) * scale - 0.5)[order], markers
+        elif not len(best[0]):
+            best = (*best[:2], max(best[2], markers))
+        if len(best[0]) > LEAST_CORNERS:
+            break
+    return best
+
+
+def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
+    """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
+    top = max(float(np.percentile(image[::3, ::3], 99.5)), 1.0)
+    return np.asarray(255.0 * np.clip(image.astype(np.float32) / top, 0.0, 1.0) ** power, np.uint8)
+
+
+def _flat(board: CharucoBoard, ids: NDArray[np.int64], corners_px: Array) -> tuple[Array | None, Array]:
+    """Return the homography (3, 3) from board to picture, None where the corners lie in one row, and the corners (N, 2) on the board."""
+    at_mm = board.corners_mm[ids, :2]
+    if np.linalg.svd(at_mm - at_mm.mean(axis=0), compute_uv=False)[1] < 0.5 * board.square_mm:
+        return None, at_mm
+    flat, _ = cv2.findHomography(at_mm, corners_px, cv2.LMEDS)
+    return (None if flat is None else np.asarray(flat, np.float64)), at_mm
+
+
+def _map(flat: Array, at_mm: Array) -> Array:
+    mapped = at_mm @ flat[:, :2].T + flat[:, 2]
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def _sides(board: CharucoBoard, flat: Array, at_mm: Array) -> Array:
+    """Return the half sides (2, 2), px, of the part round a corner that is clear of markers."""
+    clear_mm = CLEAR * (board.square_mm - board.marker_mm) / 2.0
+    here, right, down = _map(flat, at_mm + clear_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    return np.stack([right - here, down - here], axis=1)
+
+
+def _square_px(board: CharucoBoard, flat: Array, at_mm: Array) -> float:
+    """Return the geometric mean of a square's sides in the middle of what is seen."""
+    here, right, down = _map(flat, at_mm.mean(axis=0) + board.square_mm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    return float(np.sqrt(np.linalg.norm(right - here) * np.linalg.norm(down - here)))
+
+
+def _size(board: CharucoBoard) -> str:
+    return f"{board.squares_xy[0]}x{board.squares_xy[1]}"
+
+
+def _why_few(image: Picture, board: CharucoBoard, *, corners: int, markers: int) -> str:
+    """Say what kept a picture's corners from being found."""
+    if corners:
+        return f"only {corners} corners of the board are in it, {LEAST_CORNERS} are needed; show more of the board"
+    if markers >= 3:
+        return (
+            f"it shows {markers} markers of {board.dictionary}, but not as they stand on a board of {_size(board)} squares; "
+            "check --squares, and that the board is flat"
+        )
+    picture = _tone(image, 1.0)
+    if _count(np.ascontiguousarray(picture[:, ::-1]), board.dictionary) >= 3:
+        return "it is mirrored: the board is only found in its mirror image"
+    for name in OTHER_DICTIONARIES:
+        if name != board.dictionary and _count(picture, name) >= 3:
+            return f"it shows markers of {name}, the board has {board.dictionary}; show the board alone, or check --dictionary"
+    return "no board was found: too dark, too blurred, too far away, or not there"
+
+
+def _count(picture: NDArray[np.uint8], dictionary: str) -> int:
+    """Return how many markers of a dictionary a picture shows."""
+    ids = cv2.aruco.ArucoDetector(dictionary_named(dictionary)).detectMarkers(picture)[1]
+    return 0 if ids is None else len(ids)

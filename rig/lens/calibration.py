@@ -1,0 +1,299 @@
+"""Calibrate a camera from pictures of the board: what can be used, the lens, what to be careful about, and the files."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from rig.errors import RigError
+from rig.lens.board_corners import BoardView, NoBoard, Picture, find_board
+from rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens
+from scenes import frames, toml_text
+from scenes.atomic import write_json, write_text
+from scenes.board import CharucoBoard, check_board
+from scenes.errors import UserError
+from scenes.frames import Array
+from scenes.model import Camera
+from scenes.pictures import decode_grey
+from scenes.provenance import versions
+from scenes.schema import to_plain
+
+CELLS_WH: Final = (8, 6)
+"""The picture's field is divided into so many cells, to see how much of it the corners cover."""
+ENOUGH_PICTURES: Final = 10
+COVERAGE: Final = (0.15, 0.6)
+"""Share of the cells with corners: below the first refused, below the second warned of."""
+TILT_DEG: Final = (8.0, 20.0)
+"""Largest tilt of the board against the picture's plane: below the first refused, below the second warned of."""
+ONE_WAY_DEG: Final = 6.0
+"""Spread of the tilts in the direction in which they spread least: below it, warned of."""
+MOST_RMS_PX: Final = (3.0, 0.5)
+"""Residual: above the first refused, above the second warned of."""
+MOST_FOCAL_STD: Final = 0.001
+MOST_BLUR_PX: Final = 3.0
+SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
+"""Two pictures show the board held the same way when it turned and moved (as a share of its distance) by less than this."""
+ENOUGH_WAYS: Final = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """A calibrated camera and what it rests on."""
+
+    camera: Camera
+    board: CharucoBoard
+    fit: LensFit
+    rejected: dict[str, str]
+    """Pictures that were not used, with the reason."""
+    warnings: tuple[str, ...]
+    coverage: float
+    """Share of the cells of the field with corners."""
+    tilts_deg: dict[str, float]
+    """Angle between the board and the picture's plane, by picture."""
+
+
+def calibrate(paths: Sequence[Path], board: CharucoBoard, *, progress: bool = False) -> Calibration:
+    """Calibrate the camera that took pictures of the board.
+
+    Parameters
+    ----------
+    paths : pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
+    board : what was printed; its size is of no matter for the lens, its squares' numbers and markers are.
+    progress : show a bar on stderr.
+
+    Raises
+    ------
+    RigError
+        When the pictures are too few, too alike, show the board too little tilted or in too little of the field, or fit no lens.
+    UserError
+        For a board that cannot be.
+    """
+    check_board(board)
+    seen: dict[str, BoardView] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    rejected: dict[str, str] = {}
+    common_bits = 0
+    depth = 8
+    for path in tqdm(paths, desc="look for the board", unit="picture", disable=not progress, dynamic_ncols=True):
+        try:
+            image: Picture = decode_grey(path.read_bytes(), where=path.name)
+        except UserError as error:
+            rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
+            continue
+        found = find_board(image, board)
+        if isinstance(found, NoBoard):
+            rejected[path.name] = found.reason
+            continue
+        seen[path.name], sizes[path.name] = found, (image.shape[1], image.shape[0])
+        if image.dtype == np.uint16:
+            depth, common_bits = 16, common_bits | int(np.bitwise_or.reduce(image, axis=None))
+    if not seen:
+        raise RigError(_none_usable(rejected, len(paths)))
+    image_wh = Counter(sizes.values()).most_common(1)[0][0]
+    for name, (width, height) in sizes.items():
+        if (width, height) != image_wh:
+            del seen[name]
+            rejected[name] = f"it is {width}x{height} px, most others are {image_wh[0]}x{image_wh[1]}; a lens is calibrated at one size"
+    bits = depth if depth == 8 else depth - _lowest_bit(common_bits)
+    return calibrate_views(seen, board, image_wh, bits=bits, rejected=rejected)
+
+
+def calibrate_views(
+    views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, bits: int = 8, rejected: dict[str, str] | None = None
+) -> Calibration:
+    """Calibrate a camera from the corners that its pictures show.
+
+    Parameters
+    ----------
+    views : the corners, by picture.
+    bits : depth of the camera's converter.
+    rejected : pictures that were left out before, with the reason.
+
+    Raises
+    ------
+    RigError
+        As `calibrate`.
+    """
+    fit = fit_lens(views, board, image_wh)
+    made = Calibration(
+        camera=Camera(image_wh=image_wh, focal_px=fit.focal_px, principal_px=fit.principal_px, distortion=fit.distortion, bits=bits),
+        board=board,
+        fit=fit,
+        rejected=dict(sorted(((rejected or {}) | fit.rejected).items())),
+        warnings=(),
+        coverage=float(np.mean(covered_cells(fit, image_wh))),
+        tilts_deg={name: _tilt_deg(pose) for name, pose in fit.cam_from_board.items()},
+    )
+    _refuse(made)
+    return replace(made, warnings=tuple(_warnings(made)))
+
+
+def covered_cells(fit: LensFit, image_wh: tuple[int, int]) -> Array:
+    """Return 1 for each cell of the field (rows, columns) with corners in it, 0 for the others."""
+    columns, rows = CELLS_WH
+    corners = np.concatenate([view.corners_px for view in fit.views.values()])
+    counts, _, _ = np.histogram2d(
+        corners[:, 1], corners[:, 0], bins=(rows, columns), range=((-0.5, image_wh[1] - 0.5), (-0.5, image_wh[0] - 0.5))
+    )
+    return np.asarray(counts > 0, np.float64)
+
+
+def write_calibration(made: Calibration, folder: Path) -> list[Path]:
+    """Write ``camera.toml`` and ``calibration.json`` into a folder; return their paths."""
+    camera_path, numbers_path = folder / "camera.toml", folder / "calibration.json"
+    write_text(camera_path, _camera_text(made))
+    write_json(numbers_path, numbers(made))
+    return [camera_path, numbers_path]
+
+
+def numbers(made: Calibration) -> dict[str, Any]:
+    """Return every number of a calibration as JSON values."""
+    fit = made.fit
+    return {
+        "program": "rhizotwin calibrate camera",
+        "camera": to_plain(made.camera),
+        "standard_deviations": {
+            "focal_px": list(fit.focal_std_px),
+            "principal_px": list(fit.principal_std_px),
+            "distortion": list(fit.distortion_std),
+        },
+        "left_out": list(fit.left_out),
+        "with_all_terms": {term: {"value": value, "std": std} for term, (value, std) in fit.full.items()},
+        "rms_px": fit.rms_px,
+        "corners": fit.corners,
+        "dropped_corners": fit.dropped_corners,
+        "coverage": made.coverage,
+        "board": to_plain(made.board),
+        "pictures": [
+            {
+                "file": name,
+                "rms_px": float(np.sqrt(np.mean(np.sum(fit.residuals_px[name] ** 2, axis=1)))),
+                "corners": len(view.ids),
+                "tilt_deg": made.tilts_deg[name],
+                "blur_px": view.blur_px,
+                "corner_sigma_px": view.sigma_px,
+                "cam_from_board": fit.cam_from_board[name].tolist(),
+            }
+            for name, view in fit.views.items()
+        ],
+        "rejected": [{"file": name, "reason": reason} for name, reason in made.rejected.items()],
+        "warnings": list(made.warnings),
+        "versions": versions(("opencv-python-headless", "numpy", "scipy")),
+        "opencv": cv2.__version__,
+    }
+
+
+def model_text(fit: LensFit) -> str:
+    """Say in words which lens was fitted, and what was left out of it."""
+    terms = [term for term in TERMS if not any(term in gone.split(", ") for gone in fit.left_out)]
+    focal = "one focal length" if "fx / fy" in fit.left_out else "two focal lengths (fx, fy)"
+    text = f"{focal}, principal point, {'distortion ' + ' '.join(terms) if terms else 'no distortion'}"
+    gone = [term for term in DROPPED if term in fit.left_out]
+    return f"{text}; left out, as the pictures do not support it: {'; '.join(gone)}" if gone else text
+
+
+def _camera_text(made: Calibration) -> str:
+    fit = made.fit
+    std = ", ".join(f"{value:.2g}" for value in (*fit.focal_std_px, *fit.principal_std_px))
+    head = (
+        f"# Fitted to {fit.corners} corners in {len(fit.views)} pictures; residual {fit.rms_px:.3f} px rms. {model_text(fit)}.\n"
+        f"# Standard deviations of focal_px and principal_px: {std} px.\n"
+        "# Put this section into the scene file in place of its [camera].\n"
+    )
+    return head + toml_text.dumps({"camera": to_plain(made.camera)})
+
+
+def _none_usable(rejected: dict[str, str], pictures: int) -> str:
+    if not rejected:
+        return "there are no pictures to calibrate with; give the folder of pictures of the board"
+    kinds = {name: re.sub("[0-9]+", "#", reason) for name, reason in rejected.items()}
+    kind, count = Counter(kinds.values()).most_common(1)[0]
+    name = next(name for name in rejected if kinds[name] == kind)
+    others = f" (the same with {count - 1} others)" if count > 1 else ""
+    return f"none of the {pictures} pictures can be used; {name}: {rejected[name]}{others}"
+
+
+def _lowest_bit(value: int) -> int:
+    """Return how many of the lowest bits no picture uses (12 bits left-aligned in 16 leave 4), at most 8."""
+    return min(8, (value & -value).bit_length() - 1) if value else 8
+
+
+def _tilt_deg(cam_from_board: Array) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(abs(_normal(cam_from_board)[2]), 0.0, 1.0))))
+
+
+def _normal(cam_from_board: Array) -> Array:
+    """Return the board's normal in the camera's frame, away from the camera."""
+    return cam_from_board[:3, 2]
+
+
+def _ways(fit: LensFit) -> int:
+    """Return in how many clearly different ways the board was held."""
+    different: list[Array] = []
+    for pose in fit.cam_from_board.values():
+        for other in different:
+            distance_mm, _ = frames.pose_error(frames.invert(pose), frames.invert(other))
+            turned_deg = float(np.rad2deg(np.linalg.norm(frames.to_rotvec(pose @ frames.invert(other)))))
+            if turned_deg < SAME_WAY_DEG and distance_mm < SAME_WAY_SHARE * float(np.linalg.norm(pose[:3, 3])):
+                break
+        else:
+            different.append(pose)
+    return len(different)
+
+
+def _refuse(made: Calibration) -> None:
+    """Raise where the pictures cannot give a lens that is worth having."""
+    fit = made.fit
+    if fit.rms_px > MOST_RMS_PX[0]:
+        raise RigError(
+            f"no lens fits the pictures: the residual is {fit.rms_px:.1f} px rms, usual is below 0.3; was the focus or zoom changed, "
+            "is the board flat, and are --squares right?"
+        )
+    tilt_deg = max(made.tilts_deg.values())
+    if tilt_deg < TILT_DEG[0]:
+        raise RigError(
+            f"the board was hardly tilted, at most {tilt_deg:.0f} degrees: the focal length cannot be told from the distance; "
+            "take pictures with the board tilted by 20 to 45 degrees, every way"
+        )
+    if made.coverage < COVERAGE[0]:
+        raise RigError(
+            f"the board's corners cover only {made.coverage:.0%} of the field; show the board all over the picture, into its corners"
+        )
+    if (ways := _ways(fit)) < 3:
+        raise RigError(f"the board was held in {ways} different ways only; take about 20 pictures, each with the board held differently")
+
+
+def _warnings(made: Calibration) -> list[str]:
+    """Return one sentence for each thing that makes the lens less sure than it could be."""
+    fit, said = made.fit, []
+    if len(fit.views) < ENOUGH_PICTURES:
+        said.append(f"only {len(fit.views)} pictures were used; take about 20")
+    if (ways := _ways(fit)) < ENOUGH_WAYS:
+        said.append(f"the board was held in {ways} different ways only; hold it differently for each picture")
+    tilt_deg = max(made.tilts_deg.values())
+    if tilt_deg < TILT_DEG[1]:
+        said.append(f"the board was tilted by at most {tilt_deg:.0f} degrees; tilt it by 20 to 45 for a sure focal length")
+    else:
+        normals = np.array([_normal(pose) / np.sign(_normal(pose)[2]) for pose in fit.cam_from_board.values()])[:, :2]
+        least_deg = float(np.rad2deg(np.linalg.svd(normals, compute_uv=False)[1] / np.sqrt(len(normals))))
+        if least_deg < ONE_WAY_DEG:
+            said.append("the board was tilted mostly about one axis; tilt it left, right, forward and backward")
+    if made.coverage < COVERAGE[1]:
+        said.append(f"the corners cover {made.coverage:.0%} of the field; distortion is guessed where they do not reach")
+    if fit.rms_px > MOST_RMS_PX[1]:
+        said.append(f"the residual of {fit.rms_px:.2f} px rms is high; is the board flat, the focus fixed, and nothing moved?")
+    focal = fit.focal_std_px[0] / fit.focal_px[0]
+    if focal > MOST_FOCAL_STD:
+        said.append(f"the focal length is sure to {focal:.2%} only (one standard deviation); take more pictures, tilted and near")
+    blur_px = float(np.median([view.blur_px for view in fit.views.values()]))
+    if blur_px > MOST_BLUR_PX:
+        said.append(f"the pictures are blurred (by {blur_px:.1f} px); focus where the canister will stand, and hold the board still")
+    if fit.dropped_corners > 0.02 * (fit.corners + fit.dropped_corners):
+        said.append(f"{fit.dropped_corners} corners lay far off and were left out; look for glare, dirt or a bent board")
+    return said

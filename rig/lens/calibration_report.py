@@ -1,0 +1,168 @@
+"""One page about a calibration for people: the numbers, the residuals over the picture, what is covered, and each picture."""
+
+import base64
+import html
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
+from rig.lens.lens_fit import TERMS
+from scenes.atomic import write_text
+from scenes.schema import to_plain
+
+if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi calibrates without it
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI: Final = 120
+ARROW_SHARE: Final = 0.06
+"""Length of the arrow of a large residual (95 % are smaller), as a share of the picture's width."""
+STYLE: Final = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
+table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; vertical-align: top; }
+th { font-weight: 600; border-bottom: 1px solid #ccc; }
+.warning { background: #fff4e0; border-left: 4px solid #e0a030; padding: 4px 10px; margin: 6px 0; }
+img { max-width: 100%; } figcaption { color: #555; } figure { margin: 1em 0; }
+"""
+
+
+def write_report(made: Calibration, folder: Path) -> Path:
+    """Write ``report.html``, complete in itself, into a folder and return its path."""
+    path = folder / "report.html"
+    write_text(path, _page(made))
+    return path
+
+
+def draw(made: Calibration) -> "Figure":
+    """Draw the residuals over the picture, the cover of the field, the lens's distortion and the residual of every picture."""
+    from matplotlib.figure import Figure
+
+    bars = len(made.fit.views)
+    figure = Figure(figsize=(11.0, 8.6 + 0.14 * bars), layout="constrained")
+    grid = figure.add_gridspec(3, 2, height_ratios=(4.2, 4.2, 1.0 + 0.16 * bars))
+    _residuals(figure.add_subplot(grid[0, 0]), made)
+    _coverage(figure.add_subplot(grid[0, 1]), made)
+    _distortion(figure.add_subplot(grid[1, 0]), made)
+    _scatter(figure.add_subplot(grid[1, 1]), made)
+    _pictures(figure.add_subplot(grid[2, :]), made)
+    return figure
+
+
+def _field(axes: "Axes", made: Calibration, title: str) -> None:
+    width, height = made.camera.image_wh
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
+    axes.set_title(title, fontsize=10)
+
+
+def _residuals(axes: "Axes", made: Calibration) -> None:
+    """Draw each corner's residual as an arrow, much enlarged."""
+    corners = np.concatenate([view.corners_px for view in made.fit.views.values()])
+    residuals = np.concatenate(list(made.fit.residuals_px.values()))
+    large_px = max(float(np.percentile(np.linalg.norm(residuals, axis=1), 95.0)), 1e-9)
+    times = ARROW_SHARE * made.camera.image_wh[0] / large_px
+    arrows = residuals * times
+    lines: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.002, "color": "#a03020"}
+    axes.quiver(corners[:, 0], corners[:, 1], arrows[:, 0], arrows[:, 1], **lines)
+    _field(axes, made, f"residuals, {times:.0f} times as long as they are; {made.fit.rms_px:.3f} px rms")
+
+
+def _coverage(axes: "Axes", made: Calibration) -> None:
+    """Draw where the corners lie, over the cells of the field that have some."""
+    width, height = made.camera.image_wh
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(covered_cells(made.fit, made.camera.image_wh), extent=extent, cmap="Greens", vmin=0.0, vmax=2.5, aspect="equal")
+    for view in made.fit.views.values():
+        axes.plot(view.corners_px[:, 0], view.corners_px[:, 1], ".", markersize=3)
+    _field(axes, made, f"corners by picture; they cover {made.coverage:.0%} of the field ({CELLS_WH[0]} x {CELLS_WH[1]} cells)")
+
+
+def _distortion(axes: "Axes", made: Calibration) -> None:
+    """Draw by how many pixels the lens moves what it sees, against one without distortion."""
+    width, height = made.camera.image_wh
+    x, y = np.meshgrid(np.linspace(0.0, width - 1.0, 60), np.linspace(0.0, height - 1.0, 45))
+    u, v = (x - made.fit.principal_px[0]) / made.fit.focal_px[0], (y - made.fit.principal_px[1]) / made.fit.focal_px[1]
+    k1, k2, p1, p2, k3 = made.fit.distortion
+    r2 = u * u + v * v
+    radial = r2 * (k1 + r2 * (k2 + r2 * k3))
+    du = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
+    dv = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
+    moved_px = np.hypot(du * made.fit.focal_px[0], dv * made.fit.focal_px[1])
+    if float(moved_px.max()) > 1e-6:
+        axes.clabel(axes.contour(x, y, moved_px, levels=8, cmap="viridis"), fontsize=7)
+    axes.plot(*made.fit.principal_px, "k+")
+    _field(axes, made, "shift by the lens's distortion, px; + is the principal point")
+
+
+def _scatter(axes: "Axes", made: Calibration) -> None:
+    for residuals in made.fit.residuals_px.values():
+        axes.plot(residuals[:, 0], residuals[:, 1], ".", markersize=3)
+    reach_px = 1.1 * max(float(np.abs(residuals).max()) for residuals in made.fit.residuals_px.values())
+    axes.set(xlim=(-reach_px, reach_px), ylim=(reach_px, -reach_px), aspect="equal", xlabel="x, px", ylabel="y, px")
+    axes.axhline(0.0, color="#bbb", linewidth=0.7)
+    axes.axvline(0.0, color="#bbb", linewidth=0.7)
+    axes.set_title("residuals by picture: a round cloud is noise", fontsize=10)
+
+
+def _pictures(axes: "Axes", made: Calibration) -> None:
+    names = list(made.fit.views)
+    rms = [_rms(made, name) for name in names]
+    axes.barh(range(len(names)), rms, color="#6080a0")
+    axes.axvline(made.fit.rms_px, color="#a03020", linewidth=1.0)
+    axes.set_yticks(range(len(names)), [name[-40:] for name in names], fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xlabel("residual of each picture, px rms; the line is all of them", fontsize=9)
+
+
+def _rms(made: Calibration, name: str) -> float:
+    return float(np.sqrt(np.mean(np.sum(made.fit.residuals_px[name] ** 2, axis=1))))
+
+
+def _page(made: Calibration) -> str:
+    """Return the page as one self-contained text."""
+    stored = io.BytesIO()
+    draw(made).savefig(stored, format="png", dpi=DPI)
+    warnings = "".join(f'<p class="warning">{html.escape(warning)}</p>' for warning in made.warnings)
+    fit = made.fit
+    rejected = [["picture", "why it was not used"], *([name, reason] for name, reason in made.rejected.items())]
+    used = [["picture", "corners", "tilt, degrees", "residual, px", "blur, px"]]
+    for name, view in fit.views.items():
+        used.append([name, str(len(view.ids)), f"{made.tilts_deg[name]:.0f}", f"{_rms(made, name):.3f}", f"{view.blur_px:.2f}"])
+    picture = base64.b64encode(stored.getvalue()).decode()
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Camera calibration</title>'
+        f"<style>{STYLE}</style></head><body><h1>Camera calibration</h1>{warnings}<h2>The lens</h2>{_table(_lens(made))}"
+        f"<p>Fitted: {html.escape(model_text(fit))}.</p>"
+        f'<h2>Residuals</h2><figure><img alt="residuals, coverage, distortion" src="data:image/png;base64,{picture}"></figure>'
+        f"<h2>Pictures used</h2>{_table(used)}"
+        + (f"<h2>Pictures left out</h2>{_table(rejected)}" if made.rejected else "")
+        + f"<h2>Board</h2>{_table([['key', 'value'], *([key, str(value)] for key, value in to_plain(made.board).items())])}</body></html>\n"
+    )
+
+
+def _lens(made: Calibration) -> list[list[str]]:
+    fit = made.fit
+    rows: list[tuple[str, float, float]] = [
+        ("fx, px", fit.focal_px[0], fit.focal_std_px[0]),
+        ("fy, px", fit.focal_px[1], fit.focal_std_px[1]),
+        ("cx, px", fit.principal_px[0], fit.principal_std_px[0]),
+        ("cy, px", fit.principal_px[1], fit.principal_std_px[1]),
+        *zip(TERMS, fit.distortion, fit.distortion_std, strict=True),
+    ]
+    shown = [[name, f"{value:.6g}", f"{std:.2g}" if std > 0.0 else "not fitted"] for name, value, std in rows]
+    return [
+        ["", "value", "standard deviation"],
+        *shown,
+        ["picture, px", f"{made.camera.image_wh[0]} x {made.camera.image_wh[1]}", ""],
+        ["residual, px rms", f"{fit.rms_px:.3f}", f"{fit.corners} corners in {len(fit.views)} pictures; {fit.dropped_corners} left out"],
+    ]
+
+
+def _table(rows: Any) -> str:
+    head, *others = rows
+    cells = "".join(f"<th>{html.escape(text)}</th>" for text in head)
+    lines = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>" for row in others)
+    return f"<table><tr>{cells}</tr>{lines}</table>"

@@ -1,0 +1,244 @@
+"""Fit a lens to the corners of a flat board in several pictures, with no more terms than the pictures support."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rig.errors import RigError
+from rig.lens.board_corners import BoardView
+from scenes import frames
+from scenes.board import CharucoBoard
+from scenes.frames import Array
+
+LEAST_PICTURES: Final = 3
+MOST_RMS_TIMES: Final = 3.0
+"""A picture whose residual is above this many medians, and above `MOST_RMS_PX`, is left out."""
+MOST_RMS_PX: Final = 0.5
+FAR_SIGMAS: Final = 5.0
+"""A corner farther than this many standard deviations (of all, robustly), and `FAR_PX`, is left out."""
+FAR_PX: Final = 0.25
+LEAST_LEFT: Final = 6
+"""A picture keeps at least as many corners."""
+TERMS: Final = ("k1", "k2", "p1", "p2", "k3")
+DROPPED: Final = {
+    "k3": cv2.CALIB_FIX_K3,
+    "p1, p2": cv2.CALIB_ZERO_TANGENT_DIST,
+    "k2": cv2.CALIB_FIX_K2,
+    "k1": cv2.CALIB_FIX_K1,
+    "fx / fy": cv2.CALIB_FIX_ASPECT_RATIO,
+}
+"""What the fit can do without, and how OpenCV is told."""
+BEFORE: Final = {"k2": "k3", "k1": "k2"}
+"""A term goes only when the higher one is gone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensFit:
+    """A fitted lens."""
+
+    focal_px: tuple[float, float]
+    focal_std_px: tuple[float, float]
+    """Standard deviations, as the residuals say; 0 for what was not fitted."""
+    principal_px: tuple[float, float]
+    principal_std_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    """k1, k2, p1, p2, k3 of the OpenCV model; 0 for what was not fitted."""
+    distortion_std: tuple[float, float, float, float, float]
+    left_out: tuple[str, ...]
+    """Terms of the model that the pictures do not support: fx / fy (then one focal length), k3, "p1, p2", k2, k1."""
+    full: dict[str, tuple[float, float]]
+    """Value and standard deviation of every distortion term in the fit with all of them."""
+    rms_px: float
+    """Root of the mean squared distance between corners and reprojections."""
+    cam_from_board: dict[str, Array]
+    """By picture."""
+    residuals_px: dict[str, Array]
+    """Measured minus reprojected corners (N, 2), by picture."""
+    views: dict[str, BoardView]
+    """The corners that were used, by picture."""
+    dropped_corners: int
+    """Corners left out as outliers."""
+    rejected: dict[str, str]
+    """Pictures left out because they do not fit the others, with the reason."""
+
+    @property
+    def corners(self) -> int:
+        """How many corners were used."""
+        return sum(len(view.ids) for view in self.views.values())
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """What OpenCV returns for one choice of terms."""
+
+    matrix: Array
+    distortion: Array
+    std: Array
+    rvecs: list[Array]
+    tvecs: list[Array]
+    residuals: list[Array]
+
+    @property
+    def squares(self) -> float:
+        return float(sum(np.sum(r * r) for r in self.residuals))
+
+    @property
+    def rms_px(self) -> float:
+        return float(np.sqrt(self.squares / sum(len(r) for r in self.residuals)))
+
+
+def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int]) -> LensFit:
+    """Fit focal lengths, principal point and distortion.
+
+    Pictures and corners that do not fit the others are left out; then terms of the model are left out as long as that lowers the Bayesian
+    information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
+
+    Raises
+    ------
+    RigError
+        When fewer than `LEAST_PICTURES` pictures are there or left, or no lens fits them.
+    """
+    rejected: dict[str, str] = {}
+    first = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    start: _Solution | None = None
+    while True:
+        _check_enough(views, rejected)
+        start = _solve(views, board, image_wh, flags=first)
+        worst = _worst_picture(views, start)
+        if worst is None:
+            break
+        name, rms_px = worst
+        others = float(np.median([_rms(r) for r in start.residuals]))
+        rejected[name] = (
+            f"its corners miss the lens of the others by {rms_px:.2f} px rms (usual here: {others:.2f} px); was the board bent or moving?"
+        )
+        views = {key: view for key, view in views.items() if key != name}
+    full = _solve(views, board, image_wh, flags=0, start=start)
+    kept, dropped = views, 0
+    while (fewer := _without_worst(kept, full)) is not None:
+        kept, dropped = fewer, dropped + 1
+        full = _solve(kept, board, image_wh, flags=0, start=full)
+    chosen, left_out = _fewest_terms(kept, board, image_wh, full)
+    poses = [frames.from_rotvec(rvec.ravel(), tvec.ravel()) for rvec, tvec in zip(chosen.rvecs, chosen.tvecs, strict=True)]
+    std = [float(value) for value in chosen.std]
+    fx, fy = float(chosen.matrix[0, 0]), float(chosen.matrix[1, 1])
+    k = [float(value) for value in chosen.distortion]
+    return LensFit(
+        focal_px=(fx, fy),
+        focal_std_px=(std[1] * fx / fy, std[1]) if "fx / fy" in left_out else (std[0], std[1]),
+        principal_px=(float(chosen.matrix[0, 2]), float(chosen.matrix[1, 2])),
+        principal_std_px=(std[2], std[3]),
+        distortion=(k[0], k[1], k[2], k[3], k[4]),
+        distortion_std=(std[4], std[5], std[6], std[7], std[8]),
+        left_out=left_out,
+        full={term: (float(full.distortion[i]), float(full.std[4 + i])) for i, term in enumerate(TERMS)},
+        rms_px=chosen.rms_px,
+        cam_from_board=dict(zip(kept, poses, strict=True)),
+        residuals_px=dict(zip(kept, chosen.residuals, strict=True)),
+        views=kept,
+        dropped_corners=dropped,
+        rejected=rejected,
+    )
+
+
+def _check_enough(views: dict[str, BoardView], rejected: dict[str, str]) -> None:
+    if len(views) < LEAST_PICTURES:
+        why = f", after {len(rejected)} that do not fit the others were left out" if rejected else ""
+        raise RigError(
+            f"the lens cannot be fitted: {len(views)} pictures of the board can be used{why}, at least {LEAST_PICTURES} are needed; "
+            "take about 20"
+        )
+
+
+def _solve(
+    views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], *, flags: int, start: _Solution | None = None
+) -> _Solution:
+    """Run OpenCV's fit."""
+    corners_mm = board.corners_mm.astype(np.float32)
+    at_mm = [corners_mm[view.ids] for view in views.values()]
+    at_px = [view.corners_px.astype(np.float32) for view in views.values()]
+    matrix, distortion = np.eye(3), np.zeros(5)
+    if start is None:
+        flags |= cv2.CALIB_FIX_ASPECT_RATIO  # of the unit matrix: OpenCV's first guess is steadier with one focal length
+    else:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        matrix = start.matrix.copy()
+        if flags & cv2.CALIB_FIX_ASPECT_RATIO:
+            matrix[0, 0] = matrix[1, 1]
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    try:
+        _, matrix, distortion, rvecs, tvecs, std, _, _ = cv2.calibrateCameraExtended(
+            at_mm, at_px, image_wh, matrix, distortion, flags=flags, criteria=criteria
+        )
+    except cv2.error as error:
+        raise RigError(
+            f"the lens cannot be fitted: OpenCV says {' '.join(str(error).split())[:150]}; take pictures with the board tilted every way"
+        ) from error
+    distortion = np.ravel(distortion)[:5]
+    residuals = []
+    for q, p, rvec, tvec in zip(at_mm, views.values(), rvecs, tvecs, strict=True):
+        reprojected, _ = cv2.projectPoints(q.astype(np.float64), rvec, tvec, matrix, distortion)
+        residuals.append(p.corners_px - np.reshape(reprojected, (-1, 2)))
+    found = _Solution(np.asarray(matrix), distortion, np.ravel(std)[:9], list(rvecs), list(tvecs), residuals)
+    sound = np.isfinite(found.squares) and min(matrix[0, 0], matrix[1, 1]) > 0.0
+    if not sound:
+        raise RigError("the lens cannot be fitted: the pictures agree with no focal length; take pictures with the board tilted every way")
+    return found
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+
+
+def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, float] | None:
+    """Return the picture that fits the others worst and its residual, None where all fit."""
+    rms = np.array([_rms(r) for r in found.residuals])
+    k = int(np.argmax(rms))
+    return (list(views)[k], float(rms[k])) if rms[k] > max(MOST_RMS_PX, MOST_RMS_TIMES * float(np.median(rms))) else None
+
+
+def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, BoardView] | None:
+    """Return the views without the corner that lies farthest off; None when none lies far off, or its picture has few others.
+
+    One at a time: a wrong corner pulls the reprojections of its neighbours with it.
+    """
+    lengths = [np.linalg.norm(r, axis=1) for r in found.residuals]
+    sigma = float(np.median(np.concatenate(lengths))) / np.sqrt(2.0 * np.log(2.0))  # the median of a Rayleigh distribution
+    k = int(np.argmax([float(far.max()) for far in lengths]))
+    name, far = list(views)[k], lengths[k]
+    if far.max() <= max(FAR_PX, FAR_SIGMAS * sigma) or len(far) <= LEAST_LEFT:
+        return None
+    others = np.arange(len(far)) != int(np.argmax(far))
+    view = views[name]
+    return views | {name: replace(view, ids=view.ids[others], corners_px=view.corners_px[others])}
+
+
+def _fewest_terms(
+    views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], full: _Solution
+) -> tuple[_Solution, tuple[str, ...]]:
+    """Leave terms out one after another as long as the information criterion falls; return the fit and what was left out."""
+    count = 2 * sum(len(view.ids) for view in views.values())
+
+    def criterion(found: _Solution, left_out: tuple[str, ...]) -> float:
+        terms = 9 - sum(2 if term == "p1, p2" else 1 for term in left_out)
+        return count * float(np.log(max(found.squares, 1e-12) / count)) + terms * float(np.log(count))
+
+    best = full
+    left_out: tuple[str, ...] = ()
+    while True:
+        trials = []
+        for term in DROPPED:
+            if term in left_out or BEFORE.get(term, term) not in (*left_out, term):
+                continue
+            fewer = (*left_out, term)
+            flags = 0
+            for name in fewer:
+                flags |= DROPPED[name]
+            trials.append((fewer, _solve(views, board, image_wh, flags=flags, start=best)))
+        scored = [(criterion(found, fewer), fewer, found) for fewer, found in trials]
+        lowest = min(scored, key=lambda row: row[0], default=None)
+        if lowest is None or lowest[0] >= criterion(best, left_out):
+            return best, left_out
+        _, left_out, best = lowest

@@ -1,0 +1,1 @@
+"""Boards and marker strips for the printer, at true scale."""

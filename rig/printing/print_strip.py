@@ -1,0 +1,242 @@
+"""The marker strip as pages: pieces to be cut out and glued round the net pot."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from rig.printing.print_page import (
+    LEADING,
+    RULER_HIGH_MM,
+    SQUARE_MM,
+    TEXT_MM,
+    TEXT_WIDE_MM,
+    Fill,
+    Line,
+    Page,
+    Paper,
+    Part,
+    Shape,
+    Text,
+    lines,
+    printing_notes,
+    ruler,
+    square,
+)
+from scenes.errors import UserError
+from scenes.markers import black_rectangles, marker_cells
+from scenes.model import MarkerStrip, NetPot, Scene
+
+TAB_MM: Final = 6.0
+"""Paper behind the end of a piece, glued under the beginning of the next."""
+ABOVE_MM: Final = 8.0
+"""Above a piece: its name and cut marks."""
+BELOW_MM: Final = 5.0
+MARK_MM: Final = 3.0
+BESIDE_MM: Final = 8.0
+"""Between the square and the text."""
+LABEL_MM: Final = 1.3
+"""Height of the ids on the strip."""
+EDGE_MM: Final = 0.4
+QUIET_CELLS: Final = 1.5
+"""White that is kept between a marker and the ids, in the marker's cells."""
+CUT_GREY: Final = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """Columns ``first`` to ``last`` (not included) of the strip."""
+
+    number: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatStrip:
+    """The strip laid flat."""
+
+    strip: MarkerStrip
+    net_pot: NetPot
+    paper_mm: float
+    """Thickness. Bent round the pot, the paper's outside is stretched; the middle of its thickness keeps its length."""
+
+    @property
+    def bend(self) -> float:
+        """Length on the flat paper over length along the outside of the wrapped strip."""
+        return (self.net_pot.outer_radius_mm - self.paper_mm / 2.0) / self.net_pot.outer_radius_mm
+
+    @property
+    def length_mm(self) -> float:
+        """Once round, on the flat paper."""
+        return 2.0 * np.pi * self.net_pot.outer_radius_mm * self.bend
+
+    @property
+    def height_mm(self) -> float:
+        """From the skirt's lower edge to the net pot's top."""
+        return self.net_pot.top_mm - self.net_pot.skirt_bottom_mm
+
+    @property
+    def pitch_mm(self) -> float:
+        """From column to column."""
+        return self.length_mm / self.strip.columns
+
+
+def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Page]:
+    """Lay the strip out on pages, with as few pieces as fit.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its ``net_pot.outer_radius_mm`` is taken to be the radius over the wrapped paper, where the markers lie.
+    paper : Paper
+    paper_mm : float
+        Thickness of what is printed on.
+
+    Raises
+    ------
+    UserError
+        When not even one column, or the strip's height with the ruler, fits on a page.
+    """
+    flat = FlatStrip(strip=scene.strip, net_pot=scene.net_pot, paper_mm=paper_mm)
+    notes = [*printing_notes(paper), *_wrapping_notes(flat)]
+    band_mm = max(RULER_HIGH_MM + 3.0 + LEADING * TEXT_MM * len(notes), SQUARE_MM)
+    best: tuple[tuple[int, int], tuple[float, float], list[Piece], int] | None = None
+    for size_mm in paper.sizes_mm():
+        wide_mm, high_mm = paper.room_mm(size_mm)
+        columns = int((wide_mm - TAB_MM) // flat.pitch_mm)
+        rows = int((high_mm - band_mm) // (flat.height_mm + ABOVE_MM + BELOW_MM))
+        if columns >= 1 and rows >= 1 and wide_mm >= SQUARE_MM + BESIDE_MM + TEXT_WIDE_MM:
+            pieces = _pieces(flat.strip.columns, columns)
+            cost = (len(pieces), -(-len(pieces) // rows))
+            if best is None or cost < best[0]:
+                best = cost, size_mm, pieces, rows
+    if best is None:
+        wide_mm, high_mm = max(flat.pitch_mm + TAB_MM, SQUARE_MM + BESIDE_MM + TEXT_WIDE_MM), flat.height_mm + ABOVE_MM + BELOW_MM + band_mm
+        raise UserError(
+            f"a page of {paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm is too small for the strip: within its margins it needs "
+            f"{wide_mm:.0f} x {high_mm:.0f} mm for one piece and the ruler; use a larger --page"
+        )
+    (_, pages), size_mm, pieces, rows = best
+    made = []
+    for number in range(pages):
+        here = pieces[number * rows : (number + 1) * rows]
+        made.append(_page(flat, paper, size_mm, here, notes, title=f"marker strip of {scene.name}, page {number + 1} of {pages}"))
+    return made
+
+
+def _pieces(columns: int, most: int) -> list[Piece]:
+    """Divide the columns evenly into pieces of at most ``most``."""
+    ends = np.rint(np.linspace(0, columns, -(-columns // most) + 1)).astype(int)
+    return [Piece(number=k, first=int(a), last=int(b)) for k, (a, b) in enumerate(pairwise(ends))]
+
+
+def _wrapping_notes(flat: FlatStrip) -> list[str]:
+    across_mm = 2.0 * flat.net_pot.outer_radius_mm
+    return [
+        "Cut along the grey lines. Glue each piece's left edge on the line where the",
+        "white tab of the piece before it begins; the last tab goes under the first",
+        f"piece, which closes at the seam: {flat.length_mm:.1f} mm round, for paper {flat.paper_mm:g} mm thick.",
+        "Arrows point up; ids rise to the right. Wrapped, measure across the pot over",
+        f"the paper: it must be {across_mm:.1f} mm. If not, put half of what you measure into",
+        "the scene as net_pot.outer_radius_mm, and print the strip again.",
+    ]
+
+
+def _page(flat: FlatStrip, paper: Paper, size_mm: tuple[float, float], pieces: list[Piece], notes: list[str], *, title: str) -> Page:
+    left_mm, top_mm = paper.corner_mm()
+    parts: list[Part] = []
+    for row, piece in enumerate(pieces):
+        parts += _piece(flat, piece, left_mm, top_mm + ABOVE_MM + row * (flat.height_mm + ABOVE_MM + BELOW_MM))
+    bottom_mm = top_mm + paper.room_mm(size_mm)[1]
+    parts += square(left_mm, bottom_mm - SQUARE_MM)
+    beside_mm = left_mm + SQUARE_MM + BESIDE_MM
+    text_top_mm = bottom_mm - LEADING * TEXT_MM * len(notes)
+    parts += [Text(at_mm=(beside_mm, text_top_mm - RULER_HIGH_MM - 1.0), text=title)]
+    parts += ruler(beside_mm, text_top_mm - RULER_HIGH_MM + 1.0)
+    parts += lines(beside_mm, text_top_mm, notes)
+    return Page(size_mm=size_mm, parts=tuple(parts), stretch_xy=paper.stretch_xy)
+
+
+def _piece(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
+    """Return one piece with its markers, cut marks and tab; its markers' row 0 is at the top."""
+    strip, pot = flat.strip, flat.net_pot
+    last_of_all = piece.last == strip.columns
+    end_mm, bottom_mm = left_mm + (piece.last - piece.first) * flat.pitch_mm, top_mm + flat.height_mm
+    black = []
+    for row in range(strip.rows):
+        upper_mm = top_mm + pot.top_mm - (strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm + strip.marker_mm)
+        for column in range(piece.first, piece.last):
+            middle_mm = left_mm + (column + 0.5 - piece.first) * flat.pitch_mm
+            flat_marker = black_rectangles(
+                strip.dictionary,
+                strip.first_id + row * strip.columns + column,
+                left_mm=-strip.marker_mm / 2.0,
+                top_mm=0.0,
+                side_mm=strip.marker_mm,
+            )
+            black.append(flat_marker * np.array([flat.bend, 1.0, flat.bend, 1.0]) + np.array([middle_mm, upper_mm, middle_mm, upper_mm]))
+    parts: list[Part] = [Fill(rectangles_mm=np.concatenate(black))]
+    parts += _cuts(left_mm, end_mm, top_mm, bottom_mm)
+    parts += _labels(flat, piece, left_mm, top_mm)
+    parts += [_arrow(left_mm + 3.0, top_mm - 2.0), Text(at_mm=(left_mm + 5.5, top_mm - 3.5), text=_name(strip, piece), height_mm=1.8)]
+    tab = f"tab: glue under piece {1 if last_of_all else piece.number + 2}"
+    parts += [Text(at_mm=(end_mm + TAB_MM / 2.0 + 0.8, bottom_mm - 1.5), text=tab, height_mm=1.5, grey=0.4, turned=True)]
+    if piece.first == 0:
+        parts += [Shape(points_mm=np.array([[left_mm, top_mm], [left_mm + 1.0, top_mm], [left_mm, top_mm + 1.6]]))]
+        parts += [Text(at_mm=(left_mm, bottom_mm + 3.6), text="seam (+x)", height_mm=1.5)]
+    if last_of_all:
+        parts += [Shape(points_mm=np.array([[end_mm, top_mm], [end_mm - 1.0, top_mm], [end_mm, top_mm + 1.6]]))]
+        parts += [Text(at_mm=(end_mm, bottom_mm + 3.6), text="seam (+x)", height_mm=1.5, align="right")]
+    return parts
+
+
+def _name(strip: MarkerStrip, piece: Piece) -> str:
+    rows = [
+        f"{strip.first_id + row * strip.columns + piece.first} to {strip.first_id + row * strip.columns + piece.last - 1}"
+        for row in range(strip.rows)
+    ]
+    return f"up; piece {piece.number + 1}, ids {', '.join(rows)}"
+
+
+def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> list[Part]:
+    """Return the outline of a piece and its tab, the line where the next one begins, and cut marks that lead to the corners."""
+    tab_mm = end_mm + TAB_MM
+    grey = {"grey": CUT_GREY}
+    parts: list[Part] = [Line(from_mm=(left_mm, y), to_mm=(tab_mm, y), **grey) for y in (top_mm, bottom_mm)]
+    parts += [Line(from_mm=(x, top_mm), to_mm=(x, bottom_mm), **grey) for x in (left_mm, end_mm, tab_mm)]
+    for x in (left_mm, end_mm, tab_mm):
+        parts += [
+            Line(from_mm=(x, top_mm - 0.5), to_mm=(x, top_mm - 0.5 - MARK_MM)),
+            Line(from_mm=(x, bottom_mm + 0.5), to_mm=(x, bottom_mm + 2.0)),
+        ]
+    for y in (top_mm, bottom_mm):
+        parts += [
+            Line(from_mm=(left_mm - 0.5, y), to_mm=(left_mm - 0.5 - MARK_MM, y)),
+            Line(from_mm=(tab_mm + 0.5, y), to_mm=(tab_mm + MARK_MM, y)),
+        ]
+    return parts
+
+
+def _labels(flat: FlatStrip, piece: Piece, left_mm: float, top_mm: float) -> list[Part]:
+    """Return each column's ids, on the strip's upper edge if the markers' quiet zone allows it, else above the cut."""
+    strip = flat.strip
+    highest_mm = strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm + strip.marker_mm
+    cell_mm = strip.marker_mm / len(marker_cells(strip.dictionary, strip.first_id))
+    fits = flat.net_pot.top_mm - highest_mm >= EDGE_MM + LABEL_MM + QUIET_CELLS * cell_mm
+    baseline_mm = top_mm + EDGE_MM + LABEL_MM if fits else top_mm - 1.0
+    parts: list[Part] = []
+    for column in range(piece.first, piece.last):
+        ids = " ".join(str(strip.first_id + row * strip.columns + column) for row in range(strip.rows))
+        middle_mm = left_mm + (column + 0.5 - piece.first) * flat.pitch_mm
+        parts.append(Text(at_mm=(middle_mm, baseline_mm), text=ids, height_mm=LABEL_MM, grey=0.3, align="center"))
+        if fits and column == piece.first:
+            parts.append(_arrow(middle_mm - 0.4 * strip.marker_mm, baseline_mm, high_mm=LABEL_MM))
+    return parts
+
+
+def _arrow(x_mm: float, foot_mm: float, *, high_mm: float = 4.5) -> Shape:
+    """Return an arrow that points up, standing on ``foot_mm``."""
+    outline = np.array([[-0.12, 0.0], [-0.12, -0.5], [-0.35, -0.5], [0.0, -1.0], [0.35, -0.5], [0.12, -0.5], [0.12, 0.0]])
+    return Shape(points_mm=outline * high_mm + np.array([x_mm, foot_mm]), grey=0.3)

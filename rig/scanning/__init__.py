@@ -1,0 +1,1 @@
+"""The scan, what survives it, and every way out of it."""

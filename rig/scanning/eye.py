@@ -1,0 +1,56 @@
+"""The camera of a scan: pictures that are tried again when the camera fails, and what the strip in them says."""
+
+from collections.abc import Callable
+
+from rig.clock import Clock
+from rig.devices import Camera, Shot
+from rig.errors import RigError
+from rig.scanning.markers import Sighting, read_strip
+from rig.scanning.preflight import check_size
+from scenes.model import Scene
+
+TRIES = 3
+FIRST_PAUSE_S = 1.0
+
+
+class Eye:
+    """Takes pictures for a scan."""
+
+    def __init__(self, camera: Camera, clock: Clock, scene: Scene, *, note: Callable[[str, str], None]) -> None:
+        self._camera = camera
+        self._clock = clock
+        self._scene = scene
+        self._note = note
+
+    def picture(self) -> Shot:
+        """Take a picture; a camera that fails is opened anew and asked again, with growing pauses.
+
+        Raises
+        ------
+        RigError
+            When the camera fails again and again, or its pictures have another size than the scene says.
+        """
+        shot = self._tried()
+        check_size(shot.image, self._scene.camera)
+        return shot
+
+    def look(self) -> tuple[Shot, Sighting | None]:
+        """Take a picture and read the strip in it."""
+        shot = self.picture()
+        return shot, read_strip(shot.image, self._scene)
+
+    def _tried(self) -> Shot:
+        broken = False
+        for attempt in range(TRIES):
+            try:
+                if broken:
+                    self._camera.close()
+                    self._camera.prepare()
+                return self._camera.capture()
+            except RigError as error:
+                if attempt == TRIES - 1:
+                    raise
+                self._note("camera", f"{error}; trying again")
+                broken = True
+                self._clock.sleep(FIRST_PAUSE_S * 2**attempt)
+        raise AssertionError("unreachable")

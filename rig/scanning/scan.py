@@ -1,0 +1,313 @@
+"""A scan: every view of a plan taken on real or emulated devices, so that it survives faults, Ctrl-C and power cuts.
+
+A frame's angle is what the turntable answered after the move and again after the picture. A turntable that was reset or plugged out is
+connected again and its angle found anew by the markers; a camera that fails is opened again; all else stops the scan with its cause.
+What was taken stays, and a later run takes only what is missing.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from tqdm import tqdm
+
+from rig.devices import Shot
+from rig.errors import RigError
+from rig.open import Devices
+from rig.scanning import preflight
+from rig.scanning.arm_stand import ArmStand
+from rig.scanning.eye import Eye
+from rig.scanning.homing import Ask
+from rig.scanning.safety import Say, make_safe
+from rig.scanning.session import Session, file_of, take_up
+from rig.scanning.stand import Stand, Tripod
+from rig.scanning.turning import BoardFaultError, Taken, Turning
+from rig.table.turntable import LEAST_DEG, MOST_DEG
+from scenes import plan
+from scenes.dataset import Dataset, Frame
+from scenes.errors import UserError
+from scenes.model import Scene
+from scenes.pictures import Grey
+from scenes.plan import View
+
+MOST_FAULTS = 3
+"""So many faults of the board one after the other, without a picture between them, end the scan."""
+DIMMER, BRIGHTER = 0.6, 1.6
+"""A picture whose panel is beyond this factor of its ring's first one was taken with failing lights."""
+
+T = TypeVar("T")
+
+
+def scan(
+    devices: Devices,
+    scene: Scene,
+    folder: Path | str,
+    *,
+    resume: bool = False,
+    settings: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    table_angle_deg: float | None = None,
+    ask: Ask | None = None,
+    say: Say = tqdm.write,
+    progress: bool = True,
+    begun: Callable[[], object] = lambda: None,
+) -> Dataset:
+    """Take every view of a scene's plan that the folder does not have yet.
+
+    Parameters
+    ----------
+    devices : open; they stay open, but are left safe: lights off, arm parked and let go, the table's motor off after a finished scan and on
+        after a stopped one, so that its angle is not lost.
+    scene : rig and plan as given, with the calibrated lens.
+    folder : new or empty, or left by a stopped scan.
+    resume : whether a stopped scan is taken up.
+    settings : what else the scan is made with; written to the dataset, and compared when it is taken up.
+    seed : of the twin's errors.
+    table_angle_deg : the table's present angle as a person says, for a strip that cannot be read at the start.
+    ask : puts a question to a person; None when nobody is there.
+    say : takes lines for people.
+    progress : show a bar with the time left.
+    begun : called once it is known that the folder can be used, before anything moves.
+
+    Returns
+    -------
+    Dataset
+        The finished dataset.
+
+    Raises
+    ------
+    RigError
+        When a device failed; the scan can be taken up.
+    UserError
+        For a folder, plan or scene that does not fit, or a full disk.
+    """
+    folder = Path(folder)
+    planned = plan.views(scene)
+    _refuse_plan(scene, planned)
+    session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
+    try:
+        begun()
+        return _Scan(devices, scene, session, table_angle_deg=table_angle_deg, ask=ask, say=say, progress=progress).run(planned)
+    finally:
+        session.close()
+
+
+class _Scan:
+    """One run of a scan."""
+
+    def __init__(
+        self, devices: Devices, scene: Scene, session: Session, *, table_angle_deg: float | None, ask: Ask | None, say: Say, progress: bool
+    ) -> None:
+        self._devices = devices
+        self._scene = scene
+        self._session = session
+        self._say = say
+        self._progress = progress
+        self._begun_s = devices.clock.now_s()
+        self._eye = Eye(devices.camera, devices.clock, scene, note=self._note)
+        self._turning = Turning(devices, scene, self._eye, ask=ask, given_deg=table_angle_deg, note=self._note)
+        self._stand: Stand = Tripod(scene, self._eye, ask=ask, note=self._note)
+        if devices.arm is not None and devices.rig.arm is not None:
+            self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
+        self._board_used = self._arm_used = self._homed = False
+        self._placement = 0
+        self._bright = 0.0
+        """How bright the ring's pictures are."""
+
+    def run(self, planned: list[View]) -> Dataset:
+        """Take what is missing, and leave the rig safe whatever happens."""
+        self._drop_slipped(self._turning.pictures_of(self._session))
+        remaining = self._session.remaining()
+        if not remaining:
+            self._say(f"{self._session.folder}: all {len(planned)} pictures are there")
+            return self._session.save(complete=True)
+        rings = sorted({view.ring for view in remaining})
+        self._stand.refuse([self._scene.plan.rings[ring] for ring in rings])
+        finished = False
+        try:
+            self._preflight(len(remaining))
+            with tqdm(
+                total=len(planned),
+                initial=len(planned) - len(remaining),
+                desc="scan",
+                unit="view",
+                disable=not self._progress,
+                dynamic_ncols=True,
+            ) as bar:
+                for ring in rings:
+                    self._take_ring(ring, [view for view in remaining if view.ring == ring], bar)
+            dataset = self._session.save(complete=True)
+            finished = True
+        except BoardFaultError as fault:  # one that came while another was being cured, or before the first picture
+            self._turning.lost = True
+            self._stopped(fault.cause)
+            raise fault.cause from fault
+        except BaseException as error:
+            self._stopped(error)
+            raise
+        finally:
+            make_safe(
+                self._devices,
+                self._scene,
+                say=self._say,
+                board=self._board_used,
+                arm=self._arm_used,
+                finished=finished,
+                board_lost=self._turning.lost,
+                arm_failed=self._stand.failed,
+            )
+        return dataset
+
+    def _preflight(self, pictures: int) -> None:
+        """Look at every device, one line each; the first that is not well stops the scan before it begins."""
+        devices = self._devices
+        self._report("disk", preflight.check_disk(self._session.folder, pictures, self._scene.camera))
+        self._report("turntable", preflight.check_table(devices.table))
+        self._board_used = True
+        self._report("lights", preflight.check_lights(devices.lights, devices.rig.lights))
+        if devices.arm is not None:
+            self._arm_used = self._stand.failed = True
+            self._report("arm", preflight.check_arm(devices.arm))
+            self._stand.failed = False
+        self._report("camera", preflight.check_camera(devices.camera))
+
+    def _take_ring(self, index: int, views: list[View], bar: "tqdm[Any]") -> None:
+        ring = self._scene.plan.rings[index]
+        self._turning.camera_moved()
+        self._stand.place(ring)
+        self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
+        self._placement = self._session.next_placement(index)
+        for view in views:
+            frame, image = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
+            self._session.record(frame, image)
+            self._turning.taken(view.table_deg, self._session.folder / frame.file)
+            bar.update()
+        slipped = self._drop_slipped(self._turning.pictures)
+        if slipped:
+            raise RigError(f"{slipped}: free the table, then finish the scan with --resume")
+
+    def _look_about(self, index: int, near_deg: float) -> None:
+        """Judge the picture, make the table's angle known, and correct the camera's place."""
+        shot, seen = self._stand.search(self._scene.plan.rings[index])
+        self._turning.answers()
+        self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
+        self._bright = preflight.exposure_of(shot.image).bright
+        if not self._homed:
+            before = self._session.frames_of(index)
+            earlier = [(frame.table_deg or 0.0, self._session.folder / frame.file) for frame in before]
+            self._turning.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
+            self._homed = True
+        seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turning.angle_deg)
+        self._turning.seen(seen)
+        self._report("markers", "cannot be read from here" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px off")
+
+    def _cured(self, action: Callable[[], T], *, near_deg: float) -> T:
+        """Do something; where the board of table and lights fails in it, cure that and do it again."""
+        faults = 0
+        fault: BoardFaultError | None = None
+        while True:
+            try:
+                if fault is not None:
+                    self._session.flush()  # the pictures tell the angle
+                    if self._turning.recover(fault, near_deg=near_deg, again=faults > 1):
+                        self._placement += 1
+                return action()
+            except BoardFaultError as another:
+                fault, faults = another, faults + 1
+                if faults > MOST_FAULTS:
+                    self._turning.lost = True
+                    raise
+
+    def _shoot(self, view: View) -> tuple[Frame, Grey]:
+        """Turn, wait, take the picture, and make sure that the table still stands where it went."""
+        clock, part = self._devices.clock, self._devices.rig.turntable
+        read_deg = self._turning.turn(view.table_deg)
+        moved_s = clock.now_s()
+        joints_deg, joints_read_deg = self._stand.joints()  # while the water comes to rest
+        clock.sleep(part.settle_s - (clock.now_s() - moved_s))
+        shot = self._lit_picture(view.table_deg)
+        frame = Frame(
+            file=file_of(view),
+            sha256="",
+            kind=view.kind,
+            ring=view.ring,
+            table_deg=view.table_deg,
+            table_read_deg=read_deg,
+            placement=self._placement,
+            joints_deg=joints_deg,
+            joints_read_deg=joints_read_deg,
+            exposure_s=shot.exposure_s,
+            gain=shot.gain,
+            time_s=round(self._now_s(), 6),
+        )
+        return frame, shot.image
+
+    def _lit_picture(self, angle_deg: float) -> Shot:
+        """Take a picture, prove that the table still stands, and that the lamps, which cannot be read back, are as bright as they were."""
+        bright = 0.0
+        for again in (False, True):
+            if again:
+                self._note("lights", f"lights: the panel went from {self._bright:.2f} to {bright:.2f} of full scale; switched on again")
+                self._turning.light()
+            shot = self._eye.picture()
+            self._turning.verify(angle_deg)
+            bright = preflight.exposure_of(shot.image).bright
+            if DIMMER * self._bright <= bright <= BRIGHTER * self._bright:
+                return shot
+        raise RigError(
+            f"lights: the panel is at {100.0 * bright:.0f} % of full scale, but was at {100.0 * self._bright:.0f} %; check the lamps, "
+            "their supply and what stands before the camera, then finish the scan with --resume"
+        )
+
+    def _drop_slipped(self, pictures: list[Taken]) -> str:
+        """Take pictures out that show another angle than commanded, and say which: lost steps cannot be read back, but stay lost."""
+        self._session.flush()
+        slipped = self._turning.slipped(pictures)
+        if not slipped:
+            return ""
+        self._session.drop([f"images/{path.name}" for path in slipped])
+        names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
+        text = (
+            f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
+        )
+        text += "these pictures are taken out"
+        self._note("slipped", text)
+        return text
+
+    def _stopped(self, error: BaseException) -> None:
+        """Write the log, and say how the scan goes on; the first error is what counts."""
+        with suppress(Exception):
+            self._drop_slipped(self._turning.pictures)
+        with suppress(Exception):
+            self._note("stopped", str(error) or type(error).__name__, quiet=True)
+            done = len(self._session.save().frames)
+            motor = "" if self._turning.lost else "; the table's motor stays on, so that its angle is kept"
+            if done:
+                self._say(f"{done} pictures are kept{motor}: finish the scan with --resume")
+
+    def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
+        """Say what happened, and keep it in the dataset's log."""
+        self._session.note(event, text, time_s=self._now_s())
+        if not quiet:
+            self._say(text)
+
+    def _report(self, name: str, text: str) -> None:
+        self._say(f"{name:<10} {text}")
+
+    def _now_s(self) -> float:
+        return self._session.begun_s + self._devices.clock.now_s() - self._begun_s
+
+
+def _refuse_plan(scene: Scene, planned: list[View]) -> None:
+    """Refuse what a plan may hold for the renderer, but not for a rig."""
+    for i, ring in enumerate(scene.plan.rings, start=1):
+        if ring.jitter_mm or ring.jitter_deg:
+            raise UserError(f"plan.rings {i}: jitter_mm and jitter_deg must be 0 for a scan: its camera stands still")
+    for view in planned:
+        if not LEAST_DEG <= view.table_deg <= MOST_DEG:
+            raise UserError(
+                f"plan.rings {view.ring + 1}: first_deg brings the table to {view.table_deg:g} deg, but a scan's angles lie between "
+                f"{LEAST_DEG:g} and {MOST_DEG:g}: add or take away 360"
+            )

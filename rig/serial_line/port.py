@@ -1,0 +1,186 @@
+"""A serial port: a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial, with errors that a person can act on."""
+
+import errno
+import math
+from contextlib import suppress
+from typing import Any, Protocol
+
+import serial
+from serial.tools import list_ports
+
+from rig.clock import Clock
+from rig.errors import LostError, NoAnswerError, RigError
+from rig.serial_line.recording import Recorder
+
+_WRITE_TIMEOUT_S = 5.0
+_READ_AT_ONCE = 4096
+_ABSENT = {errno.ENOENT, errno.ENODEV, errno.ENXIO}
+_BUSY = {errno.EBUSY, errno.EAGAIN}
+
+
+class Wire(Protocol):
+    """What a driver needs of a port: `Port`, and `rig.serial_line.recording.ReplayPort` in its place."""
+
+    @property
+    def clock(self) -> Clock:
+        """Whose time the time-outs are in."""
+
+    @property
+    def url(self) -> str:
+        """Where it leads to."""
+
+    @property
+    def device(self) -> str:
+        """What is at the other end, for messages."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what is there as soon as something is there; nothing after the time-out."""
+
+    def discard_input(self) -> None:
+        """Drop what has come in."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class Port:
+    """An open serial port.
+
+    Parameters
+    ----------
+    url
+        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. A device file is locked against other programs.
+    baud
+        Bits per second.
+    clock
+        Stamps the recording; drivers take their deadlines from it.
+    device
+        What is at the other end, for messages: "turntable", "arm".
+    recorder
+        Keeps every byte.
+
+    Raises
+    ------
+    RigError
+        When the port cannot be opened, with what to do.
+    """
+
+    def __init__(self, url: str, *, baud: int, clock: Clock, device: str, recorder: Recorder | None = None) -> None:
+        self.url = url
+        self.clock = clock
+        self.device = device
+        self._recorder = recorder
+        self._timeout_s = 0.0
+        self._is_open = True
+        only_for_files: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_TIMEOUT_S, **only_for_files)
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise RigError(f"{device}: {_why_not_open(url, error)}") from error
+        try:
+            if recorder is not None:
+                recorder.opened(clock.now_s(), device, url=url, baud=baud)
+        except RigError:
+            self.close()
+            raise
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Raises
+        ------
+        LostError
+            When the device was unplugged.
+        NoAnswerError
+            When it takes no bytes.
+        """
+        if self._recorder is not None:
+            self._recorder.record(self.clock.now_s(), self.device, ">", data)
+        self._check_open()
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException as error:
+            raise NoAnswerError(
+                f"{self.device} on {self.url}: took no bytes for {_WRITE_TIMEOUT_S:g} s; switch it off and on, and check the cable"
+            ) from error
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what is there as soon as something is there; nothing after the time-out (0: do not wait).
+
+        Raises
+        ------
+        LostError
+            When the device was unplugged.
+        """
+        self._check_open()
+        try:
+            data = self._waiting() or self._wait(timeout_s)
+        except OSError as error:  # in_waiting raises a bare OSError where read and write raise SerialException
+            raise self._lost(error) from error
+        if data and self._recorder is not None:
+            self._recorder.record(self.clock.now_s(), self.device, "<", data)
+        return data
+
+    def discard_input(self) -> None:
+        """Drop what has come in; it is recorded all the same, so that a replay sees it."""
+        for _ in range(16):  # a device that babbles without end is not waited for
+            if not self.read(0.0):
+                return
+
+    def close(self) -> None:
+        """Close the port; nothing when it is closed already."""
+        self._is_open = False
+        with suppress(OSError):
+            self._serial.close()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise LostError(f"{self.device} on {self.url}: the port was closed; open it again")
+
+    def _waiting(self) -> bytes:
+        """Read what has arrived. A socket never admits to more than one byte, so it is asked until it has none."""
+        data = b""
+        while len(data) < _READ_AT_ONCE and (waiting := self._serial.in_waiting):
+            data += self._serial.read(min(waiting, _READ_AT_ONCE))
+        return data
+
+    def _wait(self, timeout_s: float) -> bytes:
+        left_s = timeout_s
+        while left_s > 0.0:
+            slice_s = _slice_s(left_s)
+            if slice_s != self._timeout_s:  # each change makes pyserial configure the port anew
+                self._serial.timeout = self._timeout_s = slice_s
+            first: bytes = self._serial.read(1)
+            if first:
+                return first + self._waiting()
+            left_s -= slice_s
+        return b""
+
+    def _lost(self, error: OSError) -> LostError:
+        return LostError(f"{self.device} on {self.url}: unplugged or switched off ({error}); check its cable and supply, then start again")
+
+
+def _slice_s(left_s: float) -> float:
+    """Return the power of two that is not longer (but for the last millisecond): ever the same few time-outs, seldom set anew."""
+    _, exponent = math.frexp(left_s)
+    return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
+
+
+def _why_not_open(url: str, error: OSError | ValueError) -> str:
+    code = error.errno if isinstance(error, OSError) else None
+    if code == errno.EACCES:
+        return (
+            f"{url} may not be opened by you; join the group of serial ports ('sudo usermod -aG dialout $USER' on most systems), "
+            "log out and in, and try again"
+        )
+    if code in _BUSY:
+        return f"{url} is used by another program; close that one and try again"
+    if code in _ABSENT:
+        there = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+        return f"{url} is not there (serial ports that are: {there}); plug the device in, or correct its port in the rig file"
+    return f"{url} cannot be opened as a serial port ({error}); check the device, and its port in the rig file"

@@ -1,0 +1,257 @@
+"""Every byte on the wire as JSON lines, and a port that plays them back: a session on the bench becomes a test of the drivers.
+
+A file holds sessions one after the other. A session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``; then come
+``{"t_s", "device", "open": {"url", "baud"}}`` for each port that is opened and ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for what is
+sent to (``>``) and heard from (``<``) a device.
+"""
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from rig.clock import Clock
+from rig.errors import RigError
+from scenes.errors import UserError
+from scenes.provenance import versions
+
+FORMAT = 1
+
+
+class Recorder:
+    """Appends to a recording; every line reaches the system at once, so that a crash loses none.
+
+    Raises
+    ------
+    RigError
+        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from being switched off.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self._path = Path(path)
+        self._broken = False
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._path.open("ab", buffering=0)
+        except OSError as error:
+            raise self._failed(error) from error
+        try:
+            _end_line(self._path)
+            self._put({"recording": FORMAT, "time": datetime.now(UTC).isoformat(), "versions": versions(("pyserial",))})
+        except OSError as error:
+            self.close()
+            raise self._failed(error) from error
+        except RigError:
+            self.close()
+            raise
+
+    def opened(self, t_s: float, device: str, *, url: str, baud: int) -> None:
+        """Note that a port was opened, with its settings."""
+        self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
+
+    def record(self, t_s: float, device: str, direction: Literal[">", "<"], data: bytes) -> None:
+        """Note bytes that were sent (``>``) or heard (``<``)."""
+        self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(OSError):
+            self._stream.close()
+
+    def _put(self, entry: dict[str, Any]) -> None:
+        if self._broken:
+            return
+        line = json.dumps(entry).encode() + b"\n"
+        self._broken = True
+        try:
+            written = self._stream.write(line)
+        except OSError as error:
+            raise self._failed(error) from error
+        self._broken = written != len(line)
+        if self._broken:
+            raise RigError(f"{self._path}: the recording cannot be written (the disk is full); free some space, or do not record")
+
+    def _failed(self, error: OSError) -> RigError:
+        return RigError(f"{self._path}: the recording cannot be written ({error.strerror}); free some space, or do not record")
+
+
+def _end_line(path: Path) -> None:
+    """Cut off a last line that a crash or a full disk left without its end."""
+    if not path.is_file():  # a pipe, a device
+        return
+    with path.open("r+b") as stream:
+        whole = stream.read().rfind(b"\n") + 1
+        if stream.tell() > whole:
+            stream.truncate(whole)
+
+
+class ReplayError(UserError):
+    """A driver did something else than at the time of the recording; no `RigError`, so that no driver takes it for a device's failure."""
+
+
+class ReplayClock:
+    """Time that passes only by `sleep`, at once."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Return seconds since the beginning of the replay."""
+        return self._now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self._now_s += max(seconds, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    line: int
+    """Of the file, from 1."""
+    sent: bool
+    data: bytes
+
+
+class ReplayPort:
+    """Stands in for a `rig.serial_line.port.Port`: demands the bytes that were sent in the recording, and answers what was heard.
+
+    Only the order counts, not the times: a read returns the next bytes that were heard, unless something was sent before them; then time
+    passes up to the time-out. After the first difference every call fails with it.
+    """
+
+    def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
+        self.url = f"replay of {path}"
+        self.device = device
+        self.clock = clock
+        self._entries = entries
+        self._at = 0
+        self._done = 0  # bytes of the present entry that were sent already
+        self._difference: ReplayError | None = None
+
+    def write(self, data: bytes) -> None:
+        """Take what the driver sends.
+
+        Raises
+        ------
+        ReplayError
+            When something else was sent at this point of the recording.
+        """
+        self._check()
+        left = data
+        while left:
+            entry = self._entry()
+            if entry is None:
+                raise self._differs(f"the recording ends, but {left!r} was sent after it")
+            if not entry.sent:
+                raise self._differs(f"line {entry.line} has {entry.data!r} heard, but {left!r} was sent before it was read")
+            wanted = entry.data[self._done : self._done + len(left)]
+            if not left.startswith(wanted):
+                same = next(i for i, (a, b) in enumerate(zip(wanted, left, strict=False)) if a != b)
+                byte = self._done + same
+                raise self._differs(
+                    f"line {entry.line} has {entry.data!r} sent, but the driver differs from byte {byte} on: {left[same:]!r}"
+                )
+            left = left[len(wanted) :]
+            self._done += len(wanted)
+            if self._done == len(entry.data):
+                self._at, self._done = self._at + 1, 0
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what was heard at this point of the recording, or nothing after the time-out."""
+        self._check()
+        entry = self._entry()
+        if entry is None or entry.sent:
+            self.clock.sleep(timeout_s)
+            return b""
+        self._at += 1
+        return entry.data
+
+    def discard_input(self) -> None:
+        """Skip what was heard up to the next sent bytes."""
+        while self.read(0.0):
+            pass
+
+    def close(self) -> None:
+        """Do nothing; see `finish`."""
+
+    def finish(self) -> None:
+        """Demand that the whole recording was gone through.
+
+        Raises
+        ------
+        ReplayError
+            When something of it is left.
+        """
+        self._check()
+        entry = self._entry()
+        if entry is not None:
+            raise self._differs(
+                f"line {entry.line} has {entry.data!r} {'sent' if entry.sent else 'heard'}, but the driver stopped before it"
+            )
+
+    def _entry(self) -> _Entry | None:
+        return self._entries[self._at] if self._at < len(self._entries) else None
+
+    def _check(self) -> None:
+        if self._difference is not None:
+            raise self._difference
+
+    def _differs(self, what: str) -> ReplayError:
+        self._difference = ReplayError(f"{self.device}, {self.url}: {what}")
+        return self._difference
+
+
+def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, session: int = -1) -> ReplayPort:
+    """Open one device of a recording for replay.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    device
+        Its name in the recording: "turntable", "arm".
+    clock
+        Passed on to the driver; needs virtual time to be quick. None: a `ReplayClock`.
+    session
+        Which session of the file, counted as in a list; the last one by default.
+
+    Raises
+    ------
+    UserError
+        When the file cannot be read, is damaged, or knows no such device.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read as a recording ({error})") from error
+    plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]  # a last line without its end was cut off by a crash
+    begins = [i for i, entry in enumerate(plain) if "recording" in entry]
+    if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
+        raise UserError(f"{path}: is not a recording of format {FORMAT}")
+    if not -len(begins) <= session < len(begins):
+        raise UserError(f"{path}: has {len(begins)} sessions, but session {session} was asked for")
+    first = begins[session]
+    end = min((i for i in begins if i > first), default=len(plain))
+    mine = [(i, entry) for i, entry in enumerate(plain[first:end], start=first + 1) if entry.get("device") == device]
+    if not mine:
+        names = sorted({str(entry["device"]) for entry in plain[first:end] if "device" in entry})
+        raise UserError(f"{path}: has nothing of a device {device!r} in this session, only {', '.join(names) or 'none'}")
+    entries = [_Entry(line=i, sent=entry["sent"], data=entry["data"]) for i, entry in mine if "dir" in entry]
+    return ReplayPort(path, device, entries, ReplayClock() if clock is None else clock)
+
+
+def _parsed(path: Path, number: int, line: str) -> dict[str, Any]:
+    """Read one line; everything that `replay_port` takes out of it is checked here."""
+    try:
+        plain = json.loads(line)
+        if not isinstance(plain, dict):
+            raise ValueError("no object")
+        if "dir" in plain:
+            plain["sent"] = {">": True, "<": False}[plain["dir"]]
+            plain["data"] = bytes.fromhex(plain["hex"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: line {number} is damaged ({error!r})") from error
+    return plain

@@ -1,0 +1,73 @@
+"""The lamps: two NeoPixel strips of a Marlin board."""
+
+from rig.clock import Clock
+from rig.errors import LostError, NoAnswerError
+from rig.rig_file import LightsPart
+from rig.table.marlin import MarlinLink
+from rig.table.marlin_lines import POSITION
+
+_FULL = 255
+
+
+class MarlinLights:
+    """A `rig.devices.Lights`; shares its link with the turntable."""
+
+    def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock) -> None:
+        self._link = link
+        self._part = part
+        self._clock = clock
+
+    def set(self, *, panel: float, front: float) -> None:
+        """Set both lamps and wait until they burn steadily.
+
+        Parameters
+        ----------
+        panel, front
+            0 to 1, as fractions of the colours in the rig file.
+        """
+        for name, level in (("panel", panel), ("front", front)):
+            if not 0.0 <= level <= 1.0:
+                raise ValueError(f"{name}={level} but expected 0 to 1")
+        if not self._link.ready:
+            self._link.start()
+        self._show(panel, front)
+        self._clock.sleep(self._part.settle_s)
+
+    def off(self) -> None:
+        """Switch both off, whatever happened before; a board that was lost is connected anew for it.
+
+        Raises
+        ------
+        NoAnswerError
+            When nobody knows whether they are off: the board does not answer. It was told all the same.
+        LostError
+            When the board is not there any more.
+        """
+        try:
+            self._surely_off()
+        except NoAnswerError:
+            self._link.send_unheard(*(f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip)))
+            raise
+
+    def close(self) -> None:
+        """Close the port that table and lights share."""
+        self._link.close()
+
+    def _surely_off(self) -> None:
+        if not self._link.ready:
+            self._link.start()
+        try:
+            self._show(0.0, 0.0)
+        except LostError:  # it was reset meanwhile: it answers again after a new start
+            self._link.start()
+            self._show(0.0, 0.0)
+
+    def _show(self, panel: float, front: float) -> None:
+        self._link.command("M400")  # M150 does not wait for moves, and its interrupt lock would disturb their steps
+        for strip, rgb, level in (
+            (self._part.panel_strip, self._part.panel_rgb, panel),
+            (self._part.front_strip, self._part.front_rgb, front),
+        ):
+            red, green, blue = rgb if level > 0.0 else (0, 0, 0)
+            self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
+        self._link.ask("M114", POSITION)  # what was sent before is done when this is answered

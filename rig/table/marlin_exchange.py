@@ -1,0 +1,249 @@
+"""How one command comes to be taken by the board: sent, answered, refused, sent again."""
+
+import re
+from dataclasses import dataclass, field
+
+from rig.errors import NoAnswerError, RigError
+from rig.table.marlin_lines import Kind, Line, numbered
+from rig.table.marlin_wire import MarlinWire
+
+ANSWER_S = 10.0
+"""Silence beyond the time that a command is expected to take, after which it is sent again."""
+BUSY_S = 3.0
+"""The same once the board has said that it is busy; it says so every `BUSY_EVERY_S`."""
+BUSY_EVERY_S = 2
+AGAIN_S = 3.0
+"""Silence after a line that was sent again because of silence."""
+TRAILING_S = 0.5
+"""How long a line that should come at once is waited for: the ``ok`` behind ``Resend``, which some versions leave out."""
+LONGEST_S = 60.0
+"""No command lasts longer than this beyond twice the time it is expected to take, whatever the board sends meanwhile."""
+MOST_REFUSALS = 10
+MOST_SILENCES = 5
+MOST_HINTS = 2
+"""So often a line is sent again early because what was heard resembles an ``ok``."""
+MOST_COPIES = 6
+MOST_LINES = 2000
+_KEPT = 50
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A line that was sent."""
+
+    text: str
+    data: bytes
+
+    @property
+    def command(self) -> str:
+        """The first word, such as G1."""
+        return self.text.split()[0]
+
+
+@dataclass
+class Journal:
+    """The lines of a session, by their numbers, in case the board wants one again."""
+
+    last: int = 0
+    lines: dict[int, Sent] = field(default_factory=lambda: {0: Sent("M110 N0", numbered(0, "M110 N0"))})
+    optional: set[str] = field(default_factory=set)
+    """Commands that the firmware need not know."""
+
+    def add(self, text: str, *, optional: bool) -> None:
+        """Give a command the next number. Broken off anywhere, it leaves the journal in order."""
+        number = self.last + 1
+        sent = Sent(text, numbered(number, text))
+        if optional:
+            self.optional.add(sent.command)
+        self.lines[number] = sent
+        self.last = number
+        self.lines.pop(number - _KEPT, None)
+
+
+class Exchange:
+    """The exchange about the last line of a journal.
+
+    Parameters
+    ----------
+    expect_s
+        How long the board may need until its ``ok``.
+    awaited
+        What must be among the answers.
+    """
+
+    def __init__(self, wire: MarlinWire, journal: Journal, *, expect_s: float, awaited: re.Pattern[str] | None) -> None:
+        self._wire = wire
+        self._journal = journal
+        self._expect_s = expect_s
+        self._awaited = awaited
+        self._number = journal.last  # the line in flight: the last one, or an earlier one that the board turned out not to have
+        self._quiet_s = wire.clock.now_s()  # when silence has lasted too long
+        self._end_s = self._quiet_s + LONGEST_S + 2.0 * expect_s
+        self._output: list[str] = []
+        self._answered = awaited is None
+        self._acknowledged = False
+        self._wanted: set[int] = set()  # numbers in the refusal that is just being read
+        self._refused = False
+        self._doubtful = False  # an error came that was not understood: the next ok proves nothing
+        self._copies = 0  # of the line, not answered yet
+        self._refusals = self._silences = self._hints = self._waits = 0
+        self._hinted = False
+        self._unknown_text: str | None = None
+
+    def run(self) -> list[str]:
+        """Send the line and see to it that the board takes it; return what the board printed.
+
+        Raises
+        ------
+        NoAnswerError
+            When it does not take it after every retry.
+        LostError
+            When it was reset, has stopped itself, or was unplugged.
+        """
+        self._wire.fresh()
+        self._send()
+        for _ in range(MOST_LINES):
+            if self._acknowledged and self._copies <= 0 and self._answered:
+                return self._output
+            line = self._wire.next(min(self._quiet_s, self._end_s))
+            if line is not None:
+                self._hear(line)
+            elif self._silence():
+                return self._output
+        raise self._no_answer("kept sending other things")
+
+    def check_known(self) -> None:
+        """Raise `RigError` when the firmware said that it does not know a command."""
+        if self._unknown_text is not None:
+            raise RigError(
+                f'{self._wire.name}: the firmware does not know "{self._unknown_text}"; '
+                "build Marlin 2.1 with the options that the docs list"
+            )
+
+    def _send(self, *, patience_s: float | None = None) -> None:
+        if self._copies < MOST_COPIES:
+            self._wire.send(self._journal.lines[self._number].data)
+            self._copies += 1
+        self._waits = 0
+        self._hinted = False
+        self._quiet_s = self._wire.clock.now_s() + (self._expect_s + ANSWER_S if patience_s is None else patience_s)
+
+    def _silence(self) -> bool:
+        """Deal with an answer that does not come; return whether the exchange is over."""
+        if self._refused:
+            self._refusal()
+            return False
+        if self._acknowledged:
+            return True
+        if self._wire.clock.now_s() >= self._end_s:
+            raise self._no_answer("was busy without end")
+        if self._hinted:
+            self._hints += 1
+            self._send()
+            return False
+        self._silences += 1
+        if self._silences > MOST_SILENCES:
+            raise self._no_answer("did not answer")
+        self._send(patience_s=AGAIN_S)
+        return False
+
+    def _hear(self, line: Line) -> None:
+        now_s = self._wire.clock.now_s()
+        self._wire.check(line)
+        if line.kind is Kind.REFUSED and line.number is not None:
+            self._refused = True
+            self._wanted.add(line.number)
+            self._quiet_s = now_s + TRAILING_S
+        elif line.kind is Kind.OK:
+            self._taken(line)
+        elif line.kind is Kind.BUSY:
+            if not self._refused:
+                self._silences = 0
+                self._quiet_s = now_s + BUSY_S
+        elif line.kind is Kind.WAIT:
+            self._waits += 1
+            if self._waits == 2 and not self._refused:  # the first may have crossed our line; the second says that no ok will come
+                self._quiet_s = now_s
+        elif line.kind is Kind.UNKNOWN:
+            self._unknown(line.text)
+        elif line.kind is Kind.ERROR:
+            self._doubtful = True
+            self._print(line.text)
+        else:
+            self._print(line.text)
+            if (line.kind is Kind.LIKE_OK or self._hinted) and self._hints < MOST_HINTS and not (self._acknowledged or self._refused):
+                self._hinted = True
+                self._quiet_s = now_s + TRAILING_S
+
+    def _taken(self, line: Line) -> None:
+        """Deal with an ``ok``."""
+        now_s = self._wire.clock.now_s()
+        if self._refused:
+            self._refusal()
+        elif line.number is not None and line.number != self._number:  # ADVANCED_OK: that of another line, or damaged
+            self._hinted = self._hints < MOST_HINTS
+            self._quiet_s = min(self._quiet_s, now_s + TRAILING_S) if self._hinted else self._quiet_s
+        elif self._doubtful:
+            self._doubtful = False
+            self._copies -= 1
+            self._silences += 1
+            if self._silences > MOST_SILENCES:
+                raise self._no_answer("answered with errors")
+            self._send()
+        elif self._number < self._journal.last:
+            self._number += 1
+            self._copies = 0
+            self._send()
+        else:
+            self._acknowledge()
+            self._copies -= 1
+
+    def _acknowledge(self) -> None:
+        """Wait a little more, if answers to further copies, or what must be printed, have yet to come.
+
+        What must be printed may take as long as the command: the ``ok`` may have been that of an earlier one.
+        """
+        self._acknowledged = True
+        self._quiet_s = self._wire.clock.now_s() + TRAILING_S + (0.0 if self._answered else self._expect_s)
+
+    def _refusal(self) -> None:
+        """Deal with a refusal that was read to its end: send what the board wants."""
+        wanted = self._wanted.pop() if len(self._wanted) == 1 else None  # its two lines contradict each other: one is damaged
+        self._wanted.clear()
+        self._refused = self._doubtful = False
+        self._copies -= 1
+        if wanted == self._journal.last + 1:
+            if not self._acknowledged:
+                self._copies -= 1  # answers come in order: the ok of the first copy was lost
+            self._acknowledge()
+            return
+        if wanted == 1 and self._number > 1:
+            raise self._wire.was_reset("it counts its lines from the beginning")
+        self._refusals += 1
+        if self._refusals > MOST_REFUSALS:
+            raise self._no_answer(f"refused it {MOST_REFUSALS} times")
+        if wanted is not None and wanted in self._journal.lines and wanted <= self._journal.last:
+            if wanted != self._number:
+                self._copies = 0
+            self._number = wanted
+        self._acknowledged = False
+        self._send()
+
+    def _unknown(self, quoted: str) -> None:
+        """Deal with a command that the firmware does not know: one of ours, or one that became unknown on its way."""
+        name = quoted.split()[0] if quoted.split() else ""
+        if name in self._journal.optional:
+            return
+        if any(sent.command == name for sent in self._journal.lines.values()):
+            self._unknown_text = quoted
+        else:
+            self._doubtful = True
+
+    def _print(self, text: str) -> None:
+        self._output.append(text)
+        self._answered = self._answered or (self._awaited is not None and self._awaited.search(text) is not None)
+
+    def _no_answer(self, what: str) -> NoAnswerError:
+        heard = f" (last heard: {self._output[-1]!r})" if self._output else ""
+        text = self._journal.lines[self._number].text
+        return NoAnswerError(f"{self._wire.name}: {what} after {text}{heard}; check supply, cable, port and baud rate, then start again")

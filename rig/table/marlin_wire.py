@@ -1,0 +1,86 @@
+"""The port of a Marlin board as lines."""
+
+from collections import deque
+
+from rig.errors import LostError, NoAnswerError
+from rig.serial_line.port import Wire
+from rig.table.marlin_lines import Kind, Line, read_line
+
+MOST_BYTES = 65536
+
+
+class MarlinWire:
+    """Sends bytes, returns lines, and tells a board that was lost from one that answers."""
+
+    def __init__(self, port: Wire) -> None:
+        self._port = port
+        self._buffer = bytearray()
+        self._lines: deque[Line] = deque()
+        self._heard = 0
+        self.clock = port.clock
+        self.name = f"{port.device} on {port.url}"
+        """Device and port, for messages."""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes."""
+        self._port.write(data)
+
+    def next(self, until_s: float) -> Line | None:
+        """Return the next line, or None when there is none up to this time.
+
+        Raises
+        ------
+        NoAnswerError
+            When too much was heard since `fresh` or `drain`.
+        """
+        while not self._lines:
+            data = self._port.read(max(until_s - self.clock.now_s(), 0.0))
+            if not data:
+                return None
+            self._heard += len(data)
+            if self._heard > MOST_BYTES:
+                raise NoAnswerError(f"{self.name}: sends without end and without sense; check baud rate and cable")
+            self._buffer += data
+            *whole, rest = self._buffer.split(b"\n")
+            self._buffer = bytearray(rest)
+            self._lines.extend(read_line(bytes(raw)) for raw in whole)
+        return self._lines.popleft()
+
+    def fresh(self) -> None:
+        """Begin to count anew what is heard."""
+        self._heard = 0
+
+    def forget(self) -> None:
+        """Drop what was read and not yet asked for."""
+        self._lines.clear()
+        self._buffer.clear()
+
+    def drain(self) -> None:
+        """Drop what came since the last command: late and doubled answers, chatter.
+
+        Raises
+        ------
+        LostError
+            When the greeting of a board that was reset is among it.
+        """
+        self.fresh()
+        while (line := self.next(self.clock.now_s())) is not None:
+            self.check(line)
+        self.forget()
+
+    def check(self, line: Line) -> None:
+        """Raise `LostError` for a line that only a board says that was reset, or has stopped itself."""
+        if line.kind is Kind.RESET:
+            raise self.was_reset(f'it says "{line.text}"')
+        if line.kind is Kind.HALTED:
+            raise LostError(f'{self.name}: the board stopped itself ("{line.text}"); find out why, then switch it off and on')
+
+    def was_reset(self, why: str) -> LostError:
+        """Return the error to raise."""
+        return LostError(
+            f"{self.name}: the board was reset ({why}), so that its angle is lost; check supply and cable, and find the angle anew"
+        )
+
+    def close(self) -> None:
+        """Close the port."""
+        self._port.close()

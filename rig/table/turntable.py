@@ -1,0 +1,179 @@
+"""The turntable: axis X of a Marlin board, in degrees."""
+
+import math
+
+from rig.clock import Clock
+from rig.errors import LostError, NoAnswerError, UnsafeError
+from rig.rig_file import TurntablePart
+from rig.table.marlin import MarlinLink
+from rig.table.marlin_lines import POSITION
+
+ZERO_X_DEG = 360.0
+"""The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board itself remembers
+whether it was told its angle."""
+KNOWN_X_DEG = 200.0
+"""Least X of a board that knows its angle."""
+LEAST_DEG = -90.0
+MOST_DEG = 720.0
+_ROUNDED_DEG = 0.0051
+"""M114 prints two decimals of a single-precision number."""
+_START_S = 2.0
+"""Starting and stopping, on top of the way at full speed."""
+_LOOKS = 3
+_PAUSE_S = 0.2
+"""Before looking again: what is late comes meanwhile, and is dropped."""
+_READINGS = 6
+
+
+class MarlinTurntable:
+    """A `rig.devices.Turntable`."""
+
+    def __init__(self, link: MarlinLink, part: TurntablePart, clock: Clock) -> None:
+        self._link = link
+        self._part = part
+        self._clock = clock
+        self._verified: tuple[int, float] | None = None  # session of the link, and X as it was verified in it
+        self._seated = False  # whether the last move arrived from the side that all moves arrive from
+
+    def describe(self) -> str:
+        """Say which firmware answers, and where the table stands."""
+        x_deg = self._x_deg()
+        where = f"table at {_table_deg(x_deg):.2f} deg" if x_deg >= KNOWN_X_DEG else "table angle not known"
+        return f"{self._link.firmware}, {where}"
+
+    def prepare(self) -> None:
+        """Connect: agree on line numbers, energise the motor for good, absolute angles."""
+        self._verified, self._seated = None, False
+        self._link.start()
+        self._link.command("M17")
+        self._link.command("G90")
+        self._link.command(f"G1 F{_plain(self._feed())}")  # moves nothing; a firmware that has stopped itself says so here
+        self._link.ask("M114", POSITION)
+
+    def position_deg(self) -> float:
+        """Read the angle back. A board that does not know its angle says something below -90.
+
+        A reply carries no checksum: it is believed when it says what was verified last, or when two in a row agree.
+        """
+        return _table_deg(self._x_deg())
+
+    def declare(self, angle_deg: float) -> None:
+        """Tell the board that the table stands at this angle now (no motion).
+
+        Raises
+        ------
+        UnsafeError
+            For an angle outside -90 to 720.
+        """
+        _check_angle(angle_deg)
+        self._verified, self._seated = None, False
+        self._link.command("M400")
+        self._link.command(f"G92 X{_plain(angle_deg + ZERO_X_DEG)}")
+        self._verify(angle_deg)
+
+    def knows_zero(self) -> bool:
+        """Whether the board still holds an angle that was declared: False after power-up or a reset."""
+        return self._x_deg() >= KNOWN_X_DEG
+
+    def move_to(self, angle_deg: float) -> float:
+        """Turn, always arriving from below; wait until done; return the angle read back.
+
+        A move down, and the first move after the motor was energised or the angle declared, goes `approach_deg` too far down and comes
+        back up, so that play is always taken up on the same side.
+
+        Raises
+        ------
+        LostError
+            When the board was reset, or says another angle after the move than it was told.
+        UnsafeError
+            For an angle outside -90 to 720.
+        """
+        _check_angle(angle_deg)
+        here = _table_deg(self._known_x_deg())
+        room_deg = self._part.approach_deg
+        way = [angle_deg]
+        if room_deg > 0.0 and angle_deg < (here if self._seated else here + room_deg) - _ROUNDED_DEG:
+            way.insert(0, angle_deg - room_deg)
+        length_deg = sum(abs(b - a) for a, b in zip([here, *way], way, strict=False))
+        expect_s = length_deg / self._part.speed_deg_per_s + _START_S
+        self._verified, self._seated = None, False
+        for goal_deg in way:
+            self._link.command(f"G1 X{_plain(goal_deg + ZERO_X_DEG)} F{_plain(self._feed())}")
+        self._link.command("M400", expect_s=expect_s)
+        read_deg = self._verify(angle_deg, expect_s=expect_s)
+        self._seated = True
+        return read_deg
+
+    def release(self) -> None:
+        """Switch the motor off. The rotor may turn then: the board is made to forget its angle first."""
+        self._verified, self._seated = None, False
+        if not self._link.ready:
+            self._link.start()
+        self._link.command("M400")
+        self._link.command("G92 X0")
+        self._link.command("M18")
+        self._link.ask("M114", POSITION)
+
+    def close(self) -> None:
+        """Close the port that table and lights share."""
+        self._link.close()
+
+    def _feed(self) -> float:
+        """Return the speed per minute, as G1 wants it."""
+        return 60.0 * self._part.speed_deg_per_s
+
+    def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
+        """Return the angle that the board says, once it is the one that it was told; a different answer is not believed at once."""
+        read_deg = before_deg = math.nan
+        for look in range(_LOOKS):
+            if look:
+                self._clock.sleep(_PAUSE_S)
+            x_deg = self._look(expect_s=expect_s)
+            before_deg, read_deg = read_deg, _table_deg(x_deg)
+            off_deg = abs(read_deg - angle_deg)
+            if off_deg <= _ROUNDED_DEG or (off_deg <= self._part.tolerance_deg and read_deg == before_deg):
+                self._verified = (self._link.sessions, x_deg)
+                return read_deg
+        raise LostError(
+            f"{self._link.name}: says that the table stands at {read_deg:.2f} deg after it was told {angle_deg:.2f} deg; check the "
+            "firmware's axis limits, then find the angle anew"
+        )
+
+    def _known_x_deg(self) -> float:
+        """Return where the table stands; it is asked only when it is not known from the last move."""
+        if self._verified is not None and self._link.ready and self._verified[0] == self._link.sessions:
+            return self._verified[1]
+        x_deg = self._x_deg()
+        if x_deg < KNOWN_X_DEG:
+            raise LostError(f"{self._link.name}: does not know the table's angle; find it by the markers, or declare it")
+        return x_deg
+
+    def _x_deg(self) -> float:
+        """Read X until an answer can be believed."""
+        verified = self._verified[1] if self._verified is not None else math.nan
+        before = math.nan
+        for _ in range(_READINGS):
+            x_deg = self._look()
+            if x_deg in (verified, before):
+                return x_deg
+            before = x_deg
+        raise NoAnswerError(f"{self._link.name}: says another angle every time it is asked; check the cable, then start again")
+
+    def _look(self, *, expect_s: float = 0.0) -> float:
+        return float(self._link.ask("M114", POSITION, expect_s=expect_s)[1])
+
+
+def _check_angle(angle_deg: float) -> None:
+    if not LEAST_DEG <= angle_deg <= MOST_DEG:
+        raise UnsafeError(
+            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that many turns nearer"
+        )
+
+
+def _table_deg(x_deg: float) -> float:
+    return round(x_deg - ZERO_X_DEG, 6)
+
+
+def _plain(value: float) -> str:
+    """Write a number as G-code does, without an exponent and without a tail of zeros."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")

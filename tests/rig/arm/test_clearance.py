@@ -1,0 +1,326 @@
+"""Paths of the arm against canister, table, floor and bars: distances by brute force, and that nothing is missed between samples."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
+from rig.arm.kinematics import arm_from_cam, rig_from_arm
+from rig.arm.placing import Joints, camera_wanted, joints_for
+from rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rig.errors import UnsafeError
+from rig.rig_file import ArmPart, Bar, Clearance, RigFile
+from scenes import frames
+from scenes.frames import Array
+from scenes.model import Canister, Ring, Scene
+
+ARM = ArmPart()
+RIG = RigFile(arm=ARM)
+SCENE = Scene()
+RING = joints_for(RIG, camera_wanted(Ring()))
+SOLIDS: tuple[Solid, ...] = (
+    Cylinder("can", 76.2, -152.4, 0.0),
+    Box("bar", (-30.0, -20.0, 5.0), (40.0, 60.0, 25.0)),
+    Floor("floor", -195.0),
+)
+point = st.lists(st.floats(-250.0, 250.0), min_size=3, max_size=3).map(np.array)
+
+
+def near(x_mm: float = 330.0, **clearance: object) -> RigFile:
+    """Return a rig whose arm stands so near that it reaches everything."""
+    return replace(RIG, arm=replace(ARM, position_mm=(x_mm, 0.0, -100.0)), clearance=replace(Clearance(), **clearance))
+
+
+def camera_mm(rig: RigFile, joints_deg: Joints) -> Array:
+    assert rig.arm is not None
+    return frames.apply(rig_from_arm(rig.arm), arm_from_cam(rig.arm, joints_deg)[:3, 3])
+
+
+def distance_of(rig: RigFile, piece: str, other: str, joints_deg: Joints) -> float:
+    found = pairs(rig, SCENE, np.array([joints_deg]))
+    return float(found.distance_mm[0, found.names.index((piece, other))])
+
+
+# Shapes.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spot:
+    """A point, and how far it is from a shape, by hand."""
+
+    solid: Solid
+    at: tuple[float, float, float]
+    distance_mm: float
+
+
+SPOTS = (
+    Spot(solid=SOLIDS[0], at=(100.0, 0.0, -50.0), distance_mm=23.8),
+    Spot(solid=SOLIDS[0], at=(0.0, 0.0, 12.0), distance_mm=12.0),
+    Spot(solid=SOLIDS[0], at=(0.0, 79.2, 4.0), distance_mm=5.0),
+    Spot(solid=SOLIDS[0], at=(70.2, 0.0, -50.0), distance_mm=-6.0),
+    Spot(solid=SOLIDS[0], at=(0.0, 0.0, -150.4), distance_mm=-2.0),
+    Spot(solid=SOLIDS[1], at=(43.0, 64.0, 15.0), distance_mm=5.0),
+    Spot(solid=SOLIDS[1], at=(0.0, 0.0, 8.0), distance_mm=-3.0),
+    Spot(solid=SOLIDS[2], at=(5.0, 5.0, -180.0), distance_mm=15.0),
+)
+
+
+@pytest.mark.parametrize("spot", SPOTS, ids=lambda spot: f"{spot.solid.name} {spot.at}")
+def test_distance_of_a_point(spot: Spot) -> None:
+    assert float(spot.solid.distance_mm(np.array(spot.at))) == pytest.approx(spot.distance_mm)
+
+
+@given(begin=point, end=point, k=st.integers(0, len(SOLIDS) - 1))
+@settings(max_examples=60)
+def test_distance_of_a_link_is_the_least_of_its_points(begin: Array, end: Array, k: int) -> None:
+    along = begin + np.linspace(0.0, 1.0, 2001)[:, None] * (end - begin)
+    sampled = SOLIDS[k].distance_mm(along).min()
+    found = float(least_distance(SOLIDS[k], begin[None], end[None])[0])
+    assert found <= sampled + 1e-4
+    assert found >= sampled - np.linalg.norm(end - begin) / 4000.0 - 1e-6
+
+
+@given(at=point, begin=point, end=point)
+@settings(max_examples=60)
+def test_distance_of_a_point_from_a_link(at: Array, begin: Array, end: Array) -> None:
+    along = begin + np.linspace(0.0, 1.0, 2001)[:, None] * (end - begin)
+    sampled = np.linalg.norm(along - at, axis=1).min()
+    found = float(point_to_segment(at[None], begin[None], end[None])[0])
+    assert sampled - np.linalg.norm(end - begin) / 4000.0 - 1e-6 <= found <= sampled + 1e-6
+
+
+def test_solids_are_those_of_the_scene_and_the_rig_file() -> None:
+    scene = replace(SCENE, canister=Canister(height_mm=200.0, outer_radius_mm=60.0))
+    rig = replace(RIG, clearance=Clearance(table_radius_mm=120.0, floor_z_mm=-260.0, bars=(Bar(low_mm=(1, 2, 3), high_mm=(4, 5, 6)),)))
+    assert solids(rig, scene) == [
+        Cylinder("canister", 60.0, -200.0, 0.0),
+        Cylinder("net pot", 79.6, -6.0, 31.0),
+        Cylinder("table", 120.0, -220.0, -200.0),
+        Floor("floor", -260.0),
+        Box("bar 1", (1, 2, 3), (4, 5, 6)),
+    ]
+
+
+def test_distances_of_a_pose_told_by_hand() -> None:
+    """Stretched toward the table: shoulder at x = 650 and z = -39, camera 293 mm before it, on the canister's side."""
+    stretched = (0.0, 90.0, 0.0, 0.0, 0.0)
+    assert distance_of(RIG, "camera", "the canister", stretched) == pytest.approx(650 - 293 - 76.2 - 35)
+    assert distance_of(RIG, "last link", "the canister", stretched) == pytest.approx(650 - 293 - 76.2 - 32)
+    assert distance_of(RIG, "forearm", "the floor", stretched) == pytest.approx(195 - 39 - 32)
+    assert distance_of(RIG, "base", "the table", stretched) == pytest.approx(np.hypot(650 - 110, 52.4) - 32)
+    assert distance_of(RIG, "camera", "the arm's own upper arm", stretched) == pytest.approx(96.4 + 95 - 35 - 32)
+    folded = (0.0, 0.0, 88.0, 112.0, 0.0)
+    assert distance_of(RIG, "camera", "the arm's own upper arm", folded) < 0.0
+
+
+# Paths.
+
+
+def test_default_arm_is_clear_at_rest_and_on_its_way_to_the_rings() -> None:
+    at_rest = pairs(RIG, SCENE, np.array([ARM.park_deg]))
+    assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
+    at: Joints = ARM.park_deg
+    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), Ring(height_mm=80.0, kind="shoot"), Ring(height_mm=-110.0)):
+        goal = joints_for(RIG, camera_wanted(ring))
+        assert plan_path(RIG, SCENE, at, goal) == [goal]
+        at = goal
+    assert plan_path(RIG, SCENE, at, ARM.park_deg) == [ARM.park_deg]
+
+
+def test_base_near_the_floor_is_no_collision() -> None:
+    low = replace(RIG, arm=replace(ARM, position_mm=(650.0, 0.0, -194.0)))
+    check_path(low, SCENE, [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)])
+
+
+def test_base_in_the_table_is_refused() -> None:
+    with pytest.raises(UnsafeError, match="arm: the base would"):
+        check_path(near(100.0), SCENE, [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crash:
+    """A way that ends or passes where it must not."""
+
+    name: str
+    rig: RigFile
+    path: tuple[Joints, ...]
+    match: str
+
+
+CRASHES = (
+    Crash(
+        name="into the canister",
+        rig=near(),
+        path=((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)),
+        match=r"^arm: the (camera|last link) would touch the canister at the end of the way; move the ring",
+    ),
+    Crash(
+        name="past the canister",
+        rig=near(),
+        path=((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
+        match=r"the camera would touch the net pot 50 % along the way",
+    ),
+    Crash(
+        name="second leg",
+        rig=near(),
+        path=((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
+        match=r"the camera would touch the net pot 75 % along the way",
+    ),
+    Crash(
+        name="over the pot",
+        rig=near(300.0),
+        path=((0, 0, 0, 0, 0), (0, 69, 0, 0, 0)),
+        match=r"would (touch|come within \d+\.\d mm of) the net pot",
+    ),
+    Crash(name="table", rig=near(380.0), path=((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), match=r"the table at the end of the way"),
+    Crash(name="floor", rig=RIG, path=((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), match=r"(touch|of) the floor at the end of the way"),
+    Crash(
+        name="bar",
+        rig=replace(RIG, clearance=Clearance(bars=(Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0)),))),
+        path=((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)),
+        match=r"the bar 1",
+    ),
+    Crash(
+        name="its own upper arm",
+        rig=RIG,
+        path=((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)),
+        match=r"the camera would touch the arm's own upper arm",
+    ),
+)
+
+
+@pytest.mark.parametrize("crash", CRASHES, ids=lambda crash: crash.name)
+def test_crash_is_refused_with_what_where_and_how_near(crash: Crash) -> None:
+    with pytest.raises(UnsafeError, match=crash.match):
+        check_path(crash.rig, SCENE, crash.path)
+
+
+def test_margin_is_kept_and_told() -> None:
+    rig = near(380.0, margin_mm=0.0)
+    upright, reaching = (0.0,) * 5, (0.0, 30.0, 60.0, 0.0, 0.0)  # comes nearer all the way
+    spare = pairs(rig, SCENE, np.array([reaching])).distance_mm.min()
+    assert 5.0 < spare < 40.0
+    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, [upright, reaching])
+    with pytest.raises(
+        UnsafeError, match=rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm must be kept\) at the end of the way"
+    ):
+        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, [upright, reaching])
+
+
+def test_thin_bar_between_samples_is_not_missed() -> None:
+    """A thin arm swings half round and would brush a needle in one narrow piece of the way."""
+    thin = Clearance(margin_mm=0.0, arm_radius_mm=1.0, camera_radius_mm=1.0)
+    begin, end = (-90.0, 90.0, 0.0, 0.0, 0.0), (90.0, 90.0, 0.0, 0.0, 0.0)
+    for part in np.linspace(0.03, 0.97, 7):
+        x, y, z = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
+        needle = Bar(low_mm=(x - 0.5, y - 0.5, z - 0.5), high_mm=(x + 0.5, y + 0.5, z + 0.5))
+        with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the way"):
+            check_path(replace(RIG, clearance=replace(thin, bars=(needle,))), SCENE, [begin, end])
+        grazing = Bar(low_mm=(x - 0.5, y - 0.5, z + 0.8), high_mm=(x + 0.5, y + 0.5, z + 1.8))
+        with pytest.raises(UnsafeError, match="the bar 1"):
+            check_path(replace(RIG, clearance=replace(thin, bars=(grazing,))), SCENE, [begin, end])
+        above = Bar(low_mm=(x - 0.5, y - 0.5, z + 1.6), high_mm=(x + 0.5, y + 0.5, z + 2.6))
+        check_path(replace(RIG, clearance=replace(thin, bars=(above,))), SCENE, [begin, end])
+
+
+def test_verdicts_agree_with_dense_samples() -> None:
+    """Of 45 random ways on a crowded rig, clear ones are clear at 200 samples, refused ones too near at one of them."""
+    rig = near(bars=(Bar(low_mm=(200.0, 80.0, 20.0), high_mm=(420.0, 110.0, 60.0)),))
+    low, high = (np.array([getattr(joint, name) for joint in ARM.joints]) for name in ("min_deg", "max_deg"))
+    rng = np.random.default_rng(0)
+    verdicts = []
+    for _ in range(45):
+        begin, end = rng.uniform(low, high, (2, 5))
+        samples = pairs(rig, SCENE, begin + np.linspace(0.0, 1.0, 201)[:, None] * (end - begin))
+        spare = float((samples.distance_mm - samples.margin_mm).min())
+        if (samples.distance_mm[0] < samples.margin_mm).any():  # how it may leave is another test
+            continue
+        try:
+            check_path(rig, SCENE, [tuple(begin), tuple(end)])
+            assert spare > -FINE_MM
+            verdicts.append(True)
+        except UnsafeError:
+            assert spare < 2.0
+            verdicts.append(False)
+    assert 8 < sum(verdicts) < len(verdicts) - 8
+
+
+@given(
+    a=st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array),
+    b=st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array),
+)
+@settings(max_examples=60)
+def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> None:
+    rig = near(bars=(Bar(low_mm=(200.0, 80.0, 20.0), high_mm=(420.0, 110.0, 60.0)),))
+    both = pairs(rig, SCENE, np.stack([a, b]))
+    bound = both.travel_mm @ np.abs(np.deg2rad(b - a))
+    assert (np.abs(np.diff(both.distance_mm, axis=0)[0]) <= bound + 1e-6).all()
+
+
+# Leaving a place that is too near.
+
+
+def test_arm_that_sagged_into_a_margin_may_move_away_but_not_nearer() -> None:
+    sagged = (0.0, 84.0, 30.0, 0.0, 0.0)
+    floor = distance_of(RIG, "camera", "the floor", sagged)
+    rig = replace(RIG, clearance=Clearance(margin_mm=floor + 5.0))
+    check_path(rig, SCENE, [sagged, ARM.park_deg])
+    with pytest.raises(UnsafeError, match="the floor"):
+        check_path(rig, SCENE, [ARM.park_deg, sagged])
+    with pytest.raises(UnsafeError, match="the floor"):
+        check_path(rig, SCENE, [sagged, (0.0, 88.0, 30.0, 0.0, 0.0), ARM.park_deg])
+
+
+def test_arm_that_lies_on_the_floor_may_be_lifted() -> None:
+    lying = (0.0, 90.0, 62.0, -25.0, 0.0)
+    assert -32.0 < distance_of(RIG, "camera", "the floor", lying) < 0.0
+    check_path(RIG, SCENE, [lying, ARM.park_deg])
+
+
+def test_arm_that_touches_the_canister_is_not_moved() -> None:
+    with pytest.raises(UnsafeError, match=r"the canister where it stands now; move it away by hand, torque off"):
+        check_path(near(), SCENE, [(0.0, 90.0, 0.0, 0.0, 0.0), ARM.park_deg])
+
+
+# Ways round.
+
+
+def test_way_round_goes_through_a_drawn_in_arm() -> None:
+    rig = near()
+    begin, end = (60.0, 80.0, 0.0, 0.0, 0.0), (-60.0, 80.0, 0.0, 0.0, 0.0)
+    path = plan_path(rig, SCENE, begin, end)
+    assert len(path) > 1
+    assert path[-1] == end
+    check_path(rig, SCENE, [begin, *path])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detour:
+    """What else is in the way, and the shape in which the arm gets past."""
+
+    name: str
+    bar: Bar
+    shape: tuple[float, ...]
+
+
+DETOURS = (
+    Detour(name="post behind", bar=Bar(low_mm=(736.0, -2.0, -50.0), high_mm=(740.0, 2.0, 50.0)), shape=ARM.park_deg[1:4]),
+    Detour(name="wall behind", bar=Bar(low_mm=(705.0, -300.0, -50.0), high_mm=(720.0, 300.0, 150.0)), shape=(0.0, 0.0, 0.0)),
+)
+
+
+@pytest.mark.parametrize("detour", DETOURS, ids=lambda detour: detour.name)
+def test_way_round_turns_the_base_with_the_arm_drawn_in(detour: Detour) -> None:
+    begin, end = (45.0, 80.0, 0.0, 0.0, 10.0), (88.0, 80.0, 0.0, 0.0, 0.0)
+    x, y, z = camera_mm(RIG, (67.0, 80.0, 0.0, 0.0, 0.0))
+    between = Bar(low_mm=(x - 2.0, y - 2.0, z - 2.0), high_mm=(x + 2.0, y + 2.0, z + 2.0))
+    rig = replace(RIG, clearance=Clearance(bars=(between, detour.bar)))
+    assert plan_path(rig, SCENE, begin, end) == [(45.0, *detour.shape, 10.0), (88.0, *detour.shape, 0.0), end]
+
+
+def test_no_way_round_says_what_is_in_the_straight_one() -> None:
+    with pytest.raises(UnsafeError, match=r"the canister at the end of the way; .*neither is there a clear way with the arm drawn in"):
+        plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))

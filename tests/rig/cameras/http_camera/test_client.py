@@ -1,0 +1,292 @@
+"""Client and server over a real connection on this computer, with a proxy between them that loses, cuts, damages and doubles answers."""
+
+import http.client
+import re
+import socket
+import socketserver
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from rig.cameras import open_camera
+from rig.cameras.http import PAUSE_S, RETRIES, HttpCamera
+from rig.cameras.server import CameraServer
+from rig.cameras.settings import CameraSettings
+from rig.errors import LostError, NoAnswerError, RigError
+from rig.rig_file import CameraPart
+from tests.rig.cameras.http_camera.numbered import SETTINGS, A, NumberedCamera, Waits, client, number_of
+
+Mangle = Callable[[bytes, int], bytes | None]
+
+
+@contextmanager
+def proxy(server: CameraServer, mangle: Mangle, *, repeats: int = 1) -> Iterator[str]:
+    """Pass requests on; ``mangle`` gets each answer of /capture with its number and returns what arrives, or None to break off."""
+    target = urlsplit(server.url)
+    counted = 0
+
+    class _Handler(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            nonlocal counted
+            head = b""
+            while not head.endswith(b"\r\n\r\n"):
+                head += self.rfile.readline()
+            length = re.search(rb"content-length: (\d+)", head.lower())
+            body = self.rfile.read(int(length[1])) if length else b""
+            answer = b""
+            for _ in range(repeats):
+                with socket.create_connection((target.hostname, target.port), timeout=5.0) as upstream:
+                    upstream.sendall(head + body)
+                    with upstream.makefile("rb") as stream:
+                        answer = stream.read()
+            if b"/capture" in head:
+                counted += 1
+                mangled = mangle(answer, counted)
+                if mangled is None:
+                    return
+                answer = mangled
+            self.wfile.write(answer)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), _Handler) as listening:
+        listening.daemon_threads = True
+        thread = threading.Thread(target=listening.serve_forever, args=(0.02,))
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{listening.server_address[1]}"
+        finally:
+            listening.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize(("dtype", "bits"), [(np.uint16, 12), (np.uint16, 16), (np.uint8, 8)])
+def test_pictures_arrive_as_they_were_taken(server: CameraServer, camera: NumberedCamera, dtype: type, bits: int) -> None:
+    camera.dtype = dtype
+    remote = client(server, CameraSettings(image_wh=(32, 24), bits=bits, gain=2.0))
+    shot = remote.capture()
+    camera.taken = 1
+    same = camera.capture()
+    assert shot.image.dtype == dtype
+    assert np.array_equal(shot.image, same.image)
+    assert (shot.exposure_s, shot.gain) == (0.01, 2.0)
+
+
+def test_each_capture_is_a_new_picture(server: CameraServer, camera: NumberedCamera) -> None:
+    remote = client(server)
+    assert [number_of(remote.capture()) for _ in range(3)] == [2, 3, 4]  # the first proved the settings
+    assert (camera.prepared, camera.taken) == (1, 4)
+
+
+def test_what_a_camera_does_not_report(server: CameraServer, camera: NumberedCamera) -> None:
+    camera.exposure_s = camera.gain = None
+    shot = client(server).capture()
+    assert (shot.exposure_s, shot.gain) == (None, None)
+
+
+def test_describe(server: CameraServer) -> None:
+    remote = HttpCamera(server.url, SETTINGS, clock=Waits())
+    assert remote.describe() == f"camera at {server.url}, not open"
+    remote.prepare()
+    assert remote.describe() == f"camera of the test, at {server.url}"
+    remote.close()
+    assert remote.describe() == f"camera at {server.url}, not open"
+    with pytest.raises(RigError, match="not open; prepare it first"):
+        remote.capture()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What happens to the answer of a capture."""
+
+    name: str
+    mangle: Callable[[bytes], bytes | None]
+    said: str
+
+
+def flipped(answer: bytes) -> bytes:
+    at = answer.index(b"\r\n\r\n") + 104
+    return answer[:at] + bytes([answer[at] ^ 1]) + answer[at + 1 :]
+
+
+FAULTS = [
+    Fault("lost", lambda _: None, "closed connection without response"),
+    Fault("cut in its header", lambda answer: answer[:20], "RemoteDisconnected|no whole answer"),
+    Fault("cut in the picture", lambda answer: answer[:-7], "of [0-9]+ bytes arrived"),
+    Fault("damaged", flipped, "the picture was damaged on its way"),
+    Fault("of another", lambda answer: re.sub(rb"(?<=Picture: ).{32}", A.encode(), answer), "the answer to another request"),
+    Fault("no HTTP", lambda _: b"\x00\xff hello\r\n\r\n", "no whole answer"),
+    Fault("without length", lambda answer: answer.replace(b"Content-Length", b"X"), "without its length"),
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_an_answer_that_does_not_arrive_costs_no_picture(server: CameraServer, camera: NumberedCamera, fault: Fault) -> None:
+    clock = Waits()
+    bad = set(range(2, 2 + RETRIES))  # the first capture proves the settings; of the second, only the last attempt arrives
+    with proxy(server, lambda answer, k: fault.mangle(answer) if k in bad else answer) as url:
+        remote = HttpCamera(url, SETTINGS, clock=clock)
+        remote.prepare()
+        assert number_of(remote.capture()) == 2
+        assert number_of(remote.capture()) == 3
+    assert camera.taken == 3
+    assert clock.slept == [PAUSE_S] * RETRIES
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_answers_that_never_arrive_end_in_a_sentence(server: CameraServer, camera: NumberedCamera, fault: Fault) -> None:
+    clock = Waits()
+    with proxy(server, lambda answer, _: fault.mangle(answer)) as url:
+        remote = HttpCamera(url, SETTINGS, clock=clock)
+        with pytest.raises(NoAnswerError, match=fault.said) as caught:
+            remote.prepare()
+    assert f"camera at {url}: no whole answer after 4 attempts" in str(caught.value)
+    assert camera.taken == 1
+    assert clock.slept == [PAUSE_S] * RETRIES
+
+
+def test_requests_that_arrive_twice(server: CameraServer, camera: NumberedCamera) -> None:
+    with proxy(server, lambda answer, _: answer, repeats=2) as url:
+        remote = HttpCamera(url, SETTINGS, clock=Waits())
+        remote.prepare()
+        assert [number_of(remote.capture()) for _ in range(2)] == [2, 3]
+    assert (camera.prepared, camera.taken) == (1, 3)
+
+
+def test_a_server_that_stops(server: CameraServer, camera: NumberedCamera) -> None:
+    remote = client(server)
+    server.stop()
+    server.stop()
+    assert camera.closed >= 1
+    with pytest.raises(
+        NoAnswerError, match=r"no whole answer after 4 attempts .*refused.*; check the network, and that rhizotwin camera runs"
+    ):
+        remote.capture()
+
+
+def test_a_server_that_was_started_again(camera: NumberedCamera) -> None:
+    first = CameraServer(camera)
+    first.start()
+    remote = client(first)
+    port = urlsplit(first.url).port or 0
+    first.stop()
+    second = CameraServer(camera, port=port)
+    second.start()
+    try:
+        with pytest.raises(LostError, match="the camera server was started again"):
+            remote.capture()
+        remote.prepare()
+        assert number_of(remote.capture()) == 3
+    finally:
+        second.stop()
+
+
+def test_a_camera_that_fails_is_told_at_once(server: CameraServer, camera: NumberedCamera) -> None:
+    remote = client(server)
+    camera.fail = "camera 0: gives no frames any more; check its cable"
+    with pytest.raises(RigError, match=f"camera at {server.url}: camera 0: gives no frames any more; check its cable"):
+        remote.capture()
+    camera.fail = ""
+    assert number_of(remote.capture()) == 2
+
+
+def test_a_camera_that_cannot_be_prepared(server: CameraServer, camera: NumberedCamera) -> None:
+    camera.fail = "camera 0: cannot be opened"
+    remote = HttpCamera(server.url, SETTINGS, clock=Waits())
+    with pytest.raises(RigError, match="camera 0: cannot be opened"):
+        remote.prepare()
+    with pytest.raises(RigError, match="not open"):
+        remote.capture()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"shape": (12, 32)}, "gives pictures of 32x12 pixels, not 32x24"),
+        ({"dtype": np.uint8}, "gives pictures of 8 bits, though 12 were asked for"),
+        ({"exposure_s": 0.02}, "exposed 20 ms instead of 10 ms"),
+        ({"gain": 4.0}, "gain 4 instead of 2"),
+        ({"exposure_s": float("nan")}, "Rhizotwin-Exposure-S 'nan', which is no number"),
+    ],
+)
+def test_pictures_with_other_settings_are_refused(server: CameraServer, camera: NumberedCamera, change: dict[str, Any], said: str) -> None:
+    for name, value in change.items():
+        setattr(camera, name, value)
+    with pytest.raises(RigError, match=said):
+        client(server)
+
+
+def test_an_answer_too_long_to_be_a_picture(server: CameraServer, camera: NumberedCamera) -> None:
+    camera.shape = (600, 800)
+    camera.dtype = np.uint16
+    with pytest.raises(RigError, match=r"announces an answer of [0-9]+ bytes, at most [0-9]+ can be right"):
+        client(server)
+
+
+def test_the_clients_settings_open_the_camera(camera: NumberedCamera) -> None:
+    made: list[CameraSettings] = []
+    said: list[str] = []
+
+    def reopen(settings: CameraSettings) -> NumberedCamera:
+        made.append(settings)
+        return camera
+
+    old = NumberedCamera()
+    server = CameraServer(old, reopen=reopen, say=said.append)
+    server.start()
+    try:
+        part = CameraPart(kind="http", address=server.url, exposure_s=0.01, gain=2.0, colour_gains=(3.0, 1.5), white_balance_kelvin=4000)
+        open_camera(part, image_wh=(32, 24), bits=12, clock=Waits()).prepare()
+    finally:
+        server.stop()
+    assert made == [
+        CameraSettings(image_wh=(32, 24), bits=12, exposure_s=0.01, gain=2.0, colour_gains=(3.0, 1.5), white_balance_kelvin=4000)
+    ]
+    assert (old.prepared, old.closed, camera.prepared, camera.closed) == (0, 1, 1, 1)
+    assert said == ["for 127.0.0.1: camera of the test"]
+
+
+def test_something_else_answers() -> None:
+    class _Other(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            while self.rfile.readline().strip():
+                pass
+            self.wfile.write(b"HTTP/1.0 200 OK\r\nContent-Length: 17\r\n\r\n" + b'{"program": "no"}')
+
+    with socketserver.TCPServer(("127.0.0.1", 0), _Other) as other:
+        thread = threading.Thread(target=other.handle_request)
+        thread.start()
+        remote = HttpCamera(f"http://127.0.0.1:{other.server_address[1]}", SETTINGS, clock=Waits())
+        with pytest.raises(RigError, match="what answers is no rhizotwin camera of this version"):
+            remote.prepare()
+        thread.join()
+
+
+def test_waiting_has_an_end_that_grows_with_the_exposure(
+    server: CameraServer, camera: NumberedCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera.exposure_s = 7.0
+    remote = client(server, CameraSettings(image_wh=(32, 24), exposure_s=7.0, gain=2.0))
+    waited: list[float] = []
+
+    class _Deaf(http.client.HTTPConnection):
+        def getresponse(self) -> http.client.HTTPResponse:
+            waited.append(float(self.timeout or 0.0))
+            raise TimeoutError("timed out")
+
+    monkeypatch.setattr(http.client, "HTTPConnection", _Deaf)
+    with pytest.raises(NoAnswerError, match="timed out"):
+        remote.capture()
+    assert waited == [17.0] * (1 + RETRIES)
+
+
+@pytest.mark.parametrize(
+    "address", ["0", "", "raspberrypi:8471", "https://pi:8471", "http://", "http://pi:99999", "http://a@pi", "http://pi/x", "http://[::1"]
+)
+def test_no_address(address: str) -> None:
+    with pytest.raises(RigError, match="is no http://HOST:PORT"):
+        HttpCamera(address, SETTINGS, clock=Waits())

@@ -1,0 +1,169 @@
+"""The server of a camera: what it refuses, keeps and repeats."""
+
+import http.client
+import json
+import re
+import socket
+import threading
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+import pytest
+
+from rig.cameras import server as server_module
+from rig.cameras.protocol import PICTURE, SHA256
+from rig.cameras.server import CameraServer, serve_camera
+from rig.cameras.service import KEPT, CameraService
+from rig.errors import LostError, RigError
+from rig.rig_file import CameraPart
+from tests.rig.cameras.http_camera.numbered import SETTINGS, A, B, NumberedCamera, client
+
+
+def test_another_computer_takes_the_camera(server: CameraServer) -> None:
+    first = client(server)
+    second = client(server)
+    with pytest.raises(LostError, match="another computer took its camera"):
+        first.capture()
+    second.capture()
+
+
+def test_two_requests_for_one_picture_at_once(camera: NumberedCamera) -> None:
+    service = CameraService(camera)
+    service.prepare(A, SETTINGS)
+    camera.may_end.clear()
+    found: list[str] = []
+    threads = [threading.Thread(target=lambda: found.append(service.capture(A, B).sha256)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    assert camera.began.wait(5.0)
+    camera.may_end.set()
+    for thread in threads:
+        thread.join(5.0)
+    assert camera.taken == 1
+    assert len(found) == 2
+    assert found[0] == found[1]
+
+
+def test_pictures_kept_are_bounded(camera: NumberedCamera) -> None:
+    service = CameraService(camera)
+    service.prepare(A, SETTINGS)
+    names = [f"{k:032x}" for k in range(KEPT + 1)]
+    pictures = [service.capture(A, name) for name in names]
+    assert [service.capture(A, name) for name in names[1:]] == pictures[1:]
+    assert camera.taken == KEPT + 1
+    service.capture(A, names[0])
+    assert camera.taken == KEPT + 2
+    service.close()
+    with pytest.raises(RigError, match="is stopping"):
+        service.capture(A, names[1])
+
+
+def raw_request(
+    server: CameraServer, method: str, path: str, *, headers: dict[str, str] | None = None, body: bytes = b""
+) -> tuple[int, http.client.HTTPMessage, bytes]:
+    target = urlsplit(server.url)
+    connection = http.client.HTTPConnection(target.hostname or "", target.port, timeout=5.0)
+    try:
+        connection.putrequest(method, path, skip_host="Host" in (headers or {}))
+        for key, value in ({"Content-Type": "application/json", "Content-Length": str(len(body))} | (headers or {})).items():
+            if value:
+                connection.putheader(key, value)
+        connection.endheaders(body)
+        response = connection.getresponse()
+        return response.status, response.headers, response.read()
+    finally:
+        connection.close()
+
+
+PREPARE = json.dumps({"session": A, "settings": {"image_wh": [32, 24]}}).encode()
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A request that must not reach the camera."""
+
+    name: str
+    status: int
+    said: str
+    path: str = "/prepare"
+    body: bytes = PREPARE
+    headers: dict[str, str] = field(default_factory=dict)
+
+
+REFUSED = [
+    Refused("name of another site", 403, "not called 'evil.example'", headers={"Host": "evil.example:8471"}),
+    Refused("name that ends like ours", 403, "not called", headers={"Host": f"{socket.gethostname()}.evil.example"}),
+    Refused("address as part of a name", 403, "not called", headers={"Host": "127.0.0.1.evil.example"}),
+    Refused("broken host", 403, "not called", headers={"Host": "[::1"}),
+    Refused("form of another site", 415, "application/json", headers={"Content-Type": "text/plain"}),
+    Refused("no length", 411, "length", headers={"Content-Length": ""}, body=b""),
+    Refused("too long", 413, "4096 bytes", body=b" " * 5000 + PREPARE),
+    Refused("no JSON", 400, "no JSON", body=b"{"),
+    Refused("nested too deeply", 400, "no JSON|must be a table", body=b"[" * 4000),
+    Refused("list", 400, "must be a table", body=b"[]"),
+    Refused("unknown key", 400, "unknown key", body=PREPARE.replace(b"image_wh", b"image_hw")),
+    Refused("no session", 400, "session: is missing", body=b'{"settings": {}}'),
+    Refused("strange session", 400, "32 hexadecimal digits", body=PREPARE.replace(b"aa", b"../")),
+    Refused("exposure for ever", 400, "must be between", body=PREPARE.replace(b'"image_wh": [32, 24]', b'"exposure_s": 1e9')),
+    Refused("no such page", 404, "only /describe", path="/../etc/passwd"),
+    Refused("not prepared", 409, "started again", path="/capture", body=json.dumps({"session": A, "picture": B}).encode()),
+    Refused("strange picture", 400, "hexadecimal", path="/capture", body=json.dumps({"session": A, "picture": "1"}).encode()),
+]
+
+
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.name)
+def test_refused(server: CameraServer, camera: NumberedCamera, case: Refused) -> None:
+    status, _, data = raw_request(server, "POST", case.path, headers=case.headers, body=case.body)
+    assert status == case.status
+    assert re.search(case.said, json.loads(data)["error"])
+    assert (camera.prepared, camera.taken) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost:8471", "192.168.0.7:8471", "[::1]:8471", socket.gethostname(), f"{socket.gethostname()}.local."]
+)
+def test_own_names(server: CameraServer, host: str) -> None:
+    status, _, data = raw_request(server, "GET", "/describe", headers={"Host": host})
+    assert status == 200
+    assert json.loads(data) == {"program": "rhizotwin camera", "protocol": 1, "camera": "camera of the test"}
+
+
+def test_get_of_something_else(server: CameraServer) -> None:
+    assert raw_request(server, "GET", "/")[0] == 404
+    assert raw_request(server, "GET", "/describe", headers={"Host": "evil.example"})[0] == 403
+
+
+def test_the_same_request_gives_the_same_bytes(server: CameraServer, camera: NumberedCamera) -> None:
+    raw_request(server, "POST", "/prepare", body=PREPARE)
+    body = json.dumps({"session": A, "picture": B}).encode()
+    first, second = (raw_request(server, "POST", "/capture", body=body) for _ in range(2))
+    assert first[0] == 200
+    assert first[2] == second[2]
+    assert first[1][SHA256] == second[1][SHA256]
+    assert first[1][PICTURE] == B
+    assert camera.taken == 1
+
+
+def test_a_port_that_is_taken(server: CameraServer, camera: NumberedCamera) -> None:
+    port = urlsplit(server.url).port or 0
+    with pytest.raises(RigError, match=rf"cannot listen on 127.0.0.1 port {port} \(.*in use\); choose another"):
+        CameraServer(camera, port=port)
+
+
+def test_serve_camera_says_where_and_gives_the_camera_back(monkeypatch: pytest.MonkeyPatch, camera: NumberedCamera) -> None:
+    def interrupted(_: CameraServer) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(server_module, "local_camera", lambda *_: camera)
+    monkeypatch.setattr(CameraServer, "serve_forever", interrupted)
+    said: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        serve_camera(CameraPart(), image_wh=(32, 24), bits=12, host="0.0.0.0", port=0, say=said.append)
+    assert re.fullmatch(rf"camera of the test; serving it at http://{re.escape(socket.gethostname())}:\d+, Ctrl-C stops", said[0])
+    assert said[1:] == ["everyone on this network can take pictures"]
+    assert camera.closed == 1
+
+
+def test_serve_camera_is_for_a_camera_of_this_computer() -> None:
+    with pytest.raises(RigError, match="set kind to picamera2 or v4l2"):
+        serve_camera(CameraPart(kind="http", address="http://pi:8471"), image_wh=(32, 24), bits=12, say=lambda _: None)

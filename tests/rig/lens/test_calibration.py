@@ -1,0 +1,394 @@
+"""The lens from pictures of the board: corners, fit, what is left out and refused, and the twin's pictures of the board."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rig.errors import RigError
+from rig.lens.board_corners import BoardView, NoBoard, find_board
+from rig.lens.calibration import calibrate, calibrate_views, numbers, write_calibration
+from rig.lens.calibration_report import write_report
+from rig.lens.lens_fit import fit_lens
+from rig.lens.saddle_fit import fit_saddle
+from scenes import frames
+from scenes.atomic import write_image
+from scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board, save_board
+from scenes.errors import UserError
+from scenes.files import load_profile, load_scene
+from scenes.model import Camera, Scene
+from sim.board import board_picture, draw_pose, project, simulate_board
+
+Array = NDArray[np.float64]
+BOARD = CharucoBoard()
+BENCH = (-0.05, 0.02, 0.0003, -0.0002, 0.0)
+SMALL = Scene(camera=Camera().resized((400, 300)))
+
+
+# -- the board
+
+
+@pytest.mark.parametrize(
+    "board", [BOARD, CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50")], ids=["odd", "even"]
+)
+def test_the_board_is_opencv_s_pattern(board: CharucoBoard) -> None:
+    scale = 7 if board.dictionary == "5X5_100" else 1
+    theirs = opencv_board(board)
+    np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
+    assert len(theirs.getIds()) == board.markers
+    wide, high = (round(side * scale) for side in board.size_mm)
+    mine = np.full((high, wide), 255, np.uint8)
+    for left, top, right, bottom in np.rint(black_parts(board) * scale).astype(int):
+        mine[top:bottom, left:right] = 0
+    np.testing.assert_array_equal(mine, theirs.generateImage((wide, high)))
+
+
+def test_a_board_file_comes_back_and_its_mistakes_are_named(tmp_path: Path) -> None:
+    board = CharucoBoard(squares_xy=(9, 6), square_mm=25.0, marker_mm=18.5)
+    save_board(board, tmp_path / "board.toml")
+    assert load_board(tmp_path / "board.toml") == board
+    (tmp_path / "bad.toml").write_text("[board]\nsquare_mm = 20.0\nmarker_mm = 19.5\n", encoding="utf-8")
+    with pytest.raises(UserError, match=r"line 3: \[board\] marker_mm = 19.5: must be at most 18"):
+        load_board(tmp_path / "bad.toml")
+    (tmp_path / "bad.toml").write_text("[board]\nsquares = [7, 5]\n", encoding="utf-8")
+    with pytest.raises(UserError, match="squares_xy"):
+        load_board(tmp_path / "bad.toml")
+    with pytest.raises(UserError, match="needs 60 markers, but 4X4_50 has 50"):
+        check_board(CharucoBoard(squares_xy=(12, 10), dictionary="4X4_50"))
+    with pytest.raises(UserError, match="dictionary"):
+        check_board(CharucoBoard(dictionary="7X7_9"))
+
+
+# -- corners
+
+
+def crossing(centre: Array, angles_deg: tuple[float, float], *, blur_px: float, noise: float, seed: int) -> NDArray[np.uint16]:
+    """Return a crossing of two edges at angles from +x, 41 x 41 px of 16 bits: sampled 9 times finer, blurred, averaged."""
+    fine = 9
+    at = (np.arange(41 * fine) + 0.5) / fine - 0.5
+    x, y = np.meshgrid(at - centre[0], at - centre[1])
+    sides = [np.sign(x * np.sin(np.deg2rad(a)) - y * np.cos(np.deg2rad(a))) for a in angles_deg]
+    light = 0.4 + 0.25 * sides[0] * sides[1] + 0.002 * x
+    light = cv2.GaussianBlur(light, (0, 0), blur_px * fine).reshape(41, fine, 41, fine).mean(axis=(1, 3))
+    light += np.random.default_rng(seed).normal(0.0, noise, light.shape)
+    return np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16)
+
+
+@pytest.mark.parametrize("angles_deg", [(3.0, 91.0), (20.0, 95.0), (-35.0, 20.0)], ids=["upright", "turned", "slanted"])
+@pytest.mark.parametrize("blur_px", [0.5, 1.5])
+def test_a_crossing_is_measured_to_hundredths_of_a_pixel(angles_deg: tuple[float, float], blur_px: float) -> None:
+    rng = np.random.default_rng(5)
+    errors, claimed = [], []
+    for seed in range(12):
+        centre = 20.0 + rng.uniform(-0.5, 0.5, 2)
+        image = crossing(centre, angles_deg, blur_px=blur_px, noise=0.005, seed=seed)
+        sides = 9.0 * np.stack([np.cos(np.deg2rad(angles_deg)), np.sin(np.deg2rad(angles_deg))])
+        fit = fit_saddle(image, centre + rng.uniform(-0.7, 0.7, 2), sides)
+        assert fit is not None
+        errors.append(fit.at_px - centre)
+        claimed.append(fit.sigma_px)
+        assert fit.blur_px == pytest.approx(np.hypot(blur_px, 12.0**-0.5), rel=0.15)
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.02
+    assert np.sqrt(np.mean(np.square(errors))) < 0.03
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.median(claimed), rel=0.8)
+
+
+def test_what_is_no_crossing_is_not_measured() -> None:
+    sides = 9.0 * np.eye(2)
+    image = crossing(np.array([20.0, 20.0]), (3.0, 91.0), blur_px=0.8, noise=0.0, seed=0)
+    middle = np.array([20.0, 20.0])
+    assert fit_saddle(image, middle, sides) is not None
+    assert fit_saddle(image, np.array([5.0, 20.0]), sides) is None, "at the border"
+    assert fit_saddle(image, middle, 0.2 * sides) is None, "too small"
+    assert fit_saddle(np.full_like(image, 20000), middle, sides) is None, "nothing there"
+    edge = np.where(np.arange(41)[None, :] < 20, np.uint16(5000), np.uint16(50000)).repeat(41, axis=0)
+    assert fit_saddle(edge, middle, sides) is None, "an edge only"
+    rng = np.random.default_rng(0)
+    assert fit_saddle(rng.integers(0, 65535, (41, 41)).astype(np.uint16), middle, sides) is None, "noise"
+
+
+def flat_picture(board: CharucoBoard = BOARD, *, px_per_mm: float = 3.0) -> NDArray[np.uint8]:
+    """Return the board straight on, with its white border."""
+    paper = board_picture(board)
+    scale = px_per_mm / 12.0
+    return np.asarray(255.0 * cv2.resize(paper, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def test_a_board_straight_on_has_its_corners_where_they_were_drawn() -> None:
+    found = find_board(flat_picture(), BOARD)
+    assert isinstance(found, BoardView)
+    np.testing.assert_array_equal(found.ids, np.arange(24))
+    np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * 3.0 - 0.5, atol=0.02)
+
+
+def test_a_large_dark_picture_of_16_bits_is_searched_too() -> None:
+    large = cv2.resize(flat_picture(), None, fx=4.0, fy=4.0, interpolation=cv2.INTER_CUBIC).astype(np.uint16) * 8
+    assert max(large.shape) > 2100
+    found = find_board(large, BOARD)
+    assert isinstance(found, BoardView)
+    np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * 12.0 - 0.5, atol=0.1)
+
+
+def noisy_picture() -> NDArray[np.uint8]:
+    """Return the board in so much noise that its markers can be read, but its corners not be measured."""
+    noise = np.random.default_rng(0).normal(0.0, 60.0, flat_picture().shape)
+    return np.clip(flat_picture() * 0.6 + 40.0 + noise, 0.0, 255.0).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Useless:
+    """A picture that must be refused, and a word of the reason."""
+
+    name: str
+    picture: NDArray[np.uint8]
+    reason: str
+
+
+USELESS = [
+    Useless("empty", np.full((300, 400), 90, np.uint8), "no board was found"),
+    Useless("mirrored", np.ascontiguousarray(flat_picture()[:, ::-1]), "mirrored"),
+    Useless("other dictionary", flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), "markers of APRILTAG_36h11"),
+    Useless("other board", flat_picture(CharucoBoard(squares_xy=(5, 7))), "not as they stand on a board of 7x5"),
+    Useless("few corners", flat_picture()[:160, :260], "8 are needed"),
+    Useless(
+        "one row", np.where(np.arange(522)[:, None] > 190, np.uint8(255), flat_picture(CharucoBoard(squares_xy=(12, 5)))), "in one row"
+    ),
+    Useless("noisy", noisy_picture(), "corners can be measured: too blurred, too noisy"),
+]
+
+
+@pytest.mark.parametrize("case", USELESS, ids=lambda case: case.name)
+def test_a_useless_picture_is_refused_with_its_reason(case: Useless) -> None:
+    board = CharucoBoard(squares_xy=(12, 5)) if case.name == "one row" else BOARD
+    found = find_board(case.picture, board)
+    assert isinstance(found, NoBoard)
+    assert case.reason in found.reason
+
+
+# -- the fit
+
+
+def seen_views(
+    camera: Camera, *, pictures: int = 20, noise_px: float = 0.03, seed: int = 0, poses: list[Array] | None = None
+) -> dict[str, BoardView]:
+    """Return corners of the board in pictures of a known camera, with noise."""
+    rng = np.random.default_rng(seed)
+    scene = Scene(camera=camera)
+    views = {}
+    for k, pose in enumerate(poses or [draw_pose(scene, BOARD, seed=seed, index=k) for k in range(pictures)]):
+        corners = project(camera, pose, BOARD.corners_mm)
+        inside = np.all((corners > 5.0) & (corners < np.array(camera.image_wh) - 6.0), axis=1)
+        noisy = corners[inside] + rng.normal(0.0, noise_px, (np.count_nonzero(inside), 2))
+        views[f"{k:02d}.png"] = BoardView(ids=np.flatnonzero(inside), corners_px=noisy, sigma_px=noise_px, blur_px=0.4)
+    return views
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens, and which terms the fit must find that it does not need."""
+
+    name: str
+    camera: Camera
+    left_out: set[str]
+
+
+LENSES = [
+    Lens("straight", Camera(), {"fx / fy", "k3", "p1, p2", "k2", "k1"}),
+    Lens("bench", replace(Camera(), distortion=BENCH, principal_px=(410.0, 290.0)), {"fx / fy", "k3"}),
+    Lens("barrel", replace(Camera(), distortion=(-0.3, 0.0, 0.0, 0.0, 0.0)), {"fx / fy", "k3", "p1, p2", "k2"}),
+    Lens("everything", Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
+]
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.name)
+def test_the_lens_is_found_with_no_more_terms_than_it_has(lens: Lens) -> None:
+    true, fit = lens.camera, fit_lens(seen_views(lens.camera), BOARD, lens.camera.image_wh)
+    assert set(fit.left_out) == lens.left_out
+    assert fit.rms_px == pytest.approx(0.03 * np.sqrt(2.0), rel=0.15)
+    np.testing.assert_allclose(fit.focal_px, true.focal_px, rtol=1e-3)
+    found = np.array([*fit.focal_px, *fit.principal_px, *fit.distortion])
+    std = np.array([*fit.focal_std_px, *fit.principal_std_px, *fit.distortion_std])
+    wrong = np.abs(found - np.array([*true.focal_px, *true.principal_px, *true.distortion]))
+    assert np.all(wrong <= 4.0 * std + 1e-9), f"{wrong} for {std}"
+
+
+def test_standard_deviations_are_honest() -> None:
+    camera = LENSES[1].camera
+    off = []
+    for seed in range(12):
+        poses = [draw_pose(Scene(camera=camera), BOARD, seed=0, index=k) for k in range(12)]
+        fit = fit_lens(seen_views(camera, seed=seed, poses=poses), BOARD, camera.image_wh)
+        off.append([(fit.focal_px[1] - 1300.0) / fit.focal_std_px[1], (fit.principal_px[0] - 410.0) / fit.principal_std_px[0]])
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.7
+
+
+def test_a_picture_that_fits_no_other_and_a_wrong_corner_are_left_out_by_name() -> None:
+    camera = LENSES[1].camera
+    views = seen_views(camera)
+    bent = views["07.png"]
+    bulge = 3.0 * np.sin(bent.corners_px / 40.0)
+    views["07.png"] = replace(bent, corners_px=bent.corners_px + bulge)
+    views["03.png"].corners_px[5] += 1.5
+    fit = fit_lens(views, BOARD, camera.image_wh)
+    assert list(fit.rejected) == ["07.png"]
+    assert "px rms" in fit.rejected["07.png"]
+    assert fit.dropped_corners == 1
+    assert len(fit.views["03.png"].ids) == len(views["03.png"].ids) - 1
+    np.testing.assert_allclose(fit.focal_px, camera.focal_px, rtol=1e-3)
+
+
+# -- what the pictures must show
+
+
+def held(tilts_deg: list[float], directions_deg: list[float], *, depth_mm: float = 400.0, aside_mm: float = 0.0) -> list[Array]:
+    """Return poses of the board before the camera, tilted towards directions."""
+    poses = []
+    for k, (tilt, direction) in enumerate(zip(tilts_deg, directions_deg, strict=True)):
+        axis = np.deg2rad(tilt) * np.array([np.cos(np.deg2rad(direction)), np.sin(np.deg2rad(direction)), 0.0])
+        turn = Rotation.from_rotvec(axis)
+        middle = np.array([aside_mm * np.cos(k), aside_mm * np.sin(k), depth_mm + 5.0 * k])
+        poses.append(frames.from_rotation_translation(turn.as_matrix(), middle - turn.apply([*np.array(BOARD.size_mm) / 2.0, 0.0])))
+    return poses
+
+
+def test_boards_that_were_not_tilted_are_refused() -> None:
+    views = seen_views(Camera(), poses=held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], [0.0, 60.0, 120.0, 180.0, 240.0, 300.0], aside_mm=10.0))
+    with pytest.raises(RigError, match=r"hardly tilted|no focal length"):
+        calibrate_views(views, BOARD, (800, 600))
+
+
+def test_the_same_picture_again_and_again_is_refused() -> None:
+    poses = held([30.0] * 6, [20.0] * 6)
+    views = seen_views(Camera(), poses=[poses[0], *[poses[0]] * 5])
+    with pytest.raises(RigError, match="1 different ways only"):
+        calibrate_views(views, BOARD, (800, 600))
+
+
+def test_a_board_in_a_corner_of_the_field_is_refused() -> None:
+    camera = Camera(image_wh=(3200, 2400), principal_px=(1599.5, 1199.5))
+    views = seen_views(camera, poses=held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0))
+    with pytest.raises(RigError, match="of the field"):
+        calibrate_views(views, BOARD, camera.image_wh)
+
+
+def test_too_few_pictures_are_refused_and_few_are_warned_of() -> None:
+    views = seen_views(Camera(), pictures=6)
+    with pytest.raises(RigError, match="2 pictures of the board can be used"):
+        calibrate_views(dict(list(views.items())[:2]), BOARD, (800, 600))
+    made = calibrate_views(views, BOARD, (800, 600))
+    assert any("only 6 pictures" in warning for warning in made.warnings)
+    assert not calibrate_views(seen_views(Camera()), BOARD, (800, 600)).warnings
+
+
+def test_one_way_of_tilting_is_warned_of() -> None:
+    poses = held([-40.0, -30.0, -20.0, 0.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0], [90.0] * 10, aside_mm=30.0)
+    made = calibrate_views(seen_views(Camera(), poses=poses), BOARD, (800, 600))
+    assert any("about one axis" in warning for warning in made.warnings)
+
+
+# -- the twin's pictures
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("twin") / "pictures"
+    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, folder, pictures=10, seed=1, progress=False)
+    return folder
+
+
+def true_lens(folder: Path) -> tuple[Camera, dict[str, Array]]:
+    truth = json.loads((folder / "truth" / "camera.json").read_text(encoding="utf-8"))
+    lens = {key: tuple(value) if isinstance(value, list) else value for key, value in truth["camera"].items()}
+    return Camera(**lens), {name: np.array(pose) for name, pose in truth["cam_from_board"].items()}
+
+
+def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(twin: Path) -> None:
+    camera, poses = true_lens(twin)
+    assert camera.distortion == BENCH
+    errors = []
+    for name, pose in poses.items():
+        found = find_board(cv2.imread(str(twin / name), cv2.IMREAD_UNCHANGED), BOARD)
+        assert isinstance(found, BoardView), name
+        errors.append(found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids])
+    wrong = np.concatenate(errors)
+    assert len(wrong) > 100
+    assert np.abs(wrong.mean(axis=0)).max() < 0.01
+    assert np.sqrt(np.mean(wrong**2)) < 0.04
+
+
+def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
+    blurred = replace(load_profile("clean"), aperture_mm=5.0, focus_error_mm=150.0)
+    simulate_board(replace(SMALL, disturbances=blurred), BOARD, tmp_path / "pictures", pictures=3, progress=False)
+    camera, poses = true_lens(tmp_path / "pictures")
+    for name, pose in poses.items():
+        found = find_board(cv2.imread(str(tmp_path / "pictures" / name), cv2.IMREAD_UNCHANGED), BOARD)
+        assert isinstance(found, BoardView), name
+        assert found.blur_px > 0.4
+        assert np.abs(np.mean(found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids], axis=0)).max() < 0.02
+
+
+def test_picture_k_does_not_depend_on_the_others(twin: Path, tmp_path: Path) -> None:
+    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, tmp_path / "two", pictures=2, seed=1, progress=False)
+    assert (tmp_path / "two" / "board_001.png").read_bytes() == (twin / "board_001.png").read_bytes()
+
+
+def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="too large for the camera at 400 mm"):
+        simulate_board(SMALL, CharucoBoard(square_mm=200.0, marker_mm=140.0), tmp_path / "large", progress=False)
+    with pytest.raises(UserError, match="px wide at the working distance"):
+        simulate_board(SMALL, CharucoBoard(square_mm=8.0, marker_mm=6.0), tmp_path / "small", progress=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    paths = [folder / path.name for path in sorted(twin.glob("*.png"))]
+    for path in paths:
+        path.write_bytes((twin / path.name).read_bytes())
+    (folder / "cut.png").write_bytes(paths[0].read_bytes()[:5000])
+    write_image(folder / "dark.png", np.full((300, 400), 100, np.uint16))
+    write_image(folder / "large.png", flat_picture())
+    paths += [folder / "cut.png", folder / "dark.png", folder / "large.png"]
+    made = calibrate(paths, BOARD)
+    true, _ = true_lens(twin)
+    assert set(made.rejected) == {"cut.png", "dark.png", "large.png"}
+    assert "truncated" in made.rejected["cut.png"]
+    assert "no board" in made.rejected["dark.png"]
+    assert "most others are 400x300" in made.rejected["large.png"]
+    assert made.camera.bits == 12
+    np.testing.assert_allclose(made.camera.focal_px, true.focal_px, rtol=1e-3)
+    np.testing.assert_allclose(made.camera.principal_px, true.principal_px, atol=1.0)
+    assert made.fit.rms_px < 0.1
+
+    out = tmp_path / "lens"
+    out.mkdir()
+    written = [*write_calibration(made, out), write_report(made, out)]
+    assert [path.name for path in written] == ["camera.toml", "calibration.json", "report.html"]
+    assert load_scene(out / "camera.toml").camera == made.camera
+    assert json.loads((out / "calibration.json").read_text(encoding="utf-8")) == numbers(made)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "data:image/png;base64," in page
+    for name in [*made.fit.views, *made.rejected]:
+        assert name in page
+
+
+def test_no_usable_picture_at_all_is_one_sentence(tmp_path: Path) -> None:
+    for k in range(3):
+        write_image(tmp_path / f"{k}.png", np.full((300, 400), 100, np.uint8))
+    with pytest.raises(RigError, match=r"none of the 3 pictures can be used; 0.png: no board was found.*2 others"):
+        calibrate(sorted(tmp_path.iterdir()), BOARD)
+
+
+def test_a_raspberry_pi_calibrates_without_matplotlib() -> None:
+    modules = ("lens.calibration", "lens.calibration_report", "printing.print_files", "printing.print_strip", "printing.print_board")
+    words = "import sys, " + ", ".join(f"rig.{name}" for name in modules)
+    check = "sys.exit(any(name in sys.modules for name in ('matplotlib', 'mitsuba', 'trimesh', 'skimage')))"
+    assert subprocess.run([sys.executable, "-c", f"{words}; {check}"], cwd=Path(__file__).parents[3], check=False).returncode == 0

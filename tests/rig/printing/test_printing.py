@@ -1,0 +1,199 @@
+"""What is printed, drawn at 300 dpi and measured; and the size of the written pages."""
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from numpy.typing import NDArray
+
+from rig.printing.print_board import board_page
+from rig.printing.print_files import figure_of, write_pages
+from rig.printing.print_page import PAGES_MM, Line, Page, Paper
+from rig.printing.print_strip import strip_pages
+from scenes.board import CharucoBoard, opencv_board
+from scenes.errors import UserError
+from scenes.model import MarkerStrip, NetPot, Scene
+
+DPI = 300
+PX_PER_MM = DPI / 25.4
+SCENE = Scene()
+
+
+def drawn(page: Page) -> NDArray[np.uint8]:
+    """Return the page as a printer of 300 dpi would put it on paper, grey."""
+    canvas = FigureCanvasAgg(figure_of(page))
+    canvas.figure.set_dpi(DPI)
+    canvas.draw()
+    return np.asarray(cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2GRAY), np.uint8)
+
+
+def edge_mm(row: NDArray[np.float64], *, rising: bool) -> float:
+    """Return where a row of grey levels crosses the middle between black and white, in mm from its first pixel's outer edge."""
+    middle = (row.max() + row.min()) / 2.0
+    k = int(np.flatnonzero((row[:-1] < middle) & (row[1:] >= middle) if rising else (row[:-1] > middle) & (row[1:] <= middle))[0])
+    return (k + 1.0 + (middle - row[k]) / (row[k + 1] - row[k]) - 0.5) / PX_PER_MM
+
+
+def found_markers(picture: NDArray[np.uint8]) -> dict[int, NDArray[np.float64]]:
+    """Return the markers of the strip's dictionary by id, corners (4, 2) in mm from the page's top left corner."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # returns corners with the pixel's edge at integers
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture)
+    assert ids is not None
+    assert len(set(np.ravel(ids).tolist())) == len(np.ravel(ids)), "a marker was found twice"
+    return {int(k): np.asarray(c, np.float64).reshape(4, 2) / PX_PER_MM for k, c in zip(np.ravel(ids), corners, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def strip_found() -> dict[int, NDArray[np.float64]]:
+    pages = strip_pages(SCENE, paper=Paper(), paper_mm=0.0)
+    assert len(pages) == 1
+    return found_markers(drawn(pages[0]))
+
+
+def test_every_marker_is_read_and_stands_upright(strip_found: dict[int, NDArray[np.float64]]) -> None:
+    assert sorted(strip_found) == list(range(62))
+    for corners in strip_found.values():
+        top_left, top_right, bottom_right, bottom_left = corners
+        assert top_left[0] < top_right[0]
+        assert bottom_left[0] < bottom_right[0]
+        assert top_left[1] < bottom_left[1]
+
+
+def test_ids_rise_to_the_right_in_pieces_below_each_other(strip_found: dict[int, NDArray[np.float64]]) -> None:
+    middles = {k: corners.mean(axis=0) for k, corners in strip_found.items()}
+    reading = sorted(range(31), key=lambda k: (round(middles[k][1] / 20.0), middles[k][0]))
+    assert reading == list(range(31))
+    for k in range(31):
+        np.testing.assert_allclose(middles[k + 31] - middles[k], [0.0, 16.5], atol=0.05)
+
+
+def test_markers_have_their_size_and_pitch(strip_found: dict[int, NDArray[np.float64]]) -> None:
+    pitch_mm = 2.0 * np.pi * 79.6 / 31
+    for corners in strip_found.values():
+        np.testing.assert_allclose(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1), 13.0, atol=0.05)
+    for first, last in ((0, 15), (16, 30)):  # the two pieces of the strip on an A4 page
+        along = np.array([strip_found[k].mean(axis=0)[0] for k in range(first, last + 1)])
+        np.testing.assert_allclose(along - along[0], pitch_mm * np.arange(last - first + 1), atol=0.05)
+
+
+def test_thick_paper_is_drawn_shorter_by_what_bending_stretches() -> None:
+    found = found_markers(drawn(strip_pages(SCENE, paper=Paper(), paper_mm=1.0)[0]))
+    along_mm = found[15].mean(axis=0) - found[0].mean(axis=0)
+    np.testing.assert_allclose(along_mm, [15 * 2.0 * np.pi * (79.6 - 0.5) / 31, 0.0], atol=0.05)
+
+
+def test_pieces_of_several_pages_hold_every_column_once() -> None:
+    pages = strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0)), paper_mm=0.0)
+    assert len(pages) > 2
+    seen = [found_markers(drawn(page)) for page in pages]
+    ids = [k for found in seen for k in sorted(found)]
+    assert sorted(ids) == list(range(62))
+    assert [min(found) for found in seen] == sorted(min(found) for found in seen)
+
+
+@dataclass(frozen=True)
+class Printer:
+    """A printer that makes so many mm of 100."""
+
+    name: str
+    across_mm: float
+    down_mm: float
+
+
+@pytest.mark.parametrize(
+    "printer", [Printer("true", 100.0, 100.0), Printer("small", 99.0, 98.5), Printer("large", 101.2, 100.3)], ids=lambda p: p.name
+)
+def test_the_ruler_and_the_square_come_out_right(printer: Printer) -> None:
+    paper = Paper(size_mm=PAGES_MM["a4"], printed_ruler_mm=(printer.across_mm, printer.down_mm))
+    page = strip_pages(SCENE, paper=paper)[0]
+    stretch = np.array(page.stretch_xy)
+    came_out = np.array([printer.across_mm, printer.down_mm]) / 100.0
+    on_paper = drawn(page).astype(float)
+    ticks = [part for part in page.parts if isinstance(part, Line) and part.to_mm[1] - part.from_mm[1] == 5.0]
+    assert len(ticks) == 11
+    y = round((ticks[0].from_mm[1] + 4.5) * stretch[1] * PX_PER_MM)
+    dark = 255.0 - on_paper[y - 2 : y + 3].mean(axis=0)
+    middles = []
+    for tick in (ticks[0], ticks[-1]):
+        x = round(tick.from_mm[0] * stretch[0] * PX_PER_MM)
+        near = np.arange(x - 8, x + 9)
+        middles.append(float(np.sum(near * dark[near]) / np.sum(dark[near])) / PX_PER_MM)
+    assert (middles[1] - middles[0]) * came_out[0] == pytest.approx(100.0, abs=0.05)
+    left_mm, top_mm = paper.corner_mm()
+    square_top_mm = top_mm + paper.room_mm(page.size_mm)[1] - 50.0
+    row = on_paper[round((square_top_mm + 10.0) * stretch[1] * PX_PER_MM)]
+    row = row[: round((left_mm + 55.0) * stretch[0] * PX_PER_MM)]
+    column = on_paper[:, round((left_mm + 10.0) * stretch[0] * PX_PER_MM)][round((square_top_mm - 5.0) * stretch[1] * PX_PER_MM) :]
+    assert (edge_mm(row, rising=True) - edge_mm(row, rising=False)) * came_out[0] == pytest.approx(50.0, abs=0.05)
+    assert (edge_mm(column, rising=True) - edge_mm(column, rising=False)) * came_out[1] == pytest.approx(50.0, abs=0.05)
+
+
+def test_ids_keep_away_from_markers_or_leave_the_strip() -> None:
+    tight = replace(SCENE, net_pot=replace(NetPot(), top_mm=27.0), strip=MarkerStrip())
+    assert sorted(found_markers(drawn(strip_pages(tight, paper=Paper())[0]))) == list(range(62))
+
+
+def test_the_board_is_what_opencv_draws() -> None:
+    board = CharucoBoard()
+    page = board_page(board, paper=Paper())
+    picture = drawn(page)
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(picture)
+    assert sorted(np.ravel(ids)) == list(range(24))
+    assert sorted(np.ravel(markers)) == list(range(17))
+    at_mm = (np.reshape(corners, (-1, 2)) + 0.5) / PX_PER_MM - 10.0
+    np.testing.assert_allclose(at_mm, board.corners_mm[np.ravel(ids), :2], atol=0.05)
+
+
+def test_board_and_strip_are_never_taken_for_each_other() -> None:
+    for dictionary, page in (
+        (cv2.aruco.DICT_APRILTAG_36h11, board_page(CharucoBoard(), paper=Paper())),
+        (cv2.aruco.DICT_5X5_100, strip_pages(SCENE, paper=Paper())[0]),
+    ):
+        assert cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(dictionary)).detectMarkers(drawn(page))[1] is None
+
+
+def test_pdf_pages_have_the_paper_s_size_and_ask_not_to_be_scaled(tmp_path: Path) -> None:
+    pages = strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0)))
+    with plt.rc_context({"savefig.bbox": "tight", "savefig.dpi": 30}):  # a user's settings do not matter
+        (path,) = write_pages(pages, tmp_path / "strip.pdf", title="strip")
+    pdf = path.read_bytes()
+    boxes = re.findall(rb"/MediaBox \[\s*0 0 ([0-9.]+) ([0-9.]+)\s*\]", pdf)
+    assert len(boxes) == len(pages)
+    np.testing.assert_allclose(np.array(boxes, float) * 25.4 / 72.0, [(200.0, 140.0)] * len(pages), atol=1e-4)
+    table = int(re.findall(rb"startxref\s+(\d+)", pdf)[-1])
+    offset = int(re.match(rb"xref\n0 1\n.{20}\d+ 1\n(\d{10}) 00000 n", pdf[table:], re.DOTALL)[1])  # type: ignore[index]
+    assert re.match(rb"\d+ 0 obj\s*<<[^>]*/Type /Catalog.*/PrintScaling /None", pdf[offset:], re.DOTALL)
+
+
+def test_svg_pages_are_numbered_and_have_the_paper_s_size(tmp_path: Path) -> None:
+    paths = write_pages(strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0))), tmp_path / "strip.svg", title="strip")
+    assert [path.name for path in paths] == [f"strip-{k + 1}.svg" for k in range(len(paths))]
+    assert len(paths) > 1
+    single = write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "one.svg", title="strip")
+    assert [path.name for path in single] == ["one.svg"]
+    text = single[0].read_text(encoding="utf-8")
+    assert 'width="297mm" height="210mm"' in text
+    box = re.search(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"', text)
+    assert box
+    assert float(box[1]) / float(box[2]) == pytest.approx(297.0 / 210.0, abs=1e-6)
+    assert write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "again.svg", title="strip")[0].read_bytes() == single[0].read_bytes()
+
+
+def test_what_does_not_fit_is_refused_with_the_sizes(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="too small for the strip"):
+        strip_pages(SCENE, paper=Paper(size_mm=(120.0, 100.0)))
+    with pytest.raises(UserError, match="420 x 300 mm does not fit"):
+        board_page(CharucoBoard(square_mm=60.0), paper=Paper())
+    with pytest.raises(UserError, match=r"\.pdf or \.svg"):
+        write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "strip.png", title="strip")
+    (tmp_path / "strip.pdf").write_bytes(b"mine")
+    with pytest.raises(UserError, match="exists already"):
+        write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "strip.pdf", title="strip")
+    assert (tmp_path / "strip.pdf").read_bytes() == b"mine"

@@ -1,0 +1,133 @@
+"""The table's angle from the markers: exact poses, constant errors that must cancel, and who is asked when nothing can be read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.errors import RigError
+from rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
+from rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
+from rig.table.turntable import LEAST_DEG, MOST_DEG
+from rig.twin.sketch import Sketch
+from rig.twin.world import Sight
+from scenes import frames, plan
+from scenes.model import Camera, Ring, Scene, Turntable
+
+SCENE = Scene(camera=Camera().resized((800, 600)))
+ANGLES = st.floats(-90.0, 720.0)
+
+
+def level(ring: Ring | None = None) -> np.ndarray:
+    ring = ring or Ring()
+    return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+
+
+def sighting(table_deg: float, *, camera: np.ndarray | None = None, seat: np.ndarray | None = None, direction: int = 1) -> Sighting:
+    turned = frames.rotation_z(direction * np.deg2rad(table_deg))
+    pose = (level() if camera is None else camera) @ turned @ (np.eye(4) if seat is None else seat)
+    return Sighting(cam_from_canister=pose, markers=18, reprojection_px=0.05)
+
+
+def difference(a: float, b: float) -> float:
+    return abs(wrapped(a - b))
+
+
+@given(angle=ANGLES, direction=st.sampled_from([1, -1]))
+def test_strip_that_faces_the_camera_tells_the_angle(angle: float, direction: int) -> None:
+    scene = replace(SCENE, turntable=Turntable(direction=direction))
+    assert difference(facing_angle(sighting(angle, direction=direction), scene), angle) < 1e-9
+
+
+@given(
+    angle=ANGLES,
+    known=st.lists(ANGLES, min_size=1, max_size=6),
+    direction=st.sampled_from([1, -1]),
+    seed=st.integers(0, 2**31),
+)
+def test_constant_errors_of_camera_and_seat_cancel(angle: float, known: list[float], direction: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = replace(SCENE, turntable=Turntable(direction=direction))
+    camera = frames.from_rotvec(rng.normal(0.0, 0.05, 3), rng.normal(0.0, 5.0, 3)) @ level()
+    seat = frames.from_rotvec(np.array([*rng.uniform(-0.01, 0.01, 2), 0.0]), np.array([*rng.normal(0.0, 1.0, 2), 0.0]))
+    references = [
+        Reference(table_deg=k, cam_from_canister=sighting(k, camera=camera, seat=seat, direction=direction).cam_from_canister)
+        for k in known
+    ]
+    seen = sighting(angle, camera=camera, seat=seat, direction=direction)
+    assert (
+        difference(angle_against(seen.cam_from_canister, references, scene), angle) < 0.02
+    )  # the twist about a leaning axis is not quite the turn
+
+
+def test_one_wrong_reference_among_several_does_no_harm() -> None:
+    good = [Reference(table_deg=k, cam_from_canister=sighting(k).cam_from_canister) for k in (0.0, 9.0, 18.0, 27.0)]
+    wrong = Reference(table_deg=90.0, cam_from_canister=sighting(4.0).cam_from_canister)
+    assert difference(angle_against(sighting(200.0).cam_from_canister, [wrong, *good], SCENE), 200.0) < 0.01
+
+
+@given(angle=st.floats(-1e4, 1e4), near=st.floats(LEAST_DEG, MOST_DEG))
+def test_of_all_turns_the_nearest_that_the_table_takes(angle: float, near: float) -> None:
+    found = turns_near(angle, near)
+    assert LEAST_DEG <= found <= MOST_DEG
+    assert difference(found, angle) < 1e-6
+    others = [found + 360.0 * k for k in (-2, -1, 1, 2)]
+    assert all(abs(found - near) <= abs(other - near) + 1e-6 for other in others if LEAST_DEG <= other <= MOST_DEG)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 3.0, 41.0, 123.4, 200.0, 359.0])
+def test_relative_angle_of_drawn_pictures_is_within_a_twentieth_of_a_degree(angle_deg: float) -> None:
+    """Camera, seat and strip are all off; only the rotation between pictures counts."""
+    camera = frames.from_rotvec(np.deg2rad([0.8, -1.0, 0.6]), np.array([3.0, -2.0, 4.0])) @ level()
+    seat = frames.from_rotvec(np.deg2rad([0.4, -0.3, 0.0]), np.array([0.8, -0.5, 0.0]))
+    sketch = Sketch(SCENE, distortion=SCENE.camera.distortion, canister_from_strip=np.eye(4))
+
+    def picture(table_deg: float) -> Sighting:
+        canister = plan.rig_from_table(SCENE, table_deg) @ seat
+        seen = read_strip(
+            sketch.picture(Sight(cam_from_rig=camera, rig_from_canister=canister, table_deg=table_deg, panel=1.0, front=1.0)), SCENE
+        )
+        assert seen is not None
+        return seen
+
+    references = [Reference(table_deg=k, cam_from_canister=picture(k).cam_from_canister) for k in (9.0, 54.0, 99.0)]
+    assert difference(angle_against(picture(angle_deg).cam_from_canister, references, SCENE), angle_deg) < 0.05
+
+
+def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_asked() -> None:
+    assert find_angle(None, [], SCENE, near_deg=0.0, given_deg=370.0).table_deg == pytest.approx(10.0)
+    answers = iter(["somewhere", "nan", "1e9", " 45 deg"])
+    found = find_angle(None, [], SCENE, near_deg=0.0, ask=lambda _: next(answers))
+    assert (found.table_deg, found.source) == (45.0, "as the operator said")
+    with pytest.raises(RigError, match="its angle is not known, and it is dark"):
+        find_angle(None, [], SCENE, near_deg=0.0, why="it is dark")
+
+
+def test_markers_and_a_person_who_disagree_are_refused() -> None:
+    assert find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
+    with pytest.raises(RigError, match=r"said to stand at 110 deg, but the markers show 100\.0 deg"):
+        find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=110.0)
+
+
+def test_a_strip_of_other_sizes_is_not_read() -> None:
+    sketch = Sketch(SCENE, distortion=SCENE.camera.distortion, canister_from_strip=np.eye(4))
+    image = sketch.picture(Sight(cam_from_rig=level(), rig_from_canister=np.eye(4), table_deg=0.0, panel=1.0, front=1.0))
+    assert read_strip(image, SCENE) is not None
+    assert why_unread(image, SCENE) == ""
+    other = replace(SCENE, strip=replace(SCENE.strip, columns=20))
+    assert read_strip(image, other) is None
+    assert "do not fit the scene's strip" in why_unread(image, other)
+    dark = np.zeros_like(image)
+    assert "no markers" in why_unread(dark, SCENE)
+
+
+def test_markers_to_be_expected_are_those_in_the_picture() -> None:
+    seen = visible_markers(SCENE, level())
+    sketch = Sketch(SCENE, distortion=SCENE.camera.distortion, canister_from_strip=np.eye(4))
+    image = sketch.picture(Sight(cam_from_rig=level(), rig_from_canister=np.eye(4), table_deg=0.0, panel=1.0, front=1.0))
+    read = read_strip(image, SCENE)
+    assert read is not None
+    assert abs(seen - read.markers) <= 6
+    assert visible_markers(SCENE, level(Ring(height_mm=-200.0))) == 0

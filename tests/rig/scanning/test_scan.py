@@ -1,0 +1,189 @@
+"""The scan's own logic on devices that are a few lines each: its order, what it refuses, where the angles come from, the arm."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.arm.tangency import azimuth_rad
+from rig.devices import Shot
+from rig.errors import RigError, UnsafeError
+from rig.rig_file import ArmPart
+from rig.scanning.scan import scan
+from scenes import frames, plan
+from scenes.dataset import load_dataset, read_image
+from scenes.errors import UserError
+from scenes.model import Ring, Scene
+from tests.rig.fake_devices import ARM_ERROR_DEG, BLIND, SCENE, Trouble, World, angles, devices, run, stop_at, with_rings
+
+
+def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
+    world, said = World(), []
+    made = run(world, tmp_path / "d", said=said)
+    read = load_dataset(tmp_path / "d")
+    assert read == made
+    assert angles(read) == [view.table_deg for view in plan.views(SCENE)]
+    assert [frame.table_read_deg for frame in read.frames] == angles(read)
+    assert read.origin["complete"]
+    assert read.origin["planned_views"] == 4
+    assert {frame.placement for frame in read.frames} == {0}
+    times = [frame.time_s for frame in read.frames]
+    assert times == sorted(times)
+    assert all(read_image(read, frame).shape == (300, 400) for frame in read.frames)
+    assert (world.panel, world.front, world.motor) == (0.0, 0.0, False)
+    for word in ("disk", "turntable", "lights", "camera", "picture", "markers"):
+        assert sum(line.startswith(word) for line in said) >= 1, said
+
+
+def test_angle_zero_is_the_seam_toward_the_camera(tmp_path: Path) -> None:
+    world = World(table_true_deg=123.4)
+    run(world, tmp_path / "d")
+    assert (world.table_true_deg - world.counter_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.3)
+
+
+def test_angle_that_the_table_kept_is_used_again(tmp_path: Path) -> None:
+    world, said = World(on_call=stop_at(16)), []
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    world.on_call = lambda _: None
+    run(world, tmp_path / "d", resume=True, said=said)
+    assert any(line.startswith("turntable: kept its angle") for line in said)
+    assert world.calls.count("table.declare") == 1
+
+
+def test_angle_is_asked_when_no_marker_can_be_read(tmp_path: Path) -> None:
+    world, asked = World(scene=BLIND), []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return ["north", "77"][len(asked) - 1]
+
+    run(world, tmp_path / "d", ask=ask)
+    assert len(asked) == 2
+    assert "no markers were found" in asked[0]
+    assert "'north' is no angle" in asked[1]
+    assert (world.table_true_deg - world.counter_deg) % 360.0 == pytest.approx(0.0)
+
+
+def test_angle_is_refused_to_be_guessed(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"angle is not known, and no markers were found.*--table-angle"):
+        run(World(scene=BLIND), tmp_path / "d")
+    assert not (tmp_path / "d" / "dataset.json").exists()
+
+
+def test_angle_that_was_given_is_taken_once(tmp_path: Path) -> None:
+    world = World(scene=BLIND)
+    run(world, tmp_path / "d", table_angle_deg=77.0)
+    assert (world.table_true_deg - world.counter_deg) % 360.0 == pytest.approx(0.0)
+    world = World(scene=BLIND)
+    Trouble("", "table.move", 3, World.reset_board).arm(world)
+    with pytest.raises(RigError, match="angle is not known"):
+        run(world, tmp_path / "e", table_angle_deg=77.0)
+
+
+def test_angle_that_the_markers_contradict_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"said to stand at 30 deg, but the markers show 7[67]\.\d deg"):
+        run(World(), tmp_path / "d", table_angle_deg=30.0)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A scan that is not begun, and what must be named."""
+
+    name: str
+    named: str
+    scene: Scene = SCENE
+    world: dict[str, float] = field(default_factory=dict)
+
+
+REFUSALS = [
+    Refusal("jitter", "plan.rings 1: jitter_mm and jitter_deg must be 0", with_rings(Ring(jitter_mm=1.0))),
+    Refusal("far angle", "plan.rings 1: first_deg brings the table to -180 deg", with_rings(Ring(first_deg=-180.0))),
+    Refusal("two rings, no arm", "the plan has 2 rings, but the rig has no arm", with_rings(Ring(views=2), Ring(views=2, height_mm=0.0))),
+]
+
+
+@pytest.mark.parametrize("refusal", REFUSALS, ids=lambda refusal: refusal.name)
+def test_refused_before_anything_moves(refusal: Refusal, tmp_path: Path) -> None:
+    world = World(scene=refusal.scene)
+    with pytest.raises(UserError, match=refusal.named):
+        run(world, tmp_path / "d")
+    assert world.calls == []
+    assert not (tmp_path / "d").exists()
+
+
+def test_picture_of_another_size_is_refused(tmp_path: Path) -> None:
+    world = World()
+    other = replace(SCENE, camera=SCENE.camera.resized((800, 600)))
+    with pytest.raises(RigError, match="400x300 pixels, but the scene's camera has image_wh 800x600"):
+        scan(devices(world), other, tmp_path / "d", say=lambda _: None, progress=False)
+    assert (world.panel, world.front) == (0.0, 0.0)
+
+
+def test_dark_and_saturated_pictures_are_refused(tmp_path: Path) -> None:
+    dim = replace(devices(World()).rig.lights, panel_level=0.1)
+    for part, named in ((dim, "too dark"), (replace(dim, panel_level=1.0), "at full scale")):
+        world = World()
+        opened = devices(world)
+        opened.rig = replace(opened.rig, lights=part)
+        if part.panel_level == 1.0:
+            opened.camera.capture = lambda: Shot(image=np.full((300, 400), 65520, np.uint16), exposure_s=1.0, gain=1.0)
+        with pytest.raises(RigError, match=named):
+            scan(opened, SCENE, tmp_path / named, say=lambda _: None, progress=False)
+
+
+def test_tripod_is_moved_by_a_person_for_further_rings(tmp_path: Path) -> None:
+    scene, asked = with_rings(Ring(views=2), Ring(views=2, distance_mm=420.0)), []
+    world = World(scene=scene)
+    made = run(world, tmp_path / "d", ask=lambda question: asked.append(question) or "")
+    assert len(asked) == 1
+    assert "420 mm from the axis at z = -42 mm" in asked[0]
+    assert [(frame.ring, frame.placement) for frame in made.frames] == [(0, 0), (0, 0), (1, 0), (1, 0)]
+
+
+RINGS = with_rings(Ring(views=3), Ring(views=2, height_mm=-10.0, tilt_deg=5.0))
+
+
+def armed() -> World:
+    """Return a world with the arm at its place of rest."""
+    return World(scene=RINGS, joints_deg=ArmPart().park_deg)
+
+
+def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -> None:
+    world, places = armed(), []
+    world.on_call = lambda name: places.append(world.cam_from_rig) if name == "table.move" else None
+    made = run(world, tmp_path / "d")
+    assert angles(made) == [view.table_deg for view in plan.views(RINGS)]
+    assert world.rested_s >= ArmPart().settle_s
+    for place, view in zip(places, plan.views(RINGS), strict=True):
+        off_mm, off_deg = frames.pose_error(place @ frames.rotation_z(azimuth_rad(place)), view.cam_from_rig)
+        assert off_mm < 4.0
+        assert off_deg < 1.0
+    for frame in made.frames:
+        assert len(frame.joints_deg) == len(frame.joints_read_deg) == 5
+        assert frame.joints_deg == pytest.approx(frame.joints_read_deg, abs=0.13)
+    assert {frame.joints_deg for frame in made.frames if frame.ring == 0} == {made.frames[0].joints_deg}
+    assert np.subtract(world.joints_deg, ARM_ERROR_DEG) == pytest.approx(ArmPart().park_deg, abs=0.13)
+    assert not world.torque
+
+
+def test_ring_out_of_reach_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    world = armed()
+    world.scene = with_rings(Ring(views=2), Ring(views=2, height_mm=900.0))
+    with pytest.raises(UnsafeError, match=r"arm: .*reach"):
+        run(world, tmp_path / "d")
+    assert world.calls == []
+
+
+@pytest.mark.parametrize("number", [3, 12, 23, 34, 47, 58])
+def test_ctrl_c_with_an_arm(number: int, tmp_path: Path) -> None:
+    world = armed()
+    world.on_call = stop_at(number)
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    assert (world.panel, world.front, world.torque) == (0.0, 0.0, False)
+    world.on_call = lambda _: None
+    run(world, tmp_path / "d", resume=True)
+    assert angles(load_dataset(tmp_path / "d")) == [view.table_deg for view in plan.views(RINGS)]
+    assert (world.panel, world.front, world.torque, world.motor) == (0.0, 0.0, False, False)

@@ -1,0 +1,235 @@
+"""What stops a scan or gets in its way: Ctrl-C at every call, faults one by one, a table that slips, a full disk."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rig.scanning import scan as scan_module
+from rig.scanning import session
+from rig.scanning.homing import facing_angle
+from rig.scanning.markers import read_strip
+from scenes import plan
+from scenes.dataset import load_dataset, read_image
+from scenes.errors import UserError
+from tests.rig.fake_devices import SCENE, Trouble, World, angles, run, stop_at
+
+CALLS = 25
+"""Calls of devices in a scan of `SCENE` without trouble."""
+
+
+@pytest.mark.parametrize("number", range(1, CALLS - 1))
+def test_ctrl_c_at_any_call(number: int, tmp_path: Path) -> None:
+    world = World(on_call=stop_at(number))
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    assert (world.panel, world.front) == (0.0, 0.0)
+    taken = {}
+    if (tmp_path / "d" / "dataset.json").exists():
+        before = load_dataset(tmp_path / "d")
+        assert not before.origin["complete"]
+        taken = {frame.file: frame for frame in before.frames}
+        assert world.motor, "the angle must survive until the scan is taken up"
+    world.on_call = lambda _: None
+    made = run(world, tmp_path / "d", resume=True)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert made == load_dataset(tmp_path / "d")
+    assert made.origin["complete"]
+    for frame in made.frames:
+        assert read_image(made, frame) is not None
+        if frame.file in taken:
+            assert frame == taken[frame.file], "a picture was taken twice"
+
+
+@pytest.mark.parametrize("number", [CALLS - 1, CALLS])
+def test_ctrl_c_on_the_way_out_of_a_finished_scan(number: int, tmp_path: Path) -> None:
+    world = World(on_call=stop_at(number))
+    assert run(world, tmp_path / "d").origin["complete"]
+    assert (world.panel, world.front, world.motor) == (0.0, 0.0, False)
+
+
+def test_the_calls_above_reach_the_end_of_a_scan(tmp_path: Path) -> None:
+    world = World()
+    run(world, tmp_path / "d")
+    assert world.calls[-2:] == ["lights.off", "table.release"]
+    assert len(world.calls) == CALLS
+
+
+def fails(error: Exception) -> Callable[[World], None]:
+    def raise_it(_: World) -> None:
+        raise error
+
+    return raise_it
+
+
+CURED = [
+    Trouble("reset before a move", "table.move", 2, World.reset_board),
+    Trouble("reset before the first move", "table.move", 1, World.reset_board),
+    Trouble("reset while the picture is taken", "camera.capture", 3, World.reset_board),
+    Trouble("reset while the place is looked at", "camera.capture", 1, World.reset_board),
+    Trouble("reset while the picture is taken, unnoticed", "camera.capture", 3, World.reset_unnoticed),
+    Trouble("reset just before the angle is asked again", "table.position", 5, World.reset_board),
+    Trouble("no answer to a move", "table.move", 3, fails(NoAnswerError("turntable: does not answer"))),
+    Trouble("unplugged", "table.move", 3, fails(LostError("turntable: unplugged"))),
+    Trouble("unplugged after a picture", "table.position", 3, fails(LostError("turntable: unplugged"))),
+    Trouble("camera stops once", "camera.capture", 3, fails(RigError("camera: no picture"))),
+    Trouble("lamps go out", "camera.capture", 3, World.lamps_out),
+]
+
+
+@pytest.mark.parametrize("trouble", CURED, ids=lambda trouble: trouble.name)
+def test_fault_is_cured_in_place(trouble: Trouble, tmp_path: Path) -> None:
+    world, said = World(), []
+    trouble.arm(world)
+    made = run(world, tmp_path / "d", said=said)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert made.origin["complete"]
+    for frame in made.frames:
+        shown = read_strip(read_image(made, frame), SCENE)
+        assert (facing_angle(shown, SCENE) - frame.table_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.6)
+    if "reset" in trouble.name:
+        assert max(frame.placement for frame in made.frames) <= 1
+        homed = sum(event["event"] == "homed" for event in made.origin["log"])
+        assert homed >= (1 if trouble.name == "reset while the place is looked at" else 2), made.origin["log"]
+    else:
+        assert {frame.placement for frame in made.frames} == {0}
+    assert any(event["event"] in ("fault", "camera", "lights") for event in made.origin["log"]) or trouble.at == 1
+
+
+def test_table_that_was_reset_is_found_again(tmp_path: Path) -> None:
+    world, offsets = World(), []
+
+    def reset(world: World) -> None:
+        offsets.append(world.table_true_deg - world.counter_deg)
+        world.reset_board()
+
+    Trouble("", "table.move", 4, reset).arm(world)
+    made = run(world, tmp_path / "d")
+    assert [frame.placement for frame in made.frames] == [0, 0, 0, 1]
+    offset = world.table_true_deg - world.counter_deg
+    assert (offset - offsets[0] + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.1)
+
+
+STOPS = [
+    Trouble("camera dead", "camera.capture", 3, lambda world: keep_failing(world, "camera", RigError("camera: no picture"))),
+    Trouble("board dead", "table.move", 3, lambda world: keep_failing(world, "table", LostError("turntable: unplugged"))),
+    Trouble("lamps dead", "camera.capture", 3, lambda world: keep_dark(world)),
+]
+
+
+def keep_failing(world: World, device: str, error: Exception) -> None:
+    def on_call(name: str) -> None:
+        if name.startswith(device):
+            raise error
+
+    world.on_call = on_call
+    raise error
+
+
+def keep_dark(world: World) -> None:
+    def on_call(_: str) -> None:
+        world.panel = world.front = 0.0
+
+    world.on_call = on_call
+    on_call("")
+
+
+@pytest.mark.parametrize("trouble", STOPS, ids=lambda trouble: trouble.name)
+def test_fault_that_stays_stops_the_scan_with_its_cause(trouble: Trouble, tmp_path: Path) -> None:
+    world, said = World(), []
+    trouble.arm(world)
+    named = {
+        "camera dead": "camera: no picture",
+        "board dead": "turntable: unplugged.*did not come back",
+        "lamps dead": "lights: the panel is",
+    }
+    with pytest.raises(RigError, match=named[trouble.name]):
+        run(world, tmp_path / "d", said=said)
+    assert (world.panel, world.front) == (0.0, 0.0)
+    kept = load_dataset(tmp_path / "d")
+    assert 1 <= len(kept.frames) < 4
+    assert kept.origin["log"][-1]["event"] == "stopped"
+    assert world.now_s < 120.0
+    world.on_call = lambda _: None
+    world.reset_board()
+    made = run(world, tmp_path / "d", resume=True)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert made.frames[: len(kept.frames)] == kept.frames
+
+
+def test_error_of_the_way_out_does_not_hide_the_first(tmp_path: Path) -> None:
+    world, said = World(), []
+
+    def on_call(name: str) -> None:
+        if name == "table.move":
+            raise UnsafeError("turntable: is on fire")
+        if name == "lights.off":
+            raise RigError("lights: no answer")
+
+    world.on_call = on_call
+    with pytest.raises(UnsafeError, match="on fire"):
+        run(world, tmp_path / "d", said=said)
+    assert any("switch them off by hand" in line and "no answer" in line for line in said)
+
+
+def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
+    world = World()
+    Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 7.2)).arm(world)
+    with pytest.raises(RigError, match=r"view_002\.png to view_003\.png show other angles"):
+        run(world, tmp_path / "d")
+    assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
+    made = run(world, tmp_path / "d", resume=True)
+    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+
+
+def slip_and_stop(world: World) -> None:
+    """Let the table slip before its third move, and press Ctrl-C at its fourth."""
+    moves = [0]
+
+    def on_call(name: str) -> None:
+        if name == "table.move":
+            moves[0] += 1
+            if moves[0] == 3:
+                world.table_true_deg += 7.2
+            if moves[0] == 4:
+                raise KeyboardInterrupt
+
+    world.on_call = on_call
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["stopped", "killed"])
+def test_table_that_slipped_before_the_scan_was_stopped(killed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wrong picture is taken out on the way out, or else when the scan is taken up."""
+    world, said = World(), []
+    slip_and_stop(world)
+    if killed:
+        monkeypatch.setattr(scan_module._Scan, "_stopped", lambda *_: None)
+    with pytest.raises(KeyboardInterrupt):
+        run(world, tmp_path / "d")
+    assert len(load_dataset(tmp_path / "d").frames) == (3 if killed else 2)
+    world.on_call = lambda _: None
+    made = run(world, tmp_path / "d", resume=True, said=said)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+    assert any("it was turned" in line for line in said)
+
+
+def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, written = World(), []
+    write = session.write_bytes
+
+    def full_later(path: Path, data: bytes) -> None:
+        written.append(path)
+        if len(written) >= 3:
+            raise UserError(f"{path}: the disk is full")
+        write(path, data)
+
+    monkeypatch.setattr(session, "write_bytes", full_later)
+    with pytest.raises(UserError, match=r"view_002\.png: the disk is full"):
+        run(world, tmp_path / "d")
+    monkeypatch.undo()
+    made = run(world, tmp_path / "d", resume=True)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]

@@ -1,0 +1,146 @@
+"""The scan on the emulated twin, over its serial bytes: every fault of the menu by itself, and what is left behind."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rig.errors import RigError
+from rig.open import Devices, open_devices
+from rig.scanning.scan import scan
+from rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
+from rig.twin.imperfections import BENCH
+from rig.twin.twin import Twin
+from scenes import plan
+from scenes.dataset import Dataset, load_dataset, read_image
+from scenes.files import load_profile
+from scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+
+SCENE = Scene(
+    camera=Camera().resized((400, 300)),
+    strip=MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0),
+    plan=CapturePlan(rings=(Ring(views=3, height_mm=-20.0),)),
+    disturbances=load_profile("bench"),
+)
+
+MICROSTEP_DEG = BENCH.table_microstep_deg
+
+
+def twin_of(*faults: Fault, scene: Scene = SCENE, seed: int = 1, **options) -> Twin:
+    return Twin(scene, seed=seed, profile_name="bench", pictures="sketch", faults=faults, **options)
+
+
+def opened(twin: Twin) -> Devices:
+    return open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
+
+
+def run(twin: Twin, folder: Path, **options) -> Dataset:
+    devices = opened(twin)
+    try:
+        return scan(devices, twin.calibrated_scene(), folder, say=lambda _: None, progress=False, **options)
+    finally:
+        devices.close()
+        twin.clock.sleep(1.0)  # the lamps fade
+
+
+def off_deg(twin: Twin, dataset: Dataset) -> list[float]:
+    """Return by how much the table really stood beside each frame's angle."""
+    found = []
+    for frame in dataset.frames:
+        shot = twin.record.shot_of(read_image(dataset, frame))
+        if shot is not None:
+            found.append((shot.sight.table_deg - frame.table_deg + 180.0) % 360.0 - 180.0)
+    return found
+
+
+def is_safe(twin: Twin) -> bool:
+    """Tell whether lamps and torque are off."""
+    return max(twin.world.panel.level, twin.world.front.level) == 0.0 and not any(
+        twin.world.servos[joint.servo].torque_on for joint in twin.rig.arm.joints
+    )
+
+
+@pytest.mark.parametrize("protocol", ["lx", "lsc"])
+def test_complete_scan_is_the_plan(protocol: str, tmp_path: Path) -> None:
+    twin = twin_of(protocol=protocol)
+    made = run(twin, tmp_path / "d")
+    assert made == load_dataset(tmp_path / "d")
+    assert [(frame.ring, frame.kind, frame.table_deg) for frame in made.frames] == [
+        (view.ring, view.kind, view.table_deg) for view in plan.views(SCENE)
+    ]
+    offsets = off_deg(twin, made)
+    assert len(offsets) == 3
+    assert max(offsets) - min(offsets) < 0.3  # the motor's own errors
+    assert max(map(abs, offsets)) < 2.0
+    for frame in made.frames:
+        assert frame.joints_read_deg == pytest.approx(frame.joints_deg, abs=3.0)
+        assert (frame.exposure_s, frame.gain) == (twin.rig.camera.exposure_s, twin.rig.camera.gain)
+    assert is_safe(twin)
+
+
+def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path) -> None:
+    """Reset among the pictures: true angles before and after agree but for the motor's own errors."""
+    scene = replace(SCENE, camera=Camera(), strip=MarkerStrip(), plan=CapturePlan(rings=(Ring(views=6),)))
+    twin = twin_of(scene=scene)
+    devices = opened(twin)
+    move = devices.table.move_to
+
+    def move_and_reset(angle_deg: float) -> float:
+        if angle_deg == 180.0:
+            twin.inject(Fault(kind="reset", device="table", at_s=twin.clock.now_s() + 0.2))
+            del devices.table.move_to
+        return move(angle_deg)
+
+    devices.table.move_to = move_and_reset
+    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", say=lambda _: None, progress=False)
+    offsets = off_deg(twin, made)
+    before = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 0]
+    after = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 1]
+    assert (len(before), len(after)) == (3, 3)
+    assert sum(after) / len(after) == pytest.approx(sum(before) / len(before), abs=0.1 + MICROSTEP_DEG)
+
+
+STAYING = ("reply_dropped", "reply_corrupted", "request_corrupted", "echo", "stale_frame")
+"""Faults that are tried as lasting ones, too."""
+SINGLE = [
+    pytest.param(kind, count, id=f"{kind.name} {'once' if count == 1 else 'for good'}")
+    for kind in MENU
+    for count in (1, FOR_GOOD)
+    if kind.protocol != "lsc" and count in kind.counts and (count == 1 or kind.name in STAYING)
+]
+
+
+@pytest.mark.parametrize(("kind", "count"), SINGLE)
+def test_each_fault_is_cured_or_named(kind: FaultKind, count: int, tmp_path: Path) -> None:
+    message = {"shot": 5, "device": None}.get(kind.where, 70)
+    fault = Fault(
+        kind=kind.name,
+        device=kind.devices[0],
+        at_message=message,
+        at_s=14.0 if kind.where == "device" else None,
+        amount=kind.amounts[-1],
+        count=count,
+    )
+    twin = twin_of(fault)
+    kept, named = None, True
+    try:
+        run(twin, tmp_path / "d")
+    except RigError as error:
+        named = str(error).split()[0].rstrip(":") in ("arm", "turntable", "camera", "lights")
+        if (tmp_path / "d" / "dataset.json").exists():
+            kept = load_dataset(tmp_path / "d")
+        twin = twin_of(seed=2)
+        run(twin, tmp_path / "d", resume=True)
+    made = load_dataset(tmp_path / "d")
+    assert named
+    assert [frame.table_deg for frame in made.frames] == [view.table_deg for view in plan.views(SCENE)]
+    assert kept is None or made.frames[: len(kept.frames)] == kept.frames
+    assert all(abs(off) < 4.0 for off in off_deg(twin, made))  # a fault at the wrong moment would give many times that
+    assert is_safe(twin)
+
+
+def test_arm_is_let_go_and_lamps_are_off_after_a_fault_of_the_arm(tmp_path: Path) -> None:
+    twin = twin_of(Fault(kind="stalled", device="arm", at_s=5.0, amount=0.0, joint=2))
+    with pytest.raises(RigError, match="arm: "):
+        run(twin, tmp_path / "d")
+    assert is_safe(twin)

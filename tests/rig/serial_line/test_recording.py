@@ -1,0 +1,268 @@
+"""Recordings: what is on the disk at every moment, and replays that notice every difference."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.errors import RigError
+from rig.rig_file import LightsPart, TurntablePart
+from rig.serial_line.port import Port
+from rig.serial_line.recording import Recorder, ReplayError, ReplayPort, replay_port
+from rig.table.lights import MarlinLights
+from rig.table.marlin import MarlinLink
+from rig.table.turntable import MarlinTurntable
+from scenes.errors import UserError
+
+Scan = Callable[[Any], list[float]]
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def small(path: Path) -> Path:
+    """Record a session: three exchanges of the turntable, one of the arm between them."""
+    recorder = Recorder(path)
+    recorder.opened(0.0, "turntable", url="/dev/ttyUSB0", baud=115200)
+    recorder.record(0.5, "turntable", ">", b"M114\n")
+    recorder.record(0.6, "turntable", "<", b"X:1")
+    recorder.record(0.7, "arm", ">", b"\x55\x55")
+    recorder.record(0.8, "turntable", "<", b".00\nok\n")
+    recorder.record(0.9, "turntable", ">", b"M17\n")
+    recorder.record(1.0, "turntable", "<", b"ok\n")
+    recorder.close()
+    return path
+
+
+def test_lines_say_who_what_and_when(tmp_path: Path) -> None:
+    found = lines(small(tmp_path / "new folder" / "wire.jsonl"))
+    assert found[0]["recording"] == 1
+    assert found[0]["time"].endswith("+00:00")
+    assert found[0]["versions"]["pyserial"]
+    assert found[1] == {"t_s": 0.0, "device": "turntable", "open": {"url": "/dev/ttyUSB0", "baud": 115200}}
+    assert found[4] == {"t_s": 0.7, "device": "arm", "dir": ">", "hex": "5555"}
+
+
+def test_a_crash_loses_nothing(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "wire.jsonl")
+    recorder.record(1.0, "arm", "<", b"\x00")
+    assert lines(tmp_path / "wire.jsonl")[-1]["hex"] == "00"  # without close
+    recorder.close()
+
+
+def test_a_line_cut_off_by_a_crash_is_left_out(tmp_path: Path) -> None:
+    path = small(tmp_path / "wire.jsonl")
+    whole = path.read_bytes()
+    with path.open("ab") as stream:
+        stream.write(b'{"t_s": 3.0, "dev')
+    assert replay_port(path, "turntable").read(0.0) == b""  # what was sent comes first
+    Recorder(path).close()
+    assert path.read_bytes().startswith(whole + b'{"recording": 1, ')
+    assert len([line for line in lines(path) if "recording" in line]) == 2
+
+
+def test_a_full_disk_is_told() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full")
+    with pytest.raises(RigError, match=r"/dev/full: the recording cannot be written .*No space left"):
+        Recorder("/dev/full")
+
+
+def test_a_disk_that_gets_full_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = Recorder(tmp_path / "wire.jsonl")
+
+    class Full:
+        def write(self, line: bytes) -> int:
+            return len(line) - 1
+
+        def close(self) -> None:
+            pass
+
+    recorder._stream.close()
+    monkeypatch.setattr(recorder, "_stream", Full())
+    with pytest.raises(RigError, match="disk is full"):
+        recorder.record(1.0, "arm", "<", b"\x00")
+    recorder.record(1.1, "turntable", ">", b"M150")  # told once: the lamps can still be switched off
+    recorder.close()
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RigError, match="cannot be written"):
+        Recorder(tmp_path / "file" / "wire.jsonl")
+    with pytest.raises(RigError, match="cannot be written"):
+        Recorder(tmp_path)
+
+
+def test_recording_is_cheap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Apart from the write; the best of some rounds, since the machine may be busy."""
+    recorder = Recorder(tmp_path / "wire.jsonl")
+
+    class Nowhere:
+        def write(self, line: bytes) -> int:
+            return len(line)
+
+    recorder._stream.close()
+    monkeypatch.setattr(recorder, "_stream", Nowhere())
+    best_s = math.inf
+    for _ in range(20):
+        begin_s = time.perf_counter()
+        for _ in range(100):
+            recorder.record(123.456789, "turntable", "<", b"X:360.00 Y:0.00 Z:0.00 E:0.00 Count X:6400 Y:0 Z:0\n")
+        best_s = min(best_s, (time.perf_counter() - begin_s) / 100)
+    assert best_s < 50e-6
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> ReplayPort:
+    return replay_port(small(tmp_path / "wire.jsonl"), "turntable")
+
+
+def test_a_replay_answers_as_it_was(replay: ReplayPort) -> None:
+    assert replay.read(1.5) == b""
+    assert replay.clock.now_s() == 1.5
+    replay.write(b"M1")
+    assert replay.read(0.0) == b""
+    replay.write(b"14\n")
+    assert replay.read(9.0) + replay.read(9.0) == b"X:1.00\nok\n"
+    assert replay.clock.now_s() == 1.5  # no time-outs
+    replay.write(b"M17\n")
+    replay.discard_input()
+    assert replay.read(2.0) == b""
+    assert replay.clock.now_s() == 3.5
+    replay.finish()
+    replay.close()
+
+
+def test_the_first_difference_is_named_and_stays(replay: ReplayPort) -> None:
+    replay.write(b"M114\n")
+    replay.discard_input()
+    with pytest.raises(ReplayError, match=r"turntable, replay of .*wire.jsonl: line 7 has b'M17\\n' sent, .* from byte 2 on: b'8\\n'"):
+        replay.write(b"M18\n")
+    for action in (lambda: replay.read(0.0), lambda: replay.write(b"M17\n"), replay.finish):
+        with pytest.raises(ReplayError, match="line 7"):
+            action()
+
+
+def test_a_difference_in_a_second_part_of_a_line_is_named(replay: ReplayPort) -> None:
+    replay.write(b"M1")
+    with pytest.raises(ReplayError, match="from byte 3 on: b'5"):
+        replay.write(b"15\n")
+
+
+def test_sending_before_reading_is_a_difference(replay: ReplayPort) -> None:
+    with pytest.raises(ReplayError, match=r"line 4 has b'X:1' heard, but b'M17\\n' was sent before"):
+        replay.write(b"M114\nM17\n")
+
+
+def test_sending_on_after_the_end_is_a_difference(replay: ReplayPort) -> None:
+    replay.write(b"M114\n")
+    replay.discard_input()
+    replay.write(b"M17\n")
+    replay.discard_input()
+    with pytest.raises(ReplayError, match="recording ends"):
+        replay.write(b"M18\n")
+
+
+def test_stopping_early_is_a_difference(replay: ReplayPort) -> None:
+    replay.write(b"M114\n")
+    replay.discard_input()
+    with pytest.raises(ReplayError, match=r"line 7 has b'M17.n' sent, but the driver stopped"):
+        replay.finish()
+
+
+def test_a_difference_is_no_failure_of_a_device() -> None:
+    assert not issubclass(ReplayError, RigError)
+
+
+def test_sessions_are_told_apart(tmp_path: Path) -> None:
+    path = small(tmp_path / "wire.jsonl")
+    recorder = Recorder(path)
+    recorder.record(0.0, "turntable", ">", b"M18\n")
+    recorder.close()
+    replay_port(path, "turntable").write(b"M18\n")
+    replay_port(path, "turntable", session=0).write(b"M114\n")
+    with pytest.raises(UserError, match="has 2 sessions"):
+        replay_port(path, "turntable", session=2)
+    with pytest.raises(UserError, match="nothing of a device 'arm' in this session, only turntable"):
+        replay_port(path, "arm")
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda text: text.replace('"5555"', '"55x5"'), "line 5 is damaged"),
+        (lambda text: text.replace('"hex": "5555"', '"hex": 5555'), "line 5 is damaged"),
+        (lambda text: text.replace('"dir": "<"', '"dir": "v"', 1), "line 4 is damaged"),
+        (lambda text: text.replace('{"t_s": 0.6', "[0.6"), "line 4 is damaged"),
+        (lambda text: text.split("\n", 1)[1], "is not a recording"),
+        (lambda text: text.replace('"recording": 1', '"recording": 2'), "is not a recording of format 1"),
+        (lambda _text: "", "is not a recording"),
+        (lambda _text: "17\n", "line 1 is damaged"),
+    ],
+    ids=["hex", "type", "direction", "json", "no header", "format", "empty", "no object"],
+)
+def test_a_damaged_recording_is_named(tmp_path: Path, damage: Callable[[str], str], says: str) -> None:
+    path = small(tmp_path / "wire.jsonl")
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(UserError, match=says):
+        replay_port(path, "turntable")
+
+
+def test_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="cannot be read as a recording"):
+        replay_port(tmp_path / "none.jsonl", "turntable")
+
+
+def drive(link: MarlinLink, clock: Any) -> list[float]:
+    """Use table and lights as a scan does."""
+    table = MarlinTurntable(link, TurntablePart(), clock)
+    lights = MarlinLights(link, LightsPart(), clock)
+    table.prepare()
+    lights.set(panel=1.0, front=0.5)
+    table.declare(0.0)
+    angles = [table.move_to(angle) for angle in (0.0, 9.0, 18.0, 4.5)]
+    lights.off()
+    table.release()
+    return angles
+
+
+@pytest.fixture
+def session(serial_board: Any, tmp_path: Path) -> Path:
+    """Record a session on a board that resets when its port is opened, with a lost ``ok`` and a damaged request."""
+    serial_board.__init__(
+        greets=True,
+        reply_faults={40: lambda _data: []},
+        request_faults={18: lambda data: [(0.0, data.replace(b"M", b"L", 1))]},
+        clock=serial_board.clock,
+    )
+    path = tmp_path / "session.jsonl"
+    recorder = Recorder(path)
+    port = Port("/dev/ttyUSB0", baud=115200, clock=serial_board.clock, device="turntable", recorder=recorder)
+    assert drive(MarlinLink(port), serial_board.clock) == [0.0, 9.0, 18.0, 4.5]
+    recorder.close()
+    return path
+
+
+def test_a_session_replays_against_the_drivers(session: Path) -> None:
+    port = replay_port(session, "turntable")
+    assert drive(MarlinLink(port), port.clock) == [0.0, 9.0, 18.0, 4.5]
+    port.finish()
+
+
+def test_a_changed_byte_of_a_session_is_found(session: Path) -> None:
+    entries = [json.loads(line) for line in session.read_text().splitlines()]
+    sent = [i for i, entry in enumerate(entries) if entry.get("dir") == ">"]
+    for i in (sent[0], sent[len(sent) // 2], sent[-1]):
+        data = bytes.fromhex(entries[i]["hex"])
+        changed = entries[i] | {"hex": (data[:3] + bytes((data[3] ^ 1,)) + data[4:]).hex()}
+        path = session.with_name("changed.jsonl")
+        path.write_text("".join(json.dumps(entry) + "\n" for entry in [*entries[:i], changed, *entries[i + 1 :]]))
+        port = replay_port(path, "turntable")
+        with pytest.raises(ReplayError, match=rf"line {i + 1} has .* from byte 3 on"):
+            drive(MarlinLink(port), port.clock)
