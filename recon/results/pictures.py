@@ -61,7 +61,7 @@ def inputs_and_silhouettes(summary: dict[str, Any], result_folder: Path, dataset
         silhouette[~seen] = 0.55 * silhouette[~seen] + 0.45 * UNSEEN_RGB
         axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
-        angle = "" if view.get("table_deg") is None else f", table {view['table_deg']:.0f} deg"
+        angle = "" if view.get("table_deg") is None else f", table {round(view['table_deg']) % 360} deg"
         axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9)
         fill = "" if view.get("fill") is None else f", fills {100.0 * view['fill']:.1f} % of what is seen"
         axes[1, column].set_title(f"silhouette{fill}", fontsize=9)
