@@ -68,7 +68,7 @@ def kept(case: Case, *, device: str) -> Record | None:
 def _kept_path(case: Case, *, device: str) -> Path:
     settings = {
         "dataset": datasets.place(case.pictures).name,
-        "truth": sources.digest(sources.TRUTH),
+        "truth": sources.digest(datasets.TRUTH),
         "method": case.method,
         "voxel_mm": case.voxel_mm,
         "device": device,

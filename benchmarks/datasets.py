@@ -1,7 +1,7 @@
 """Rendered datasets, kept between runs: a folder a key, and the key is all that decides the pictures.
 
 A changed source of the renderer or another scene, profile, seed or version of Mitsuba is another folder. Sources that only write what is
-known into the truth (`sources.TRUTH_ONLY`) are not in the key: where they changed, the truth beside kept pictures is written anew.
+known into the truth (`TRUTH_ONLY`) are not in the key: where they changed, the truth beside kept pictures is written anew.
 """
 
 import math
@@ -17,6 +17,11 @@ from scenes.errors import UserError
 from scenes.files import scene_to_dict
 from scenes.provenance import versions
 from scenes.truth import load_truth, save_truth
+
+PICTURES = ("sim.simulate",)
+TRUTH_ONLY = frozenset({"scenes.traits", "scenes.truth", "sim.truth"})
+"""Modules that only write what is known of the specimen beside the pictures: `make` renews that by itself."""
+TRUTH = ("sim.truth",)
 
 SAME_VOLUME = 1e-9
 """Relative difference of two volumes of one solid: its sums may be taken in another order."""
@@ -35,14 +40,14 @@ def settings(pictures: Pictures) -> dict[str, Any]:
 
 def place(pictures: Pictures) -> Path:
     """Return the folder in the cache where a dataset lies or is to lie."""
-    code = sources.digest(sources.PICTURES, without=sources.TRUTH_ONLY)
+    code = sources.digest(PICTURES, without=TRUTH_ONLY)
     return cache.folder() / "datasets" / cache.key(settings(pictures), sources=code)
 
 
 def is_ready(pictures: Pictures) -> bool:
     """Tell whether the cache holds the dataset, with its truth as the sources write it now."""
     folder = place(pictures)
-    return folder.is_dir() and _written_by(folder) == sources.digest(sources.TRUTH)
+    return folder.is_dir() and _written_by(folder) == sources.digest(TRUTH)
 
 
 def make(pictures: Pictures) -> Path:
@@ -95,4 +100,4 @@ def _written_by(folder: Path) -> str | None:
 
 def sign(folder: Path) -> None:
     """Note beside a dataset which sources wrote its truth."""
-    atomic.write_text(_signature(folder), sources.digest(sources.TRUTH) + "\n")
+    atomic.write_text(_signature(folder), sources.digest(TRUTH) + "\n")

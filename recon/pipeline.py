@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from recon import drawing, shaping
-from recon.calibration import calibrated, markers, poses
+from recon.calibration import markers, poses
 from recon.calibration.canister_seat import CanisterSeat, find_seat
-from recon.calibration.root_calibration import RigDoubt
 from recon.coverage.silhouettes import Silhouette
 from recon.optics.cameras import View
 from recon.optics.refraction import Optics
-from recon.results import result
+from recon.results import calibrated, result
 from recon.run import Run
+from recon.tubes.root_calibration import RigDoubt
 from scenes import frames
 from scenes.dataset import sha256_of
 from scenes.errors import UserError

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from recon.calibration.root_calibration import RigDoubt, RootCalibration
 from recon.coverage.translucency import Law
+from recon.tubes.root_calibration import RigDoubt, RootCalibration
 from scenes.dataset import Dataset, Frame, load_dataset, read_image
 from scenes.errors import UserError
 from scenes.model import Camera

@@ -7,18 +7,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration.root_calibration import Sights
 from recon.coverage import silhouettes
 from recon.coverage.evidence import Evidence
 from recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
 from recon.hull import carve, parsimony, surface
+from recon.hull.carve import Water
 from recon.optics import projection
 from recon.optics.cameras import View
 from recon.optics.refraction import Optics
 from recon.results.result import Shape, Triple, Voxels
 from recon.roots import rooting, tube_volume
-from recon.roots.rooting import Water
 from recon.run import Run
+from recon.tubes.root_calibration import Sights
 from recon.uncertainty import solid_doubt, tube_doubt
 from recon.uncertainty.budget import Budget
 from scenes.errors import UserError

@@ -1,1 +1,1 @@
-"""The front door: the `rhizotwin` command, engine choice, import of pictures and the demo."""
+"""The front door: the `rhizotwin` command, engine choice, import and export, plans, the demo; and the digest of sources."""

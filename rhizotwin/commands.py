@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from recon.calibration import calibrated
+from recon.results import calibrated
 from rhizotwin import print_commands, rig_commands, steps, traits_commands
 from scenes import files
 from scenes.errors import UserError
@@ -62,7 +62,7 @@ def simulate(options: argparse.Namespace) -> None:
         image_wh=options.image_wh,
         profile=options.profile,
     )
-    _start(options)
+    steps.start_engine(options)
     from sim.simulate import simulate as render
 
     dataset = render(
@@ -81,7 +81,7 @@ def simulate(options: argparse.Namespace) -> None:
 
 def reconstruct(options: argparse.Namespace) -> None:
     """Reconstruct a dataset to a result with its pictures."""
-    _start(options)
+    steps.start_engine(options)
     written = steps.reconstruct_whole(options.dataset, options.output, voxel_mm=options.voxel_mm, mass_g=options.mass_g)
     summary = json.loads((options.output / "result.json").read_text(encoding="utf-8"))
     low, high = summary["volume_interval_mm3"]
@@ -147,7 +147,7 @@ def plan(options: argparse.Namespace) -> None:
         for rings in dict.fromkeys(heights)
         for views in options.views
     ]
-    _start(options)
+    steps.start_engine(options)
     rows = planning.run_plans(scene, variants, options.output, profile_name=options.profile, seeds=options.seeds, say=print)
     chosen = planning.best(rows, within=options.within / 100.0)
     if chosen is None:
@@ -161,14 +161,8 @@ def demo(options: argparse.Namespace) -> None:
     """Simulate, reconstruct and score a small printed root."""
     from rhizotwin.demo import demo as run_demo
 
-    _start(options)
+    steps.start_engine(options)
     run_demo(options.output, profile=options.profile, say=print)
-
-
-def _start(options: argparse.Namespace) -> None:
-    from rhizotwin import engine
-
-    print(engine.start(options.device))
 
 
 def _print_paths(paths: list[Path]) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin.picture_files import list_pictures
-from rhizotwin.steps import change_scene
+from rhizotwin.steps import change_scene, start_engine
 from rig.printing.print_page import PAGES_MM, Paper
 from scenes import files
 from scenes.atomic import new_folder
@@ -85,11 +85,9 @@ def camera(options: argparse.Namespace) -> None:
 
 def simulate(options: argparse.Namespace) -> None:
     """Render pictures of the board."""
-    from rhizotwin import engine
-
     scene = change_scene(files.load_scene(options.scene), image_wh=options.image_wh, profile=options.profile)
     made = _board_of(options)
-    print(engine.start(options.device))
+    start_engine(options)
     from sim.board import simulate_board
 
     simulate_board(scene, made, options.output, pictures=options.pictures, seed=options.seed)

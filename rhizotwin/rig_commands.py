@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from tqdm import tqdm
 
+from rhizotwin import steps
 from rig.devices import Camera
 from rig.rig_file import RigFile, load_rig
 from rig.scanning.homing import Ask
@@ -100,7 +101,7 @@ def twin(options: argparse.Namespace) -> None:
     if options.output is not None and options.output.exists():
         raise UserError(f"{options.output} exists already; choose another name for the rig file")
     if options.fidelity == "render":
-        _start(options)
+        steps.start_engine(options)
     run_twin(
         scene,
         seed=options.seed,
@@ -181,7 +182,7 @@ def _bench(options: argparse.Namespace, *, plan: str | None = None, pictures: Li
     scene = _with_plan(files.load_scene(options.scene or TWIN_SCENE), plan)
     scene = replace(scene, disturbances=files.load_profile(options.profile))
     if pictures == "render":
-        _start(options)
+        steps.start_engine(options)
     from rig.twin.twin import Twin
 
     emulated = Twin(scene, seed=options.seed, profile_name=options.profile, pictures=pictures)
@@ -198,13 +199,6 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
     changed = replace(scene, plan=CapturePlan(rings=files.load_scene(plan).plan.rings))
     check_scene(changed, where=f"scene {scene.name} with the plan of {plan}")
     return changed
-
-
-def _start(options: argparse.Namespace) -> None:
-    """Choose the engine that renders."""
-    from rhizotwin import engine
-
-    print(engine.start(options.device))
 
 
 def _recorder(path: Path | None, stack: ExitStack) -> Any:

@@ -13,11 +13,6 @@ PACKAGES = ("scenes", "sim", "recon", "benchmarks")
 DATA_OF_SCENES = ("scenes/library", "scenes/profiles")
 """What these hold is in the settings of every picture already."""
 
-PICTURES = ("sim.simulate",)
-TRUTH_ONLY = frozenset({"scenes.traits", "scenes.truth", "sim.truth"})
-"""Modules that only write what is known of the specimen beside the pictures: `benchmarks.datasets` renews that by itself."""
-TRUTH = ("sim.truth",)
-
 _Import = tuple[int, str, tuple[str, ...]]
 """Level of a relative import (0: absolute), the module, the names from it."""
 

@@ -1,20 +1,27 @@
-"""Steps that several commands take: a scene as the command line changes it, and a dataset reconstructed with its pictures."""
+"""Steps that several commands take: the engine started, a scene as the command line changes it, a dataset reconstructed and drawn."""
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from rhizotwin import engine
 from scenes import files
 from scenes.checks import check_scene
 from scenes.errors import UserError
 from scenes.model import CapturePlan, Scene
 from scenes.specimens import MeshSpecimen, RsmlSpecimen
 
-RSML_SUFFIXES = (".rsml", ".xml")
-RESULT_NAMES = (
+_RSML_SUFFIXES = (".rsml", ".xml")
+_RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json"),
 )
 """What a result folder may hold and still be replaced by a new result."""
+
+
+def start_engine(options: argparse.Namespace) -> None:
+    """Choose what computes, and say what it is."""
+    print(engine.start(options.device))
 
 
 def change_scene(
@@ -28,7 +35,7 @@ def change_scene(
     profile: str | None = None,
 ) -> Scene:
     """Return a scene with what the command line changes in it, checked."""
-    is_rsml = specimen is not None and specimen.suffix.lower() in RSML_SUFFIXES
+    is_rsml = specimen is not None and specimen.suffix.lower() in _RSML_SUFFIXES
     for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
         if value is not None and not is_rsml:
             raise UserError(f"{option} {value} is for traced roots only; give them with --specimen FILE.rsml, or leave {option} out")
@@ -59,7 +66,7 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
     there = sorted(path.name for path in output.iterdir()) if output.is_dir() else []
     if there and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
-    strange = [name for name in there if name not in RESULT_NAMES]
+    strange = [name for name in there if name not in _RESULT_NAMES]
     if strange:
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:

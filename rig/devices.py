@@ -9,6 +9,9 @@ from typing import Protocol
 
 from scenes.pictures import Grey
 
+LEAST_DEG, MOST_DEG = -90.0, 720.0
+"""Angles to which a turntable can be sent: its wires allow no more turns."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:

@@ -8,16 +8,14 @@ import numpy as np
 
 from rig.arm.clearance import check_path, plan_path
 from rig.arm.kinematics import cam_from_rig as camera_at
-from rig.arm.placing import arm_of, camera_wanted, joints_for
+from rig.arm.placing import arm_of, camera_wanted, joints_for, place_of, within_limits
 from rig.devices import Arm
 from rig.errors import RigError
 from rig.open import Devices
 from rig.scanning import preflight
-from rig.scanning.arm_stand import within_limits
 from rig.scanning.homing import facing_angle
 from rig.scanning.markers import Sighting, read_strip, why_unread
 from rig.scanning.safety import Say, make_safe, park
-from rig.scanning.stand import place_of
 from scenes.atomic import write_bytes
 from scenes.errors import UserError
 from scenes.model import Ring, Scene

@@ -1,1 +1,1 @@
-"""What the pictures tell of the rig: poses from the markers, the canister's seat, and index and poses from the roots themselves."""
+"""Where the cameras and the canister were, from the markers of all pictures together and the canister's own edges."""

@@ -38,6 +38,15 @@ _BYTES_A_NODE = 150
 
 
 @dataclass(frozen=True)
+class Water:
+    """The space in which roots can be."""
+
+    radius_mm: float
+    top_mm: float
+    bottom_mm: float
+
+
+@dataclass(frozen=True)
 class DistanceMaps:
     """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
 

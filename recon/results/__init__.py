@@ -1,1 +1,1 @@
-"""A result as a folder: numbers, traits, files, pictures and the page for people."""
+"""A result as a folder: numbers, traits, files, its pictures (beside the truth where there is one) and the page for people."""

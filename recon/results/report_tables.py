@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.calibration import calibrated
+from recon.results import calibrated
 from scenes import frames
 from scenes.trait_table import DEFINITIONS, shown
 from scenes.traits import Traits

@@ -1,4 +1,4 @@
-"""Read a result folder back: what `score` and `report` look at.
+"""Read a result folder back: what `recon.scoring` and `report` look at.
 
     RESULT/  result.json   numbers, views, warnings, timings
              shape.npz     occupied leaves of the shape and of the hull it was trimmed from

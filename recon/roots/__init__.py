@@ -1,1 +1,1 @@
-"""From coverage to a tree of tubes: density, tracing, mending, ghosts, thick organs, and whose lateral is whose."""
+"""From coverage to a tree of tubes and one solid: density, tracing, mending, ghosts, thick organs, and whose lateral is whose."""

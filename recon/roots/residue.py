@@ -48,7 +48,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
 
     Parameters
     ----------
-    depth : optical depth of the tubes in all views, as `tube_picture.optical_depth` draws it.
+    depth : optical depth of the tubes in all views, as `recon.tubes.tube_picture.optical_depth` draws it.
     """
     free = dr.exp(-depth)
     left = (evidence.coverage - (1.0 - free)) * evidence.seen

@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from recon.calibration import root_calibration
-from recon.calibration.root_calibration import Sights
 from recon.coverage import evidence
 from recon.coverage.evidence import CORE_PX, Evidence
 from recon.coverage.silhouettes import Image, Silhouette, Window
 from recon.hull import carve, parsimony
-from recon.hull.carve import DistanceMaps, Grid
+from recon.hull.carve import DistanceMaps, Grid, Water
 from recon.hull.parsimony import Balls
 from recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
 from recon.roots.density import Cells
 from recon.roots.proof import Proof
 from recon.run import Run
-from recon.tubes import tube_fit, tube_law, tube_picture, tubes
+from recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
+from recon.tubes.root_calibration import Sights
 from recon.tubes.tube_law import TubeLaw
 from recon.tubes.tube_picture import Pull
 from recon.tubes.tubes import Tubes
@@ -51,15 +50,6 @@ _FIRST_STEPS = 3
 _BETWEEN_STEPS = 4
 _LAST_STEPS = 4
 _AFTER_STEPS = 2
-
-
-@dataclass(frozen=True)
-class Water:
-    """The space in which roots can be."""
-
-    radius_mm: float
-    top_mm: float
-    bottom_mm: float
 
 
 @dataclass(frozen=True)

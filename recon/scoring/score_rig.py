@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.calibration.calibrated import Row, rows
+from recon.results.calibrated import Row, rows
 from scenes import frames
 from scenes.truth import Truth
 

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.hull import carve, parsimony
-from recon.hull.carve import DistanceMaps, Grid, Hull, Leaves
+from recon.hull.carve import DistanceMaps, Grid, Hull, Leaves, Water
 from recon.hull.parsimony import Trimmed
 from recon.optics.projection import ViewBank
-from recon.roots.rooting import Water
 from recon.uncertainty.budget import Term
 
 Array = NDArray[np.float64]

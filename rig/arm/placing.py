@@ -100,6 +100,20 @@ def arm_of(rig: RigFile) -> ArmPart:
     return rig.arm
 
 
+def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
+    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera."""
+    rig_from_cam = frames.invert(cam_from_rig)
+    x, y, z = rig_from_cam[:3, 3]
+    return float(np.hypot(x, y)), float(z), float(np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0))))
+
+
+def within_limits(part: ArmPart, joints_deg: Joints) -> None:
+    """Refuse joint angles beyond the limits."""
+    for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
+        if not joint.min_deg <= angle <= joint.max_deg:
+            raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")
+
+
 def _turned_round(part: ArmPart, arm_from_rig: Array, target: Array, branches: Branches, cam_from_rig: Array) -> Array:
     """Return the branches (n, 5) of the wanted place turned round the table's axis to where five joints can hold it."""
     found = newton(part, np.broadcast_to(target, (4, 4, 4)), branches.joints_rad, arm_from_axis=arm_from_rig)
@@ -163,9 +177,7 @@ def _beyond(part: ArmPart, joints_deg: Array) -> str:
 
 def _place(cam_from_rig: Array) -> str:
     """Say where a camera stands in the words of a ring."""
-    rig_from_cam = frames.invert(cam_from_rig)
-    x, y, z = rig_from_cam[:3, 3]
-    tilt_deg = np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0)))
+    distance_mm, height_mm, tilt_deg = place_of(cam_from_rig)
     beside_deg = np.rad2deg(azimuth_rad(cam_from_rig))
     beside = f", {beside_deg:.1f} deg beside the x axis" if abs(beside_deg) > 0.05 else ""
-    return f"the camera at distance {np.hypot(x, y):.0f} mm, height {z:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"
+    return f"the camera at distance {distance_mm:.0f} mm, height {height_mm:.0f} mm, tilt {tilt_deg:.0f} deg{beside}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arm.clearance import check_path, plan_path
-from rig.arm.placing import camera_wanted, corrected_joints, joints_for
+from rig.arm.placing import camera_wanted, corrected_joints, joints_for, within_limits
 from rig.arm.tangency import azimuth_rad
 from rig.devices import Arm, Shot
 from rig.errors import LostError, RigError, UnsafeError
@@ -208,10 +208,3 @@ class ArmStand:
         except RigError:
             self.failed = True
             raise
-
-
-def within_limits(part: ArmPart, joints_deg: Joints) -> None:
-    """Refuse joint angles beyond the limits."""
-    for number, (joint, angle) in enumerate(zip(part.joints, joints_deg, strict=True), start=1):
-        if not joint.min_deg <= angle <= joint.max_deg:
-            raise UnsafeError(f"arm: joint {number} at {angle:.1f} deg is beyond its limits, {joint.min_deg:g} to {joint.max_deg:g} deg")

@@ -7,9 +7,9 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rig.devices import LEAST_DEG, MOST_DEG
 from rig.errors import RigError
 from rig.scanning.markers import Sighting
-from rig.table.turntable import LEAST_DEG, MOST_DEG
 from scenes import frames
 from scenes.frames import Array
 from scenes.model import Scene

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from rig.devices import Shot
+from rig.devices import LEAST_DEG, MOST_DEG, Shot
 from rig.errors import RigError
 from rig.open import Devices
 from rig.scanning import preflight
@@ -24,7 +24,6 @@ from rig.scanning.safety import Say, make_safe
 from rig.scanning.session import Session, file_of, take_up
 from rig.scanning.stand import Stand, Tripod
 from rig.scanning.turning import BoardFaultError, Taken, Turning
-from rig.table.turntable import LEAST_DEG, MOST_DEG
 from scenes import plan
 from scenes.dataset import Dataset, Frame
 from scenes.errors import UserError

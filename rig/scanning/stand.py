@@ -5,13 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
+from rig.arm.placing import place_of
 from rig.devices import Shot
 from rig.errors import RigError
 from rig.scanning.eye import Eye
 from rig.scanning.homing import Ask
 from rig.scanning.markers import Sighting
-from scenes import frames
-from scenes.frames import Array
 from scenes.model import Ring, Scene
 
 FAR_MM, FAR_DEG = 40.0, 5.0
@@ -98,10 +97,3 @@ class Tripod:
 def described(ring: Ring) -> str:
     """Say where a ring wants the camera."""
     return f"{ring.distance_mm:g} mm from the axis at z = {ring.height_mm:g} mm, {ring.tilt_deg:g} deg down"
-
-
-def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
-    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera."""
-    rig_from_cam = frames.invert(cam_from_rig)
-    x, y, z = rig_from_cam[:3, 3]
-    return float(np.hypot(x, y)), float(z), float(np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0))))

@@ -3,6 +3,7 @@
 import math
 
 from rig.clock import Clock
+from rig.devices import LEAST_DEG, MOST_DEG
 from rig.errors import LostError, NoAnswerError, UnsafeError
 from rig.rig_file import TurntablePart
 from rig.table.marlin import MarlinLink
@@ -13,8 +14,6 @@ ZERO_X_DEG = 360.0
 whether it was told its angle."""
 KNOWN_X_DEG = 200.0
 """Least X of a board that knows its angle."""
-LEAST_DEG = -90.0
-MOST_DEG = 720.0
 _ROUNDED_DEG = 0.0051
 """M114 prints two decimals of a single-precision number."""
 _START_S = 2.0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import cache
+from benchmarks import cache, datasets
 from rhizotwin import sources
 
 SETTINGS = {"scene": {"name": "ball", "views": 4}, "seed": 0}
@@ -21,7 +21,7 @@ def our_sources(tmp_path_factory) -> Path:
 
 
 def pictures_digest(root: Path) -> str:
-    return sources.digest(sources.PICTURES, root=root, without=sources.TRUTH_ONLY)
+    return sources.digest(datasets.PICTURES, root=root, without=datasets.TRUTH_ONLY)
 
 
 @pytest.fixture(scope="module")
@@ -74,36 +74,16 @@ def test_what_does_not_decide_the_pictures_keeps_their_key(our_sources, unchange
 
 
 def test_traits_are_in_the_digest_of_the_truth(our_sources, appended):
-    before = sources.digest(sources.TRUTH, root=our_sources)
+    before = sources.digest(datasets.TRUTH, root=our_sources)
     appended("scenes/traits.py", CHANGED)
-    assert sources.digest(sources.TRUTH, root=our_sources) != before
-
-
-def test_a_closure_follows_every_kind_of_import(tmp_path):
-    for name, text in {
-        "sim/__init__.py": "",
-        "sim/a.py": "import sim.b\nfrom sim import c\n\n\ndef late():\n    from .d import e\n",
-        "sim/b.py": "import numpy\nfrom scenes.f import g as h\n",
-        "sim/c.py": "from sim import a\n",
-        "sim/d.py": "",
-        "sim/left_out.py": "",
-        "scenes/__init__.py": "",
-        "scenes/f.py": "",
-    }.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    everything = ["scenes", "scenes.f", "sim", "sim.a", "sim.b", "sim.c", "sim.d"]
-    assert sources.closure(["sim.a"], root=tmp_path) == everything
-    assert sources.closure(["sim.a"], root=tmp_path, without=frozenset({"sim.b"})) == ["sim", "sim.a", "sim.c", "sim.d"]
-    with pytest.raises(FileNotFoundError, match=r"sim\.z"):
-        sources.closure(["sim.z"], root=tmp_path)
+    assert sources.digest(datasets.TRUTH, root=our_sources) != before
 
 
 def test_the_renderer_and_the_plant_are_in_the_closure_and_the_reconstruction_is_not():
-    found = set(sources.closure(sources.PICTURES, without=sources.TRUTH_ONLY))
+    found = set(sources.closure(datasets.PICTURES, without=datasets.TRUTH_ONLY))
     assert {"sim.simulate", "sim.render", "sim.solids", "sim.growth", "sim.dirt", "scenes.model"} <= found
     assert not {name for name in found if name.startswith("recon")}
-    assert not found & sources.TRUTH_ONLY
+    assert not found & datasets.TRUTH_ONLY
 
 
 def test_the_key_depends_on_settings_and_sources_only():

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from recon import shaping
-from recon.hull.carve import DistanceMaps, Grid, Leaves
+from recon.hull.carve import DistanceMaps, Grid, Leaves, Water
 from recon.optics.projection import ViewBank
-from recon.roots.rooting import Water
 from recon.uncertainty import solid_doubt
 from recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
 

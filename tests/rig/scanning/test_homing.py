@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.devices import LEAST_DEG, MOST_DEG
 from rig.errors import RigError
 from rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
 from rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
-from rig.table.turntable import LEAST_DEG, MOST_DEG
 from rig.twin.sketch import Sketch
 from rig.twin.world import Sight
 from scenes import frames, plan

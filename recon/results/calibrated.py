@@ -10,8 +10,8 @@ import numpy as np
 from scenes import frames
 
 if TYPE_CHECKING:  # the command line reads results without starting the engine
-    from recon.calibration.root_calibration import RootCalibration
     from recon.optics.refraction import Optics
+    from recon.tubes.root_calibration import RootCalibration
 
 
 @dataclass(frozen=True, kw_only=True)

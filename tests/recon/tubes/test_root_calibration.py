@@ -6,15 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from recon.calibration import root_calibration, sight_change
-from recon.calibration.root_calibration import RigDoubt, Sights
-from recon.calibration.sight_change import QUANTITIES, Quantity
 from recon.coverage.evidence import Evidence
 from recon.coverage.silhouettes import Silhouette
 from recon.optics import cameras, projection
 from recon.optics.cameras import View
 from recon.optics.refraction import Optics
-from recon.tubes import tube_fit, tube_picture, tubes
+from recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
+from recon.tubes.root_calibration import RigDoubt, Sights
+from recon.tubes.sight_change import QUANTITIES, Quantity
 from scenes import plan
 from scenes.model import Camera, CapturePlan, Ring, Scene
 

@@ -20,13 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration import sight_change
-from recon.calibration.sight_change import QUANTITIES
 from recon.coverage.evidence import Evidence
 from recon.optics.cameras import View
 from recon.optics.projection import ViewBank
 from recon.optics.refraction import Optics
-from recon.tubes import tube_fit, tube_picture
+from recon.tubes import sight_change, tube_fit, tube_picture
+from recon.tubes.sight_change import QUANTITIES
 from recon.tubes.tube_picture import Profiles
 from recon.tubes.tubes import Tubes
 

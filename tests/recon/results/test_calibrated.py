@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from recon.calibration import calibrated
 from recon.optics.refraction import Optics
+from recon.results import calibrated
 from recon.scoring.score_rig import compare_rig
 from scenes import frames
 from scenes.model import Scene
