@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -119,15 +120,16 @@ class Nodes:
         gradient: Array = normal[..., :1] * self.du + normal[..., 1:] * self.dv
         return gradient
 
-    def of(self, chosen: NDArray[np.int64]) -> Nodes:
-        """Return some of the points."""
-        return Nodes(self.px[:, chosen], self.du[:, chosen], self.dv[:, chosen], self.seen[:, chosen])
-
-    def sine(self, tangent: Array) -> Array:
-        """Return the sine (V, N) of the angle between directions (N, 3) and the lines of sight, along which no pixel changes."""
+    @cached_property
+    def _ray(self) -> Array:
+        """Unit directions (V, N, 3) of the lines of sight, along which no pixel changes."""
         ray = np.cross(self.du, self.dv)
-        ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-12)
-        return np.asarray(np.sqrt(np.maximum(1.0 - (ray * tangent).sum(axis=-1) ** 2, 0.0)))
+        ray /= np.maximum(np.sqrt(np.einsum("vni,vni->vn", ray, ray)), 1e-12)[..., None]
+        return np.asarray(ray)
+
+    def sine(self, direction: Array, nodes: NDArray[np.int64] | slice = slice(None)) -> Array:
+        """Return the sine (V, M) of the angle between a direction (M, 3) at some nodes (M,), all by default, and the lines of sight."""
+        return np.asarray(np.sqrt(np.maximum(1.0 - np.einsum("vni,ni->vn", self._ray[:, nodes], direction) ** 2, 0.0)))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:

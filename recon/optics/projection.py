@@ -48,14 +48,14 @@ def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Arra
     line = refraction.trace(optics, rho_mm, 0.0, w, np.full_like(w, p_z))
     count = np.zeros(at.shape[:2])
     b_a = np.zeros(at.shape[:2])
-    f_last = at @ line.nu[0] - line.b_mm[0]
+    nu = line.nu
+    f_last = at @ nu[0] - line.b_mm[0]
     for k in range(1, len(w)):
-        f = at @ line.nu[k] - line.b_mm[k]
+        f = at @ nu[k] - line.b_mm[k]
         crossing = np.signbit(f) != np.signbit(f_last)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            root = w[k - 1] + (w[k] - w[k - 1]) * f_last / (f_last - f)
-        b_a = np.where(crossing, root * optics.outer_radius_mm, b_a)
-        count += crossing
+        before, after = f_last[crossing], f[crossing]
+        b_a[crossing] = (w[k - 1] + (w[k] - w[k - 1]) * before / (before - after)) * optics.outer_radius_mm
+        count[crossing] += 1.0
         f_last = f
     return b_a, count
 

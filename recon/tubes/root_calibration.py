@@ -16,9 +16,11 @@ with two ways of clustering: Cameron, Gelbach and Miller 2011, equation 2.11), a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from recon.coverage.evidence import Evidence
 from recon.optics.cameras import View
@@ -306,26 +308,32 @@ class _System:
         larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
         return covariance @ (self.right / phi - prior @ before), covariance * larger[:, None] * larger
 
-    def _left(self, change: Array, v: int) -> tuple[Array, Array, Array]:
-        """Return what is left in a view: shift (N,), width (N,), and the derivative of the shift (N, K) with nodes that follow."""
-        sums, numbers = self.sums, self.columns.of[v]
-        used = numbers >= 0
-        derivative = -np.einsum("ni,nik->nk", sums.across[v], self.follow[:, :3])
-        derivative[:, numbers[used]] += self.by[v][:, used[: self.by.shape[2]]]
-        sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + derivative @ change
+    @cached_property
+    def _slopes(self) -> list[Array]:
+        """Derivative (N, K) of each view's shift by the shared unknowns, with nodes that follow."""
+        slopes = []
+        for v, numbers in enumerate(self.columns.of):
+            used = numbers >= 0
+            slope = -np.matmul(self.sums.across[v][:, None, :], self.follow[:, :3])[:, 0]
+            slope[:, numbers[used]] += self.by[v][:, used[: self.by.shape[2]]]
+            slopes.append(slope)
+        return slopes
+
+    def _left(self, change: Array, v: int) -> tuple[Array, Array]:
+        """Return what is left in a view: shift (N,) and width (N,)."""
+        sums = self.sums
+        sideways = np.einsum("ni,ni->n", sums.across[v], self.start[:, :3]) + self._slopes[v] @ change
         wider = sums.scale[v] * (self.start[:, 3] - self.follow[:, 3] @ change)
         shift = sums.shift[v] - sums.shift_2[v] * sideways - sums.shift_width[v] * wider
-        return shift, sums.width[v] - sums.shift_width[v] * sideways - sums.width_2[v] * wider, derivative
+        return shift, sums.width[v] - sums.shift_width[v] * sideways - sums.width_2[v] * wider
 
     def _scatter(self, change: Array, root: NDArray[np.int64]) -> Array:
         """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
-        unknowns, roots = len(change), int(root.max()) + 1
-        by_root, total = np.zeros((roots, unknowns)), np.zeros((unknowns, unknowns))
+        own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums nodes by root
+        by_root, total = np.zeros((own.shape[0], len(change))), np.zeros((len(change), len(change)))
         for v in range(len(self.by)):
-            shift, width, derivative = self._left(change, v)
-            score = derivative * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None]
-            both = np.zeros((roots, unknowns))
-            np.add.at(both, root, score)
+            shift, width = self._left(change, v)
+            both = own @ (self._slopes[v] * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None])
             by_root += both
             of_view = both.sum(axis=0)
             total += np.outer(of_view, of_view) - both.T @ both
@@ -335,7 +343,7 @@ class _System:
         """Return the root mean square distance sideways that is left after a change."""
         square = weight = 0.0
         for v in range(len(self.by)):
-            shift, _, _ = self._left(change, v)
+            shift, _ = self._left(change, v)
             seen = self.sums.shift_2[v]
             square += float(np.sum(np.square(shift) / np.maximum(seen, 1e-9), where=seen > 0.0))
             weight += float(seen.sum())

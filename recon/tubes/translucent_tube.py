@@ -56,7 +56,8 @@ def strips(tau: Array) -> Strips:
     place = (np.log(np.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
     before = np.minimum(place.astype(np.int64), len(log_tau) - 2)
     part = place - before
-    return Strips(*(column[:, before] * (1.0 - part) + column[:, before + 1] * part for column in table))
+    rest = 1.0 - part
+    return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in table))
 
 
 def seen_from(mu_per_mm: float, radius_mm: Array, sine: Array) -> Strips:

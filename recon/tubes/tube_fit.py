@@ -108,9 +108,12 @@ def prior(tubes: Tubes) -> sparse.csr_matrix:
     Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a lateral.
     """
     count = len(tubes.radius_mm)
-    triples = np.concatenate([np.zeros((0, 3), np.int64)] + [np.stack([b[:-2], b[1:-1], b[2:]], axis=1) for b in tubes.branches])
-    pairs = [tubes.own(k) for k in range(len(tubes.branches))]
-    neighbours = np.concatenate([np.zeros((0, 2), np.int64)] + [np.stack([own[:-1], own[1:]], axis=1) for own in pairs])
+    line, first, last = tubes.strung
+    place = np.arange(len(line))
+    middle = np.flatnonzero((first < place) & (place < last))
+    triples = np.stack([line[middle - 1], line[middle], line[middle + 1]], axis=1)
+    second = np.flatnonzero(place > first + (first > 0))  # a branch's first node has its parent's radius
+    neighbours = np.stack([line[second - 1], line[second]], axis=1)
     bend = _differences(triples, np.array([1.0, -2.0, 1.0]), count)
     taper = _differences(neighbours, np.array([-1.0, 1.0]), count)
     typical = _typical(tubes)

@@ -42,7 +42,9 @@ class Tubes:
     @property
     def segments(self) -> Index:
         """Return the pairs of nodes (S, 2) that a tube joins."""
-        return np.concatenate([np.stack([b[:-1], b[1:]], axis=1) for b in self.branches])
+        line, first, _ = self.strung
+        follows = np.flatnonzero(first < np.arange(len(line)))
+        return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
     def segment_radii(self) -> tuple[Array, Array]:
