@@ -169,7 +169,7 @@ def _text(line: Line, value: float | None) -> str:
         return f"{value:.0f} s"
     if line.unit == "MiB":
         return f"{value / 1024.0:.1f} GiB"
-    return f"{value:.2f}" if line.direction == "up" else f"{100.0 * value:.1f} %"
+    return f"{value:.3f}" if line.direction == "up" else f"{100.0 * value:.1f} %"
 
 
 def markdown(found: Sequence[Line], records: Sequence[Record]) -> str:
