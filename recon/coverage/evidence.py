@@ -120,6 +120,11 @@ class Nodes:
         gradient: Array = normal[..., :1] * self.du + normal[..., 1:] * self.dv
         return gradient
 
+    def view(self, view: int) -> Nodes:
+        """Return the points in one view, (1, N)."""
+        one = slice(view, view + 1)
+        return Nodes(self.px[one], self.du[one], self.dv[one], self.seen[one])
+
     @cached_property
     def _ray(self) -> Array:
         """Unit directions (V, N, 3) of the lines of sight, along which no pixel changes."""

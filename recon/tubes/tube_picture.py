@@ -13,9 +13,11 @@ so that the segments of a branch add up to a strip without seams.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -28,6 +30,7 @@ from recon.tubes.translucent_tube import LAYERS, Strips, seen_from
 from recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
@@ -51,44 +54,12 @@ Only what the tubes leave uncovered counts: that may be another root. What they 
 
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
     """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
-    a, b = tubes.segments.T
-    # columns and rows apart, (V, S): whole arrays are much faster than pairs in a row
-    first, second = ([np.ascontiguousarray(at.px[..., axis])[:, end] for axis in range(2)] for end in (a, b))
-    t_u, t_v = (there - here for here, there in zip(first, second, strict=True))
-    length = np.sqrt(t_u * t_u + t_v * t_v)
-    t_u /= np.maximum(length, 1e-6)
-    t_v /= np.maximum(length, 1e-6)
-    column, row, both = (np.einsum("vni,vni->vn", p, q) for p, q in ((at.du, at.du), (at.dv, at.dv), (at.du, at.dv)))
-    uu, vv, uv = t_u * t_u, t_v * t_v, 2.0 * t_u * t_v
-    half = [  # across the segment the scale is that of t_u dv - t_v du
-        radius_mm * np.sqrt(np.maximum(uu * row[:, end] + vv * column[:, end] - uv * both[:, end], 0.0))
-        for radius_mm, end in zip(tubes.segment_radii, (a, b), strict=True)
-    ]
-    strips = _ends(evidence, tubes, at)
-    reach = np.maximum(*half) + _MARGIN_PX
-    low, span = [], []
-    for here, there, limit in zip(first, second, evidence.image_wh, strict=True):
-        low.append(np.clip(np.floor(np.minimum(here, there) - reach), 0, limit - 1))
-        span.append(np.clip(np.ceil(np.maximum(here, there) + reach), 0, limit - 1) - low[-1] + 1)
-    drawn = at.seen[:, a] & at.seen[:, b] & (length > 1e-3)
-    base = np.broadcast_to(np.arange(evidence.bank.count)[:, None] * evidence.pixels, drawn.shape)
-
-    def number(values: Array) -> Any:
-        return numbers(values[drawn])
-
-    def whole(values: NDArray[Any]) -> Any:
-        return wholes(values[drawn])
-
-    x, y, t_x, t_y, reach_px = number(first[0]), number(first[1]), number(t_u), number(t_v), number(length)
-    if strips is None:
-        edges, heights = [(number(half[0]), number(half[1]))], None
-    else:
-        edges, heights = (
-            [(number(a), number(b)) for a, b in zip(*ends, strict=True)]
-            for ends in ([w * strip.width for w, strip in zip(half, strips, strict=True)], [strip.height for strip in strips])
-        )
-    left, top, columns = whole(low[0]), whole(low[1]), whole(span[0])
-    pixels, start, width = whole(span[0] * span[1]), whole(base), evidence.image_wh[0]
+    x, y, t_x, t_y, reach_px, half_a, half_b, left, top, columns, rows, start, strips = _all_strips(evidence, tubes, at)
+    edges, heights = [(half_a, half_b)], None
+    if strips:
+        both_ends = list(zip(strips[::2], strips[1::2], strict=True))
+        edges, heights = both_ends[:LAYERS], both_ends[LAYERS:]
+    pixels, width = columns * rows, evidence.image_wh[0]
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
     dr.eval(depth)
     # opaque: as a literal every blur would be a kernel of its own
@@ -118,21 +89,63 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         last = i + 1 == columns
         return k + 1, dr.select(last, 0, i + 1), dr.select(last, j + 1, j)
 
-    begin = tuple(dr.zeros(mi.UInt32, int(drawn.sum())) for _ in range(3))
+    begin = tuple(dr.zeros(mi.UInt32, dr.width(left)) for _ in range(3))
     dr.while_loop(begin, lambda k, *_: k < pixels, body)
     dr.eval(depth)
     return depth
 
 
-def _ends(evidence: Evidence, tubes: Tubes, at: Nodes) -> list[Strips] | None:
-    """Return the strips that translucent segments are at their two ends (V, S); None for opaque ones."""
-    if evidence.mu_per_mm is None:
-        return None
-    a, b = tubes.segments.T
-    way = tubes.centre_mm[b] - tubes.centre_mm[a]
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    radii = zip(tubes.segment_radii, (a, b), strict=True)
-    return [seen_from(evidence.mu_per_mm, radius_mm, at.sine(way, end)) for radius_mm, end in radii]
+def _all_strips(evidence: Evidence, tubes: Tubes, at: Nodes) -> tuple[Any, ...]:
+    """Return the strips that are drawn in all views, view by view: the numbers of `_strips` as mi.Float and mi.UInt32."""
+    segments, radii = tubes.segments.T, tubes.segment_radii
+    views = _each_view(lambda view: _strips(evidence, tubes.centre_mm, segments, radii, at.view(view)), evidence.bank.count)
+    starts = np.repeat(np.arange(len(views)) * evidence.pixels, [len(whole[0]) for _, whole in views])
+    real = [numbers(np.concatenate(parts)) for parts in zip(*(real for real, _ in views), strict=True)]
+    return (
+        *real[:7],
+        *(wholes(np.concatenate(parts)) for parts in zip(*(whole for _, whole in views), strict=True)),
+        wholes(starts),
+        real[7:],
+    )
+
+
+def _strips(
+    evidence: Evidence, centre_mm: Array, segments: NDArray[np.int64], radii: tuple[Array, Array], at: Nodes
+) -> tuple[list[Array], list[Array]]:
+    """Return the strips (M,) that segments (2, S) are in one view.
+
+    Returns
+    -------
+    real : column and row of the beginning, direction (2), length, half-widths at both ends; of translucent roots also the half-widths of
+        each layer at both ends, and the heights.
+    whole : left and top, columns and rows of the pixels to look at.
+    """
+    a, b = segments
+    first, second = ([np.ascontiguousarray(at.px[..., axis])[:, end] for axis in range(2)] for end in (a, b))
+    t_u, t_v = (there - here for here, there in zip(first, second, strict=True))
+    length = np.sqrt(t_u * t_u + t_v * t_v)
+    t_u /= np.maximum(length, 1e-6)
+    t_v /= np.maximum(length, 1e-6)
+    column, row, both = (np.einsum("vni,vni->vn", p, q) for p, q in ((at.du, at.du), (at.dv, at.dv), (at.du, at.dv)))
+    uu, vv, uv = t_u * t_u, t_v * t_v, 2.0 * t_u * t_v
+    half = [  # across the segment the scale is that of t_u dv - t_v du
+        radius_mm * np.sqrt(np.maximum(uu * row[:, end] + vv * column[:, end] - uv * both[:, end], 0.0))
+        for radius_mm, end in zip(radii, (a, b), strict=True)
+    ]
+    reach = np.maximum(*half) + _MARGIN_PX
+    low, span = [], []
+    for here, there, limit in zip(first, second, evidence.image_wh, strict=True):
+        low.append(np.clip(np.floor(np.minimum(here, there) - reach), 0, limit - 1))
+        span.append(np.clip(np.ceil(np.maximum(here, there) + reach), 0, limit - 1) - low[-1] + 1)
+    real = [*first, t_u, t_v, length, *half]
+    if evidence.mu_per_mm is not None:
+        way = centre_mm[b] - centre_mm[a]
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+        ends = [seen_from(evidence.mu_per_mm, radius_mm, at.sine(way, end)) for radius_mm, end in zip(radii, (a, b), strict=True)]
+        real += [w * strip.width[n] for n in range(LAYERS) for w, strip in zip(half, ends, strict=True)]
+        real += [strip.height[n] for n in range(LAYERS) for strip in ends]
+    drawn = at.seen[:, a] & at.seen[:, b] & (length > 1e-3)
+    return [values[drawn] for values in real], [values[drawn] for values in (*low, *span)]
 
 
 def unexplained(evidence: Evidence, depth: Any) -> Any:
@@ -232,12 +245,25 @@ def sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.b
     scale : (V, N) px/mm across the tube.
     used : (V, N) whether the node is seen, and not end-on.
     """
-    tangent = tubes.tangents
-    t_u, t_v = (np.einsum("vni,ni->vn", slope, tangent) for slope in (at.du, at.dv))
-    speed = np.hypot(t_u, t_v)
-    normal = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[..., None]
-    across = at.across(normal)
-    return across, normal, np.sqrt(np.einsum("vni,vni->vn", across, across)), at.seen & (speed > _LEAST_SPEED_PX)
+    tangent, shape = tubes.tangents, at.seen.shape
+    across, normal, scale, used = np.empty((*shape, 3)), np.empty((*shape, 2)), np.empty(shape), np.empty(shape, np.bool_)
+
+    def cut(view: int) -> None:
+        t_u, t_v = (np.einsum("ni,ni->n", slope[view], tangent) for slope in (at.du, at.dv))
+        speed = np.hypot(t_u, t_v)
+        normal[view] = np.stack([-t_v, t_u], axis=-1) / np.maximum(speed, 1e-6)[:, None]
+        across[view] = at.view(view).across(normal[view])[0]
+        scale[view] = np.sqrt(np.einsum("ni,ni->n", across[view], across[view]))
+        used[view] = at.seen[view] & (speed > _LEAST_SPEED_PX)
+
+    _each_view(cut, shape[0])
+    return across, normal, scale, used
+
+
+def _each_view(work: Callable[[int], T], views: int) -> list[T]:
+    """Return what some work gives for each view; one by one, since a view's arrays stay in the processor's cache."""
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        return list(pool.map(work, range(views)))
 
 
 def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:
