@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from recon.coverage.evidence import Evidence, Nodes, bilinear
 from recon.device import numbers, wholes
-from recon.tubes.translucent_tube import LAYERS, Strips, seen_from
+from recon.tubes.translucent_tube import LAYERS, seen_from
 from recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -273,9 +273,9 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
     by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
     """
     across, normal, scale, used = sections(tubes, at)
-    strips = None if evidence.mu_per_mm is None else seen_from(evidence.mu_per_mm, tubes.radius_mm, at.sine(tubes.tangents))
     half_px = tubes.radius_mm * scale
-    return Profiles(across, scale, *_profiles(evidence, at.px, normal, half_px, strips, used, depth, difference, blur_px))
+    layers = None if evidence.mu_per_mm is None else _Layer.of_all(evidence.mu_per_mm, tubes, at, half_px, used)
+    return Profiles(across, scale, *_profiles(evidence, at.px, normal, half_px, layers, used, depth, difference, blur_px))
 
 
 @dataclass(frozen=True)
@@ -290,10 +290,18 @@ class _Layer:
     """Derivative of the height by the root's half-width, 1/px."""
 
     @staticmethod
-    def of(strips: Strips, layer: int, half_px: Array, number: Callable[[Array], Any]) -> _Layer:
-        e, h = strips.width[layer], strips.height[layer]
-        parts = half_px * e, h, h * (e + strips.width_slope[layer]), strips.height_slope[layer] / half_px
-        return _Layer(*(number(part) for part in parts))
+    def of_all(mu_per_mm: float, tubes: Tubes, at: Nodes, half_px: Array, used: NDArray[np.bool_]) -> list[_Layer]:
+        """Return the layers of all profiles that are used (V, N)."""
+        tangent = tubes.tangents
+
+        def of_view(view: int) -> Array:
+            strips, w = seen_from(mu_per_mm, tubes.radius_mm, at.view(view).sine(tangent)), half_px[view]
+            e, h = strips.width[:, 0], strips.height[:, 0]
+            parts = w * e, h, h * (e + strips.width_slope[:, 0]), strips.height_slope[:, 0] / w
+            return np.stack(parts)[..., used[view]]
+
+        fields = np.concatenate(_each_view(of_view, len(used)), axis=-1)  # (4, LAYERS, M)
+        return [_Layer(*(numbers(part[layer]) for part in fields)) for layer in range(LAYERS)]
 
 
 def _profiles(
@@ -301,7 +309,7 @@ def _profiles(
     px: Array,
     normal: Array,
     half_px: Array,
-    strips: Strips | None,
+    layers: list[_Layer] | None,
     used: NDArray[np.bool_],
     depth: Any,
     difference: Any,
@@ -313,7 +321,6 @@ def _profiles(
         return numbers(values[used])
 
     u, v, n_u, n_v, w = number(px[..., 0]), number(px[..., 1]), number(normal[..., 0]), number(normal[..., 1]), number(half_px)
-    layers = None if strips is None else [_Layer.of(strips, n, half_px, number) for n in range(LAYERS)]
     base = np.broadcast_to(np.arange(len(px))[:, None] * evidence.pixels, used.shape)[used]
     start = wholes(base)
     columns, rows = evidence.image_wh
