@@ -1,6 +1,5 @@
 """What the stages of a reconstruction share: the data at hand, the bars, the clock, and what is to be said at the end."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +11,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from recon.coverage.translucency import Law
+from recon.device import threads
 from recon.tubes.root_calibration import RigDoubt, RootCalibration
 from scenes.dataset import Dataset, Frame, load_dataset, read_image
 from scenes.errors import UserError
@@ -75,7 +75,7 @@ class Run:
 
     def each(self, work: Callable[[int], T], name: str, indices: list[int]) -> list[T]:
         """Do something for views in parallel, with a bar."""
-        with ThreadPoolExecutor(max_workers=_threads()) as pool, self.bar(name, len(indices), "view") as bar:
+        with ThreadPoolExecutor(max_workers=threads()) as pool, self.bar(name, len(indices), "view") as bar:
             done = []
             try:
                 for item in pool.map(work, indices):
@@ -85,7 +85,3 @@ class Run:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
             return done
-
-
-def _threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -13,7 +13,6 @@ so that the segments of a branch add up to a strip without seams.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -25,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.coverage.evidence import Evidence, Nodes, bilinear
-from recon.device import numbers, wholes
+from recon.device import numbers, threads, wholes
 from recon.tubes.translucent_tube import LAYERS, seen_from
 from recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
@@ -54,7 +53,7 @@ Only what the tubes leave uncovered counts: that may be another root. What they 
 
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
     """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
-    x, y, t_x, t_y, reach_px, half_a, half_b, left, top, columns, rows, start, strips = _all_strips(evidence, tubes, at)
+    (x, y, t_x, t_y, reach_px, half_a, half_b, *strips), (left, top, columns, rows), start = _all_strips(evidence, tubes, at)
     edges, heights = [(half_a, half_b)], None
     if strips:
         both_ends = list(zip(strips[::2], strips[1::2], strict=True))
@@ -95,18 +94,19 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     return depth
 
 
-def _all_strips(evidence: Evidence, tubes: Tubes, at: Nodes) -> tuple[Any, ...]:
-    """Return the strips that are drawn in all views, view by view: the numbers of `_strips` as mi.Float and mi.UInt32."""
+def _all_strips(evidence: Evidence, tubes: Tubes, at: Nodes) -> tuple[list[Any], list[Any], Any]:
+    """Return the strips that are drawn, those of one view after those of another.
+
+    Returns
+    -------
+    real, whole : as `_strips` has them, mi.Float and mi.UInt32.
+    start : where the picture of each strip's view begins, mi.UInt32.
+    """
     segments, radii = tubes.segments.T, tubes.segment_radii
     views = _each_view(lambda view: _strips(evidence, tubes.centre_mm, segments, radii, at.view(view)), evidence.bank.count)
-    starts = np.repeat(np.arange(len(views)) * evidence.pixels, [len(whole[0]) for _, whole in views])
-    real = [numbers(np.concatenate(parts)) for parts in zip(*(real for real, _ in views), strict=True)]
-    return (
-        *real[:7],
-        *(wholes(np.concatenate(parts)) for parts in zip(*(whole for _, whole in views), strict=True)),
-        wholes(starts),
-        real[7:],
-    )
+    real, whole = ([np.concatenate(parts) for parts in zip(*kind, strict=True)] for kind in zip(*views, strict=True))
+    start = np.repeat(np.arange(len(views)) * evidence.pixels, [len(whole_of_view[0]) for _, whole_of_view in views])
+    return [numbers(values) for values in real], [wholes(values) for values in whole], wholes(start)
 
 
 def _strips(
@@ -260,9 +260,9 @@ def sections(tubes: Tubes, at: Nodes) -> tuple[Array, Array, Array, NDArray[np.b
     return across, normal, scale, used
 
 
-def _each_view(work: Callable[[int], T], views: int) -> list[T]:
+def _each_view(work: Callable[[int], _T], views: int) -> list[_T]:
     """Return what some work gives for each view; one by one, since a view's arrays stay in the processor's cache."""
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=threads()) as pool:
         return list(pool.map(work, range(views)))
 
 

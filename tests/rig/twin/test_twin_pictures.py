@@ -231,7 +231,7 @@ def test_a_twin_without_an_arm_has_its_camera_on_a_tripod() -> None:
 
 
 def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCamera, Time, list[float]]:
-    clock, exposures = Time(), []  # type: ignore[var-annotated]
+    clock, exposures = Time(), list[float]()
 
     def look(exposure: float) -> NDArray[np.uint16]:
         exposures.append(exposure)
