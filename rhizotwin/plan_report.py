@@ -81,9 +81,10 @@ def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
     for axis, name in zip(axes, ("volume", "length") if has_roots else ("volume",), strict=False):
         axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.set_ylabel(f"{name} error (%): median, dots are seeds")
-    axes[-1].set_ylabel(f"share of {_counted(rows)}: found (line), right (dashed)")
+    axes[-1].set_ylabel(f"share of {_counted(rows)}:\nfound (line), right (dashed)")
     for axis in axes:
         axis.set_xlabel("pictures of a scan, all rings")
+        axis.locator_params(axis="x", integer=True)
         axis.grid(visible=True, alpha=0.25)
     axes[0].legend(fontsize=8, title="camera heights, picture", title_fontsize=8)
     drawn.suptitle(title, fontsize=10)
