@@ -144,12 +144,9 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     """
     o = bank.optics
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
-    base = view * _PARAMETERS
-
-    def parameter(index: int) -> Any:
-        return dr.gather(mi.Float, bank.parameters, base + index, active)
-
-    rho, z_cam, c, s, n_w = (parameter(i) for i in (9, 10, 11, 12, 22))
+    some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(6)]  # four at once
+    parameter = [value for four in some for value in four]
+    rho, z_cam, c, s, n_w = parameter[9:13] + parameter[22:23]
     x, y, z = c * point.x - s * point.y, s * point.x + c * point.y, point.z
 
     # start: table over (x, |y|)
@@ -175,31 +172,39 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     length += (c_w0 + dr.safe_sqrt(x * x + y * y - b_w0 * b_w0) * dr.select(x < 0, 1.0, -1.0)) / n_w
     p = (z - z_cam) * dr.rsqrt(dr.square(z - z_cam) + dr.square(length))
 
+    per_radii = 1 / (rho * (r_o * r_i) ** 2)
+
     for step in range(NEWTON_STEPS + 1):
         p2 = p * p
         h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, n_w**2 - p2
-        h_a, ih_g, ih_w = dr.sqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
+        ih_a, ih_g, ih_w = dr.rsqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
+        ih_a2, ih_g2, ih_w2 = ih_a * ih_a, ih_g * ih_g, ih_w * ih_w
+        h_a = h_a2 * ih_a
         k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
         b_g, b_w = b * k_g, b * k_w
-        b_g_p, b_w_p = b_g * p * (1 / h_g2 - 1 / h_a2), b_w * p * (1 / h_w2 - 1 / h_a2)
-        c_r, c_o = dr.sqrt(rho * rho - b * b), dr.sqrt(r_o * r_o - b * b)
-        c_og, c_ig, c_w = dr.sqrt(r_o**2 - b_g * b_g), dr.sqrt(r_i**2 - b_g * b_g), dr.sqrt(r_i**2 - b_w * b_w)
-        # heading - pi, and its derivatives
-        delta = dr.asin(b / r_o) - dr.asin(b / rho) - dr.asin(b_g / r_o) + dr.asin(b_g / r_i) - dr.asin(b_w / r_i)
-        delta_b = 1 / c_o - 1 / c_r - k_g / c_og + k_g / c_ig - k_w / c_w
-        delta_p = b_g_p * (1 / c_ig - 1 / c_og) - b_w_p / c_w
-        sin_d, cos_d = dr.sincos(delta)
+        b_g_p, b_w_p = b_g * p * (ih_g2 - ih_a2), b_w * p * (ih_w2 - ih_a2)
+        # along the line to its nearest point to the axis, from where it crosses each radius: c, and 1 / c
+        c_r2, c_o2 = rho * rho - b * b, r_o * r_o - b * b
+        c_og2, c_ig2, c_w2 = r_o**2 - b_g * b_g, r_i**2 - b_g * b_g, r_i**2 - b_w * b_w
+        ic_r, ic_o, ic_og, ic_ig, ic_w = (dr.rsqrt(square) for square in (c_r2, c_o2, c_og2, c_ig2, c_w2))
+        c_r, c_o, c_og, c_ig, c_w = c_r2 * ic_r, c_o2 * ic_o, c_og2 * ic_og, c_ig2 * ic_ig, c_w2 * ic_w
+        # delta = heading - pi: the sum of +-asin(b / r) at each radius, as a product of unit complex numbers (c +- i b) / r
+        air, wall = (c_o * c_r + b * b, b * (c_r - c_o)), (c_ig * c_og + b_g * b_g, b_g * (c_og - c_ig))
+        turn = air[0] * wall[0] - air[1] * wall[1], air[0] * wall[1] + air[1] * wall[0]
+        cos_d, sin_d = (turn[0] * c_w + turn[1] * b_w) * per_radii, (turn[1] * c_w - turn[0] * b_w) * per_radii
+        delta_b = ic_o - ic_r + k_g * (ic_ig - ic_og) - k_w * ic_w
+        delta_p = b_g_p * (ic_ig - ic_og) - b_w_p * ic_w
         along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
         # f and its Jacobian by (b, p)
-        m_a, m_g, m_w = p / h_a, p * ih_g, p * ih_w  # climbs
+        m_a, m_g, m_w = p * ih_a, p * ih_g, p * ih_w  # climbs
         s_a, s_g, s_w = c_r - c_o, c_og - c_ig, along + c_w
         f1 = beside - b_w
         f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
         f2 = z_cam + m_a * s_a + m_g * s_g + m_w * s_w - z
-        s_a_b, s_g_bg = b / c_o - b / c_r, b_g / c_ig - b_g / c_og
-        f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + b_w / c_w * k_w)
-        f2_p = s_a / (h_a2 * h_a) + o.n_wall**2 * s_g * ih_g / h_g2 + n_w**2 * s_w * ih_w / h_w2
-        f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + b_w / c_w * b_w_p)
+        s_a_b, s_g_bg, s_w_bw = b * (ic_o - ic_r), b_g * (ic_ig - ic_og), b_w * ic_w
+        f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + s_w_bw * k_w)
+        f2_p = s_a * ih_a2 * ih_a + o.n_wall**2 * s_g * ih_g * ih_g2 + n_w**2 * s_w * ih_w * ih_w2
+        f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + s_w_bw * b_w_p)
         inv = 1 / (f1_b * f2_p - f1_p * f2_b)
         if step < NEWTON_STEPS:
             b = dr.clip(b - inv * (f2_p * f1 - f1_p * f2), -limit, limit)
@@ -213,7 +218,7 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     q = dr.sqrt(h_a2 - d_y * d_y)
     d_y_b, d_y_p = h_a / rho, -b * p / (h_a * rho)
     d_x_b, d_x_p = d_y * d_y_b / q, (p + d_y * d_y_p) / q
-    r = [parameter(i) for i in range(9)]
+    r = parameter[:9]
     cx, cy, cz = (-r[3 * i] * q + r[3 * i + 1] * d_y + r[3 * i + 2] * p for i in range(3))
     cx_b, cy_b, cz_b = (r[3 * i] * d_x_b + r[3 * i + 1] * d_y_b for i in range(3))
     cx_p, cy_p, cz_p = (r[3 * i] * d_x_p + r[3 * i + 1] * d_y_p + r[3 * i + 2] for i in range(3))
@@ -222,7 +227,7 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     xn_b, yn_b = (cx_b - xn * cz_b) * iz, (cy_b - yn * cz_b) * iz
     xn_p, yn_p = (cx_p - xn * cz_p) * iz, (cy_p - yn * cz_p) * iz
     # lens
-    k1, k2, p1, p2_, k3 = (parameter(i) for i in range(17, 22))
+    k1, k2, p1, p2_, k3 = parameter[17:22]
     r2 = xn * xn + yn * yn
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     radial_r2 = k1 + r2 * (2 * k2 + 3 * r2 * k3)
@@ -231,7 +236,7 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     u_x = radial + 2 * xn * xn * radial_r2 + 2 * p1 * yn + 6 * p2_ * xn
     u_y = 2 * xn * yn * radial_r2 + 2 * p1 * xn + 2 * p2_ * yn
     v_y = radial + 2 * yn * yn * radial_r2 + 6 * p1 * yn + 2 * p2_ * xn
-    fx, fy, px0, py0 = (parameter(i) for i in range(13, 17))
+    fx, fy, px0, py0 = parameter[13:17]
     u_b, u_p = fx * (u_x * xn_b + u_y * yn_b), fx * (u_x * xn_p + u_y * yn_p)
     v_b, v_p = fy * (u_y * xn_b + v_y * yn_b), fy * (u_y * xn_p + v_y * yn_p)
     # implicit function theorem: d(b, p) = -J^-1 df, with df1 = nu . dP and df2 = m_w t . dP - dP_z
