@@ -26,6 +26,11 @@ def numbers(values: NDArray[Any]) -> Any:
     return mi.Float(_aligned(values, np.dtype(np.float32)))
 
 
+def vectors(values: NDArray[Any]) -> Any:
+    """Return mi.Vector3f of (N, 3)."""
+    return mi.Vector3f(*(numbers(part) for part in values.T))
+
+
 def wholes(values: NDArray[Any]) -> Any:
     """Return mi.UInt32 of an array of whole numbers, flattened."""
     return mi.UInt32(_aligned(values, np.dtype(np.uint32)))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
 from recon.device import numbers, wholes
 from recon.optics import projection
-from recon.optics.projection import ViewBank
+from recon.optics.projection import Projected, ViewBank
 
 Array = NDArray[np.float64]
 
@@ -89,52 +89,51 @@ class Evidence:
     def project(self, points_mm: Array) -> Nodes:
         """Project points (N, 3) into all views."""
         views, count = self.bank.count, len(points_mm)
-        point = mi.Point3f(*(numbers(np.tile(part, views)) for part in points_mm.T))
-        view = wholes(np.repeat(np.arange(views), count))
-        p = projection.project(self.bank, view, point, mi.Bool(True))
+        point = mi.Point3f(*(dr.tile(numbers(part), views) for part in points_mm.T))
+        p = projection.project(self.bank, dr.repeat(dr.arange(mi.UInt32, views), count), point, mi.Bool(True))
+        width, height = self.image_wh
+        p.seen &= (p.px.x > 1.0) & (p.px.x < width - 2.0) & (p.px.y > 1.0) & (p.px.y < height - 2.0)
         dr.eval(p.px, p.du, p.dv, p.seen)  # one by one, each would be a projection of its own
-
-        def gathered(*parts: Any) -> Array:
-            return np.stack([np.array(part, np.float64).reshape(views, count) for part in parts], axis=-1)
-
-        px, width, height = gathered(p.px.x, p.px.y), *self.image_wh
-        seen = np.array(p.seen).reshape(views, count) & (px > 1.0).all(axis=-1) & (px < np.array([width, height]) - 2.0).all(axis=-1)
-        return Nodes(px, gathered(p.du.x, p.du.y, p.du.z), gathered(p.dv.x, p.dv.y, p.dv.z), seen)
+        return Nodes((views, count), p)
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Where points lie in all views."""
+    """Where points lie in all views: on the device, and as NumPy has it where somebody looks."""
 
-    px: Array
-    """(V, N, 2)"""
-    du: Array
-    """(V, N, 3) gradient of the column by the point, px/mm."""
-    dv: Array
-    """(V, N, 3) gradient of the row."""
-    seen: NDArray[np.bool_]
-    """(V, N)"""
-
-    def across(self, normal: Array) -> Array:
-        """Return the gradient (V, N, 3) of the position along image directions (V, N, 2), px/mm."""
-        gradient: Array = normal[..., :1] * self.du + normal[..., 1:] * self.dv
-        return gradient
-
-    def view(self, view: int) -> Nodes:
-        """Return the points in one view, (1, N)."""
-        one = slice(view, view + 1)
-        return Nodes(self.px[one], self.du[one], self.dv[one], self.seen[one])
+    shape: tuple[int, int]
+    """Views and points, V and N."""
+    on_device: Projected
+    """One view's points after those of another; ``seen`` only those in the picture."""
 
     @cached_property
-    def _ray(self) -> Array:
-        """Unit directions (V, N, 3) of the lines of sight, along which no pixel changes."""
-        ray = np.cross(self.du, self.dv)
-        ray /= np.maximum(np.sqrt(np.einsum("vni,vni->vn", ray, ray)), 1e-12)[..., None]
-        return np.asarray(ray)
+    def px(self) -> Array:
+        """Pixels (V, N, 2)."""
+        return self._read(self.on_device.px)
 
-    def sine(self, direction: Array, nodes: NDArray[np.int64] | slice = slice(None)) -> Array:
-        """Return the sine (V, M) of the angle between a direction (M, 3) at some nodes (M,), all by default, and the lines of sight."""
-        return np.asarray(np.sqrt(np.maximum(1.0 - np.einsum("vni,ni->vn", self._ray[:, nodes], direction) ** 2, 0.0)))
+    @cached_property
+    def du(self) -> Array:
+        """Gradient (V, N, 3) of the column by the point, px/mm."""
+        return self._read(self.on_device.du)
+
+    @cached_property
+    def dv(self) -> Array:
+        """Gradient (V, N, 3) of the row."""
+        return self._read(self.on_device.dv)
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether (V, N) a view sees a point, once and in its picture."""
+        return np.array(self.on_device.seen).reshape(self.shape)
+
+    def _read(self, vector: Any) -> Array:
+        return np.stack([np.array(part, np.float64).reshape(self.shape) for part in vector], axis=-1)
+
+    def sine(self, direction: Array) -> Array:
+        """Return the sine (V, N) of the angle between a direction (N, 3) at each point and the lines of sight."""
+        ray = np.cross(self.du, self.dv)  # along it no pixel changes
+        along = np.einsum("vni,ni->vn", ray, direction) / np.maximum(np.linalg.norm(ray, axis=-1), 1e-12)
+        return np.sqrt(np.maximum(1.0 - along**2, 0.0))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:

@@ -24,7 +24,7 @@ from recon.run import Run
 from recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
 from recon.tubes.root_calibration import Sights
 from recon.tubes.tube_law import TubeLaw
-from recon.tubes.tube_picture import Pull
+from recon.tubes.tube_profiles import Pull
 from recon.tubes.tubes import Tubes
 from scenes.rsml import Root
 

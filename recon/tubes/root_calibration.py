@@ -26,9 +26,9 @@ from recon.coverage.evidence import Evidence
 from recon.optics.cameras import View
 from recon.optics.projection import ViewBank
 from recon.optics.refraction import Optics
-from recon.tubes import sight_change, tube_fit, tube_picture
+from recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
 from recon.tubes.sight_change import QUANTITIES
-from recon.tubes.tube_picture import Profiles
+from recon.tubes.tube_profiles import HostProfiles, Pull
 from recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -213,17 +213,19 @@ def estimate(seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_
     views, doubt = sights.views, sights.doubt
     at = seen.project(tubes.centre_mm)
     depth = tube_picture.optical_depth(seen, tubes, at, blur_px)
-    profiles = tube_picture.profiles(seen, tubes, at, depth, tube_picture.unexplained(seen, depth), blur_px)
-    chosen = np.flatnonzero(~fixed & ((profiles.shift_2 > 0.0).sum(axis=0) >= _LEAST_VIEWS))
+    profiles = tube_profiles.profiles(seen, tubes, at, depth, tube_picture.unexplained(seen, depth), blur_px)
+    told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
+    chosen = np.flatnonzero(~fixed & (told.sum(axis=0) >= _LEAST_VIEWS))
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
     columns = _Columns.to(len(views), doubt)
-    sums = profiles.of(chosen)
+    sums = profiles.host(chosen)
     wanted = QUANTITIES if doubt is not None else QUANTITIES[:1]
     points = tubes.centre_mm[chosen]
-    by = [sight_change.moves(view, sights.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
-    system = _System.of(sums, np.where((sums.shift_2 > 0.0)[..., None], np.stack(by), 0.0), columns, tubes.tangents[chosen])
+    moves = [sight_change.moves(view, sights.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
+    by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
+    system = _System.of(sums, profiles.pull().of(chosen), by, columns, tubes.tangents[chosen])
     before = np.zeros(len(columns.precision)) if taken is None else taken
     more, covariance = system.solve(tubes.owner[chosen], before)
     return Found(
@@ -260,7 +262,7 @@ def changed(sights: Sights, change: Array) -> Sights:
 class _System:
     """Normal equations of the shared unknowns, the nodes' own positions and radii eliminated."""
 
-    sums: Profiles
+    sums: HostProfiles
     by: Array
     """(V, N, Q) shift sideways by the quantities of the view."""
     columns: _Columns
@@ -274,8 +276,7 @@ class _System:
     """(K,)"""
 
     @staticmethod
-    def of(sums: Profiles, by: Array, columns: _Columns, tangent: Array) -> _System:
-        pull = sums.pull()
+    def of(sums: HostProfiles, pull: Pull, by: Array, columns: _Columns, tangent: Array) -> _System:
         count, unknowns = len(tangent), len(columns.precision)
         own = pull.hessian.copy()
         mean = np.trace(own[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0

@@ -15,9 +15,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+from recon.device import numbers
 
 Array = NDArray[np.float64]
 
@@ -60,9 +65,48 @@ def strips(tau: Array) -> Strips:
     return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in table))
 
 
-def seen_from(mu_per_mm: float, radius_mm: Array, sine: Array) -> Strips:
-    """Return the strips (LAYERS, V, N) of roots of radii (N,) seen under angles of some sines (V, N) between axis and line of sight."""
-    return strips(mu_per_mm * radius_mm / np.maximum(sine, LEAST_SINE))
+def sine(du: Any, dv: Any, direction: Any) -> Any:
+    """Return the sine of the angle between a unit direction and the line of sight where pixels have some gradients, all mi.Vector3f."""
+    along = dr.dot(dr.normalize(dr.cross(du, dv)), direction)
+    return dr.sqrt(dr.maximum(1 - dr.square(along), 0.0))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A strip in place of a root, in a picture, all mi.Float."""
+
+    half_px: Any
+    height: Any
+    by_width: Any
+    """Derivative of the coverage by the root's half-width over that by the strip's own."""
+    by_height: Any
+    """Derivative of the height by the root's half-width, 1/px."""
+
+
+def layers(mu_per_mm: float | None, radius_mm: Any, sine: Any, half_px: Any) -> list[Layer]:
+    """Return the strips in place of roots: `strips` in a picture, as a kernel has it; one and opaque without attenuation.
+
+    Parameters
+    ----------
+    radius_mm, half_px : the roots', mi.Float.
+    sine : of the angle between axis and line of sight, mi.Float.
+    """
+    if mu_per_mm is None:
+        return [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
+    log_tau, table = _table()
+    rows = numbers(np.moveaxis(table, -1, 0))  # widths and heights of both strips, then their slopes
+    tau = dr.opaque(mi.Float, mu_per_mm) * radius_mm / dr.maximum(sine, LEAST_SINE)
+    place = (dr.log(dr.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
+    before = dr.minimum(mi.UInt32(place), len(log_tau) - 2)
+    part = place - mi.Float(before)
+    (e, h), (e_slope, h_slope) = (
+        ((four[0], four[1]), (four[2], four[3]))
+        for four in (
+            dr.gather(mi.Vector4f, rows, 2 * before + k) * (1 - part) + dr.gather(mi.Vector4f, rows, 2 * before + 2 + k) * part
+            for k in range(2)
+        )
+    )
+    return [Layer(half_px * e[n], h[n], h[n] * (e[n] + e_slope[n]), h_slope[n] / half_px) for n in range(LAYERS)]
 
 
 def radius_of(opaque_mm: Array, mu_per_mm: float) -> Array:

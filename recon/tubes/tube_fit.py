@@ -12,8 +12,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from recon.coverage.evidence import Evidence
-from recon.tubes import tube_picture
-from recon.tubes.tube_picture import Pull
+from recon.tubes import tube_picture, tube_profiles
+from recon.tubes.tube_profiles import Pull
 from recon.tubes.tubes import Tubes, moved
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps:
         at = evidence.project(tubes.centre_mm)
         depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
         difference = tube_picture.unexplained(evidence, depth)
-        pull = tube_picture.pull(evidence, tubes, at, depth, difference, blur_px)
+        pull = tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).pull()
         tubes = _step(tubes, pull, smooth, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
     return tubes, pull

@@ -3,7 +3,7 @@
 A thin root's opacity fixes mu w^2 and leaves mu and w open, but not under all angles: a root that leans towards the line of sight is darker
 by 1 / sin(theta) where it is faint and hardly darker where it is nearly opaque; and a picture shows how wide it is. So for every tried mu
 the radii are guessed anew from the same light, the tubes are refitted, and what they leave is compared on the profiles of lone roots
-(`tube_picture.misfit`), with the loss that the fit itself has: a profile in which something else stands counts little.
+(`tube_profiles.misfit`), with the loss that the fit itself has: a profile in which something else stands counts little.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from recon.coverage.evidence import Evidence
 from recon.coverage.translucency import CLEARLY
-from recon.tubes import translucent_tube, tube_fit, tube_picture, tubes
-from recon.tubes.tube_picture import OUTLIER
+from recon.tubes import translucent_tube, tube_fit, tube_picture, tube_profiles, tubes
+from recon.tubes.tube_profiles import OUTLIER
 from recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -108,9 +108,9 @@ class _Trials:
         at = light.project(fitted.centre_mm)
         depth = tube_picture.optical_depth(light, fitted, at, blur_px)
         difference = tube_picture.unexplained(light, depth)
-        found = tube_picture.profiles(light, fitted, at, depth, difference, blur_px)
+        found = tube_profiles.profiles(light, fitted, at, depth, difference, blur_px).host()
         alone = (found.shown > _ALONE * found.whole) & (found.whole > 0.0) & (at.sine(fitted.tangents) > _LEAST_SINE) & ~organ
-        left = tube_picture.misfit(light, fitted, difference)
+        left = tube_profiles.misfit(light, fitted, difference)
         return _Trials(light, organ, _Trial(light.mu_per_mm, fitted, left, 0.0), alone & np.isfinite(left))
 
     def at(self, mu_per_mm: float | None, blur_px: float) -> _Trial:
@@ -119,7 +119,7 @@ class _Trials:
             seen = replace(self.light, mu_per_mm=mu_per_mm)
             fitted, _ = tube_fit.fit(seen, self._guess(mu_per_mm), self.organ, blur_px=blur_px, steps=_STEPS)
             depth = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
-            left = tube_picture.misfit(seen, self.start.tubes, tube_picture.unexplained(seen, depth))
+            left = tube_profiles.misfit(seen, self.start.tubes, tube_picture.unexplained(seen, depth))
             loss = np.where(self.lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0)
             self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, fitted, loss, float(loss.sum()))
             dr.flush_malloc_cache()  # no trial's kernels have the sizes of another's

@@ -14,8 +14,8 @@ from scipy.sparse.linalg import spsolve
 
 from recon.coverage.evidence import Evidence
 from recon.roots.rooting import RootSystem
-from recon.tubes import tube_fit, tube_law, tube_picture
-from recon.tubes.tube_picture import Profiles, Pull
+from recon.tubes import tube_fit, tube_law, tube_picture, tube_profiles
+from recon.tubes.tube_profiles import HostProfiles
 from recon.tubes.tubes import Tubes
 from recon.uncertainty.budget import NINETY, Term
 
@@ -53,18 +53,17 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
     at = seen.project(tubes.centre_mm)
     depth = tube_picture.optical_depth(seen, tubes, at, system.blur_px)
     difference = tube_picture.unexplained(seen, depth)
-    profiles = tube_picture.profiles(seen, tubes, at, depth, difference, system.blur_px)
-    pull = profiles.pull()
+    profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
     gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
-    wish = _wishes(tubes, pull, gain)
+    wish = _wishes(tubes, profiles, gain)
     total = float(wish.sum())
     blurred = tube_picture.optical_depth(seen, tubes, at, system.blur_px + _BLUR_STEP_PX)
-    other = tube_picture.pull(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX)
+    other = tube_profiles.profiles(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX).host()
     by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
     rest = _Rest.of(seen, depth, difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
-    untold = _untold(tubes, pull, gain, rest.variance)
+    untold = _untold(tubes, profiles, gain, rest.variance)
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
@@ -118,7 +117,7 @@ def _lengths(tubes: Tubes) -> Array:
     return half
 
 
-def _flatness(tubes: Tubes, profiles: Profiles, px_a_mm: float) -> Array:
+def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
     """Return by how much (N,) of its size the half-width of each node's section changes from view to view, 0 where it is round.
 
     The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike along a few nodes.
@@ -144,20 +143,25 @@ def _flatness(tubes: Tubes, profiles: Profiles, px_a_mm: float) -> Array:
     return np.where((share > _FLAT) & (harmonic * px_a_mm > _FLAT_PX), np.minimum(share, _FLATTEST), 0.0)
 
 
-def _wishes(tubes: Tubes, pull: Pull, gain: Array) -> Array:
+def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
     """Return by how much each view (V,) alone would change the volume: its part of one more Gauss-Newton step of all radii.
 
     With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the sandwich
     (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common, such as its pose.
     """
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
-    weight: Array = spsolve((sparse.diags(pull.hessian[:, 3, 3] + tube_fit.LEAST) + smooth).tocsc(), gain)
-    return np.asarray(pull.wish @ weight)
+    weight: Array = spsolve((sparse.diags(_told(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
+    return np.asarray((profiles.width * profiles.scale) @ weight)
 
 
-def _untold(tubes: Tubes, pull: Pull, gain: Array, variance: float) -> float:
+def _told(profiles: HostProfiles) -> Array:
+    """Return the curvature (N,) by the radii."""
+    return np.asarray((profiles.width_2 * profiles.scale**2).sum(axis=0))
+
+
+def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
     """Return the volume's 90 % half-width where pictures hardly tell the radii: alike along a branch, independent between branches."""
-    told = pull.hessian[:, 3, 3] / max(variance, 1e-9)
+    told = _told(profiles) / max(variance, 1e-9)
     sigma = 1.0 / np.sqrt(told + 1.0 / (_UNTOLD * tubes.radius_mm) ** 2)
     owner = tubes.owner
     return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from recon.roots import ghosts, proof
-from recon.tubes import tube_picture, tubes
+from recon.tubes import tube_picture, tube_profiles, tubes
 from tests.recon.lines import line
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
@@ -76,7 +76,7 @@ def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
     depth = tube_picture.optical_depth(seen, crowd, at, 0.0)
     left = tube_picture.unexplained(seen, depth)
     inner = crowd.branches[-1][3:-3]
-    assert np.median(tube_picture.pull(seen, crowd, at, depth, left, 0.0).visible[inner]) < 0.15
+    assert np.median(tube_profiles.profiles(seen, crowd, at, depth, left, 0.0).pull().visible[inner]) < 0.15
     assert not ghosts.unexplaining(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none)[inner].any()
 
 

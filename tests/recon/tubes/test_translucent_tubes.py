@@ -12,7 +12,7 @@ from recon.coverage.silhouettes import Silhouette
 from recon.optics.cameras import View
 from recon.optics.projection import ViewBank
 from recon.optics.refraction import Optics
-from recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tubes
+from recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tube_profiles, tubes
 from scenes import plan
 from scenes.model import Camera, CapturePlan, Ring, Scene
 
@@ -102,7 +102,7 @@ def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -
     seen = replace(pictured(thicker, mu).by_light(), mu_per_mm=mu)
     at = seen.project(system.centre_mm)
     depth = tube_picture.optical_depth(seen, system, at, 0.0)
-    found = tube_picture.profiles(seen, system, at, depth, tube_picture.unexplained(seen, depth), 0.0)
+    found = tube_profiles.profiles(seen, system, at, depth, tube_picture.unexplained(seen, depth), 0.0).host()
     inside = np.s_[:, 3:-3]
     ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
     assert ratio == pytest.approx(0.01, rel=0.15)  # the slope is that of a Gaussian pixel

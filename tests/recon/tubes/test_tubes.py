@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.tubes import tube_fit, tube_picture, tubes
+from recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
 from tests.recon.lines import line
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
@@ -123,7 +123,7 @@ def test_what_a_tube_covers_in_vain_counts_in_full_and_what_it_lacks_little():
         seen = pictured(true)
         at = seen.project(drawn.centre_mm)
         depth = tube_picture.optical_depth(seen, drawn, at, 0.0)
-        return tube_picture.pull(seen, drawn, at, depth, tube_picture.unexplained(seen, depth), 0.0).gradient[5:-5, 3]
+        return tube_profiles.profiles(seen, drawn, at, depth, tube_picture.unexplained(seen, depth), 0.0).pull().gradient[5:-5, 3]
 
     inward, outward = pulled(narrow, wide), pulled(wide, narrow)
     assert inward.max() < 0.0 < outward.min()
