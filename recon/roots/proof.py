@@ -42,8 +42,8 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: A
     the node is d + u c: it explains (d + u c)^2 - d^2.
     """
     cut = Sections.of(evidence, tubes, at)
-    if not cut.count:
-        return Proof(np.zeros(cut.shape[1]), np.zeros(cut.shape[1]))
+    if cut is None:
+        return Proof(np.zeros(at.shape[1]), np.zeros(at.shape[1]))
     per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5))
     explained, left = dr.zeros(mi.Float, cut.count), dr.zeros(mi.Float, cut.count)
     reach_px = cut.half_px + _FLANK_PX

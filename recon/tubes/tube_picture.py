@@ -1,4 +1,4 @@
-"""Coverage pictures of tubes seen through the water, and how they change with the tubes (Dr.Jit).
+"""Coverage pictures of tubes seen through the water (Dr.Jit).
 
 A tube's segment is a strip in a picture: with its axis at distance d from a pixel's centre and half-width w it covers
 
@@ -40,7 +40,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
     dr.eval(depth)
     strips = _Strips.of(evidence, tubes, at)
-    if not dr.width(strips.start):
+    if strips is None:
         return depth
     (left, top), (columns, rows), (t_x, t_y) = strips.low, strips.span, strips.way
     pixels, width = columns * rows, evidence.image_wh[0]
@@ -96,7 +96,8 @@ class _Strips:
     """The strips as which it is seen, at both ends."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips:
+    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
+        """Return the strips of all views; None where no view sees any."""
         p, (views, nodes), segments = at.on_device, at.shape, tubes.segments
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
         numbered = [wholes(end) for end in segments.T]
@@ -110,7 +111,10 @@ class _Strips:
         _, _, both = ends(dr.arange(mi.UInt32, views * len(segments)))
         seen = [dr.gather(mi.Bool, p.seen, end) for end in both]
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
-        view, segment, both = ends(dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > 1e-3)))
+        drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > 1e-3))
+        if not dr.width(drawn):
+            return None
+        view, segment, both = ends(drawn)
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
         length = dr.norm(there - here)
         way = (there - here) / length

@@ -63,12 +63,14 @@ class Sections:
     """The strips as which the tube is seen."""
 
     @staticmethod
-    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections:
-        """Cut across the nodes of tubes."""
+    def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
+        """Cut across the nodes of tubes; None where no view shows any."""
         p, count, views = at.on_device, dr.opaque(mi.UInt32, at.shape[1]), at.shape[0]
         tangent = vectors(tubes.tangents)
         t = mi.Vector3f(*(dr.tile(part, views) for part in tangent))
         place = dr.compress(p.seen & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
+        if not dr.width(place):
+            return None
         view = place // count
         node = place - view * count
         px, du, dv = dr.gather(mi.Vector2f, p.px, place), dr.gather(mi.Vector3f, p.du, place), dr.gather(mi.Vector3f, p.dv, place)
@@ -209,9 +211,9 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
     depth, difference : as `tube_picture.optical_depth` and `tube_picture.unexplained` have them.
     """
     cut = Sections.of(evidence, tubes, at)
-    if not cut.count:
-        empty = dr.zeros(mi.Float, cut.shape[0] * cut.shape[1])
-        return Profiles(cut.shape, mi.Vector3f(empty, empty, empty), *[empty] * 8)
+    if cut is None:
+        empty = dr.zeros(mi.Float, at.shape[0] * at.shape[1])
+        return Profiles(at.shape, mi.Vector3f(empty, empty, empty), *[empty] * 8)
     sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
     reach_px = cut.half_px + _MARGIN_PX
@@ -245,9 +247,10 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
     """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
-    cut = Sections.of(evidence, tubes, evidence.project(tubes.centre_mm))
-    whole = np.full(cut.shape, np.nan)
-    if cut.count:
+    at = evidence.project(tubes.centre_mm)
+    cut = Sections.of(evidence, tubes, at)
+    whole = np.full(at.shape, np.nan)
+    if cut is not None:
         total, reach_px = dr.zeros(mi.Float, cut.count), cut.half_px + _MARGIN_PX
         for k in range(_SAMPLES):
             total += dr.square(cut.read(cut.offset(k, _SAMPLES, reach_px), difference)[0])
