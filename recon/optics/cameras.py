@@ -42,15 +42,24 @@ def matrix(camera: Camera) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def pixel_directions(view: View, px: Array) -> Array:
-    """Return unit directions (N, 3) in the azimuth frame of pixels (N, 2), lens distortion undone to 1e-10."""
+def camera_directions(camera: Camera, px: Array) -> Array:
+    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion undone to 1e-10."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)
-    undone = cv2.undistortPoints(flat, matrix(view.camera), np.array(view.camera.distortion), criteria=criteria).reshape(-1, 2)
+    undone = cv2.undistortPoints(flat, matrix(camera), np.array(camera.distortion), criteria=criteria).reshape(-1, 2)
     cam = np.concatenate([undone, np.ones((len(undone), 1))], axis=1)
-    cam /= np.linalg.norm(cam, axis=1, keepdims=True)
+    return np.asarray(cam / np.linalg.norm(cam, axis=1, keepdims=True))
+
+
+def pixel_directions(view: View, px: Array) -> Array:
+    """Return unit directions (N, 3) in the azimuth frame of pixels (N, 2), lens distortion undone to 1e-10."""
+    return in_azimuth(view, camera_directions(view.camera, px))
+
+
+def in_azimuth(view: View, directions: Array) -> Array:
+    """Turn directions (N, 3) from the camera's frame into the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
-    return cam @ azimuth_from_cam[:3, :3].T
+    return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
 
 
 def direction_pixels(view: View, directions: Array) -> Array:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from recon.calibration.view_fit import twist
 from recon.optics import refraction
-from recon.optics.cameras import View, pixel_directions
+from recon.optics.cameras import View, camera_directions, in_azimuth
 from recon.optics.refraction import Optics
 
 Array = NDArray[np.float64]
@@ -85,20 +85,20 @@ CAMERA = tuple(
 QUANTITIES = (INDEX, FOCUS, *SEAT, TURN, *CAMERA)
 
 
-def missed(view: View, optics: Optics, px: Array, points_mm: Array) -> Array:
-    """Return F1 and F2 (N, 2) in mm of the rays of pixels (N, 2) at points (N, 3), canister frame."""
+def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
+    """Return F1 and F2 (N, 2) in mm of rays of directions (N, 3), camera's frame, at points (N, 3), canister frame."""
     at = points_mm @ view.azimuth_from_canister[:3, :3].T
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, pixel_directions(view, px))
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
     line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -optics.w_limit, optics.w_limit), p_z)
     beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm
     return np.stack([beside, refraction.height_at(optics, line, at[:, :2]) - at[:, 2]], axis=-1)
 
 
-def normals(view: View, optics: Optics, px: Array) -> Array:
-    """Return the horizontal normals (N, 3) of the rays of pixels (N, 2) in the water, canister frame."""
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, pixel_directions(view, px))
+def normals(view: View, optics: Optics, directions: Array) -> Array:
+    """Return the horizontal normals (N, 3) in the water, canister frame, of rays of directions (N, 3), camera's frame."""
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
     line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -optics.w_limit, optics.w_limit), p_z)
-    flat = np.concatenate([line.nu, np.zeros((len(px), 1))], axis=-1)
+    flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
     return np.asarray(flat @ view.azimuth_from_canister[:3, :3])
 
 
@@ -111,10 +111,16 @@ def moves(view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Arra
     points_mm : (N, 3) canister frame.
     gradient : (N, 3) of the position in the picture (column, row, or along a direction) by the point.
     """
-    beside = np.sum(gradient * normals(view, optics, px), axis=-1)
+    directions = camera_directions(view.camera, px)
+
+    def at(changed: Sight) -> Array:
+        same = changed[0].camera is view.camera
+        return missed(*changed, directions if same else camera_directions(changed[0].camera, px), points_mm)
+
+    beside = np.sum(gradient * normals(view, optics, directions), axis=-1)
     found = np.zeros((len(px), len(quantities)))
     for k, quantity in enumerate(quantities):
-        above, below = (missed(*quantity.changed((view, optics), side * quantity.step), px, points_mm) for side in (1.0, -1.0))
+        above, below = (at(quantity.changed((view, optics), side * quantity.step)) for side in (1.0, -1.0))
         by = (above - below) / (2.0 * quantity.step)
         found[:, k] = beside * by[:, 0] - gradient[:, 2] * by[:, 1]
     return found

@@ -8,7 +8,8 @@ of the pixel, where F(x) is the part of the pixel on one side of a straight edge
 is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|: the square pixel seen along the edge.
 Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact in variance). Roots hide each other: coverages
 combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends,
-so that the segments of a branch add up to a strip without seams.
+so that the segments of a branch add up to a strip without seams. A kernel walks along the rows of each strip, from where it begins to
+cover them to where it ends: of its bounding box it would cover a third.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ from recon.tubes.tubes import Tubes
 
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
-_MARGIN_PX = 2.0
 _NARROWEST_PX = 0.1
+_NOTHING, _ENDS = 1e-4, 4.0
+"""Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of it."""
+_STEEPEST = 1e-3
+"""Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel beside."""
 _FAR_PX = 3.0
 """Beyond this from an edge a pixel lies on one side of it, blur and all."""
 FULLEST = 0.995
@@ -42,12 +46,18 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     strips = _Strips.of(evidence, tubes, at)
     if strips is None:
         return depth
-    (left, top), (columns, rows), (t_x, t_y) = strips.low, strips.span, strips.way
-    pixels, width = columns * rows, evidence.image_wh[0]
+    (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
     # opaque: as a literal every blur would be a kernel of its own
-    scale, spread = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5)), dr.opaque(mi.Float, 6.0 * blur_px**2)
+    sigma, spread = dr.opaque(mi.Float, float(np.hypot(blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * blur_px**2)
+    scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
+    # covered are the pixels with |d| < side_px and -end_px < s < length + end_px
+    side_px, end_px = dr.maximum(*strips.half_px) + outer, _ENDS * sigma
+    per_x, per_y = (dr.copysign(1.0 / dr.maximum(dr.abs(t), _STEEPEST), t) for t in (t_x, t_y))
+    beyond = end_px * dr.abs(t_y) + side_px * dr.abs(t_x)
+    first, last = (y + dr.minimum(0.0, strips.length * t_y) - beyond, y + dr.maximum(0.0, strips.length * t_y) + beyond)
+    top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
     def side(x: Any) -> Any:
         """Return the part of a pixel that lies on one side of an edge."""
@@ -55,9 +65,16 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
         return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
 
-    def body(k: Any, i: Any, j: Any) -> tuple[Any, Any, Any]:
-        u, v = left + i, top + j
-        e_x, e_y = mi.Float(u) - strips.begin.x, mi.Float(v) - strips.begin.y
+    def covered(v: Any) -> tuple[Any, Any]:
+        """Return the first and the last column that are covered in a row."""
+        e_y = mi.Float(v) - y
+        by_side, by_end = side_px * dr.abs(per_y), (0.5 * strips.length + end_px) * dr.abs(per_x)
+        middle = e_y * t_x * per_y, (0.5 * strips.length - e_y * t_y) * per_x
+        low, high = dr.maximum(middle[0] - by_side, middle[1] - by_end), dr.minimum(middle[0] + by_side, middle[1] + by_end)
+        return mi.Int32(dr.clip(dr.ceil(x + low), 0, width)), mi.Int32(dr.clip(dr.floor(x + high), -1, width - 1))
+
+    def body(u: Any, end: Any, v: Any) -> tuple[Any, Any, Any]:
+        e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
         s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
         part = dr.clip(s / strips.length, 0, 1)
         c = mi.Float(0.0)
@@ -66,12 +83,12 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
             c += (side(d + w) - side(d - w)) * (a.height + (b.height - a.height) * part)
         gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - strips.length) * scale))
         value = -gate * dr.log(1 - dr.minimum(c, FULLEST))
-        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, strips.start + v * width + u, value > 1e-4)
-        last = i + 1 == columns
-        return k + 1, dr.select(last, 0, i + 1), dr.select(last, j + 1, j)
+        place = strips.start + mi.UInt32(v * width + u)
+        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end))
+        ended, (low, high) = u >= end, covered(v + 1)
+        return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 
-    begin = tuple(dr.zeros(mi.UInt32, dr.width(left)) for _ in range(3))
-    dr.while_loop(begin, lambda k, *_: k < pixels, body)
+    dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
     dr.eval(depth)
     return depth
 
@@ -82,16 +99,14 @@ class _Strips:
 
     start: Any
     """mi.UInt32, where the picture of the view begins."""
-    low: tuple[Any, Any]
-    """Column and row of the first pixel to look at, mi.UInt32, and ..."""
-    span: tuple[Any, Any]
-    """... how many."""
     begin: Any
     """mi.Vector2f, pixel of the beginning."""
     way: Any
     """mi.Vector2f, unit direction."""
     length: Any
     """mi.Float, px."""
+    half_px: tuple[Any, Any]
+    """mi.Float, half-widths at both ends."""
     layers: tuple[list[Layer], list[Layer]]
     """The strips as which it is seen, at both ends."""
 
@@ -126,13 +141,8 @@ class _Strips:
             radius_mm = dr.gather(mi.Float, numbers(radii), segment)
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
             layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, translucent_tube.sine(du, dv, along), half_px[-1]))
-        reach = dr.maximum(*half_px) + _MARGIN_PX
-        low, span = [], []
-        for a, b, limit in zip(here, there, evidence.image_wh, strict=True):
-            low.append(mi.UInt32(dr.clip(dr.floor(dr.minimum(a, b) - reach), 0, limit - 1)))
-            span.append(mi.UInt32(dr.clip(dr.ceil(dr.maximum(a, b) + reach), 0, limit - 1)) - low[-1] + 1)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return _Strips(start, (low[0], low[1]), (span[0], span[1]), here, way, length, (layers[0], layers[1]))
+        return _Strips(start, here, way, length, (half_px[0], half_px[1]), (layers[0], layers[1]))
 
 
 def unexplained(evidence: Evidence, depth: Any) -> Any:
