@@ -124,14 +124,15 @@ def percent(fraction: float | None) -> str:
 def metrics(case: Case, record: Record) -> list[Metric]:
     """Return the gated numbers of one score; a stage that gave none yields NaN, which fails the gate."""
     found = record["score"]
-    # (where, unit, direction, rel_tol, abs_tol): the arithmetic repeats to about 1e-5 on one machine, and other machines'
-    # vector units move thresholds a little; a real change of method moves these numbers by far more.
+    # (where, unit, direction, rel_tol, abs_tol): the arithmetic repeats to about 1e-5 on one machine; a real change of method moves these
+    # numbers by far more. What is decided about thin roots hangs on the last bits: see docs/decisions/accuracy-ladder.md.
+    volume, voxels = (0.005, 0.01) if case.pictures.is_plant else (0.002, 0.004)
     rows: dict[str, tuple[str, str, Direction, float, float]] = {
-        "volume_error": ("volume_error", "1", "zero", 0.0, 0.002),
+        "volume_error": ("volume_error", "1", "zero", 0.0, volume),
         "extents_error_max": ("extents_error_max", "1", "down", 0.0, 0.002),
-        "recall": ("recall", "1", "up", 0.0, 0.004),
-        "precision": ("precision", "1", "up", 0.0, 0.004),
-        "iou": ("iou", "1", "up", 0.0, 0.004),
+        "recall": ("recall", "1", "up", 0.0, voxels),
+        "precision": ("precision", "1", "up", 0.0, voxels),
+        "iou": ("iou", "1", "up", 0.0, voxels),
         "surface_median_mm": ("surface.median_mm", "mm", "down", 0.05, 0.002),
         "surface_p95_mm": ("surface.p95_mm", "mm", "down", 0.1, 0.01),
         "views_used": ("poses.used", "1", "up", 0.0, 0.0),
