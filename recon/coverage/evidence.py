@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
-from recon.device import numbers, wholes
+from recon.device import numbers, vectors, wholes
 from recon.optics import projection
 from recon.optics.projection import Projected, ViewBank
 
@@ -130,10 +130,25 @@ class Nodes:
         return np.stack([np.array(part, np.float64).reshape(self.shape) for part in vector], axis=-1)
 
     def sine(self, direction: Array) -> Array:
-        """Return the sine (V, N) of the angle between a direction (N, 3) at each point and the lines of sight."""
-        ray = np.cross(self.du, self.dv)  # along it no pixel changes
-        along = np.einsum("vni,ni->vn", ray, direction) / np.maximum(np.linalg.norm(ray, axis=-1), 1e-12)
-        return np.sqrt(np.maximum(1.0 - along**2, 0.0))
+        """Return the sine (V, N) of the angle between a unit direction (N, 3) at each point and the lines of sight."""
+        p = self.on_device
+        return np.array(sine_to_sight(p.du, p.dv, self.in_all_views(vectors(direction))), np.float64).reshape(self.shape)
+
+    def in_all_views(self, values: Any) -> Any:
+        """Return what belongs to the points, mi.Vector3f (N,), for each view, (V, N) flattened."""
+        return mi.Vector3f(*(dr.tile(part, self.shape[0]) for part in values))
+
+
+def sine_to_sight(du: Any, dv: Any, direction: Any) -> Any:
+    """Return the sine of the angle between unit directions and lines of sight, mi.Float.
+
+    Parameters
+    ----------
+    du, dv : gradients of column and row by the point, mi.Vector3f; along the line of sight no pixel changes.
+    direction : mi.Vector3f, canister frame.
+    """
+    along = dr.dot(dr.normalize(dr.cross(du, dv)), direction)
+    return dr.sqrt(dr.maximum(1 - dr.square(along), 0.0))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:

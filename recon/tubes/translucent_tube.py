@@ -65,12 +65,6 @@ def strips(tau: Array) -> Strips:
     return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in table))
 
 
-def sine(du: Any, dv: Any, direction: Any) -> Any:
-    """Return the sine of the angle between a unit direction and the line of sight where pixels have some gradients, all mi.Vector3f."""
-    along = dr.dot(dr.normalize(dr.cross(du, dv)), direction)
-    return dr.sqrt(dr.maximum(1 - dr.square(along), 0.0))
-
-
 @dataclass(frozen=True)
 class Layer:
     """A strip in place of a root, in a picture, all mi.Float."""

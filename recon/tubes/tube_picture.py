@@ -21,7 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from recon.coverage.evidence import Evidence, Nodes
+from recon.coverage.evidence import Evidence, Nodes, sine_to_sight
 from recon.device import numbers, vectors, wholes
 from recon.tubes import translucent_tube
 from recon.tubes.translucent_tube import Layer
@@ -140,7 +140,7 @@ class _Strips:
             du, dv = (dr.gather(mi.Vector3f, part, end) for part in (p.du, p.dv))
             radius_mm = dr.gather(mi.Float, numbers(radii), segment)
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
-            layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, translucent_tube.sine(du, dv, along), half_px[-1]))
+            layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         return _Strips(start, here, way, length, (half_px[0], half_px[1]), (layers[0], layers[1]))
 

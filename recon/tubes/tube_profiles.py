@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence, Nodes, bilinear
+from recon.coverage.evidence import Evidence, Nodes, bilinear, sine_to_sight
 from recon.device import numbers, vectors, wholes
 from recon.tubes import translucent_tube
 from recon.tubes.translucent_tube import Layer
@@ -65,9 +65,9 @@ class Sections:
     @staticmethod
     def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> Sections | None:
         """Cut across the nodes of tubes; None where no view shows any."""
-        p, count, views = at.on_device, dr.opaque(mi.UInt32, at.shape[1]), at.shape[0]
+        p, count = at.on_device, dr.opaque(mi.UInt32, at.shape[1])
         tangent = vectors(tubes.tangents)
-        t = mi.Vector3f(*(dr.tile(part, views) for part in tangent))
+        t = at.in_all_views(tangent)
         place = dr.compress(p.seen & (dr.square(dr.dot(p.du, t)) + dr.square(dr.dot(p.dv, t)) > _LEAST_SPEED_PX**2))
         if not dr.width(place):
             return None
@@ -79,7 +79,7 @@ class Sections:
         across = normal.x * du + normal.y * dv
         scale = dr.norm(across)
         half_px = radius_mm * scale
-        layers = translucent_tube.layers(evidence.mu_per_mm, radius_mm, translucent_tube.sine(du, dv, t), half_px)
+        layers = translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, t), half_px)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, layers)
 
