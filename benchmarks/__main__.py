@@ -13,8 +13,8 @@ from benchmarks import cases, gate
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
-from scenes import atomic
-from scenes.errors import UserError
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
 
 HERE = Path(__file__).resolve().parent
 
@@ -39,7 +39,7 @@ def about(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "command": f"{given.what}{' --quick' if given.quick else ''}",
         "device": given.device,
-        "reconstruction": sources.digest(("recon.pipeline",))[:12],
+        "reconstruction": sources.digest(("rhizotwin.recon.pipeline",))[:12],
         "python": platform.python_version(),
         **versions,
     }

@@ -12,10 +12,13 @@ from benchmarks.cases import Case
 from benchmarks.metric import Direction, Metric
 from benchmarks.run import Run, Say
 from rhizotwin import sources
-from scenes import atomic
-from scenes.provenance import versions
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.provenance import versions
 
-_SOURCES = {"coverage": ("recon.pipeline", "recon.scoring.score"), "thesis": ("benchmarks.thesis", "recon.scoring.score")}
+_SOURCES = {
+    "coverage": ("rhizotwin.recon.pipeline", "rhizotwin.recon.scoring.score"),
+    "thesis": ("benchmarks.thesis", "rhizotwin.recon.scoring.score"),
+}
 """Modules that decide what becomes of a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from benchmarks import datasets
 from benchmarks.cases import Pictures
-from scenes.dataset import Dataset, load_dataset
-from scenes.errors import UserError
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
 
 
 def adopt(folder: Path) -> Path:
@@ -55,7 +55,7 @@ def pictures_of(dataset: Dataset) -> Pictures:
 
 def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
     """Let the simulator render the first view of each ring of a copy again and write its truth; UserError where something differs."""
-    from sim.simulate import CannotContinueError, simulate
+    from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     before = load_dataset(copy)
     firsts = {frame.ring: frame for frame in reversed(before.frames)}

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
-from scenes.errors import UserError
-from scenes.files import library, load_profile, load_scene
-from scenes.model import Ring, Scene
-from scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import library, load_profile, load_scene
+from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.specimens import GrownSpecimen
 
 Method = Literal["coverage", "thesis"]
 

@@ -11,17 +11,17 @@ from typing import Any
 from benchmarks import cache
 from benchmarks.cases import Pictures
 from rhizotwin import sources
-from scenes import atomic
-from scenes.dataset import load_dataset
-from scenes.errors import UserError
-from scenes.files import scene_to_dict
-from scenes.provenance import versions
-from scenes.truth import load_truth, save_truth
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import scene_to_dict
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.truth import load_truth, save_truth
 
-PICTURES = ("sim.simulate",)
-TRUTH_ONLY = frozenset({"scenes.traits", "scenes.truth", "sim.truth"})
+PICTURES = ("rhizotwin.sim.simulate",)
+TRUTH_ONLY = frozenset({"rhizotwin.scenes.traits", "rhizotwin.scenes.truth", "rhizotwin.sim.truth"})
 """Modules that only write what is known of the specimen beside the pictures: `make` renews that by itself."""
-TRUTH = ("sim.truth",)
+TRUTH = ("rhizotwin.sim.truth",)
 
 SAME_VOLUME = 1e-9
 """Relative difference of two volumes of one solid: its sums may be taken in another order."""
@@ -52,7 +52,7 @@ def is_ready(pictures: Pictures) -> bool:
 
 def make(pictures: Pictures) -> Path:
     """Return the folder of a dataset: rendered where the cache lacks it (resuming where it was cut off), its truth up to date."""
-    from sim.simulate import simulate
+    from rhizotwin.sim.simulate import simulate
 
     folder = place(pictures)
     if not folder.is_dir():
@@ -73,9 +73,9 @@ def renew_truth(folder: Path, pictures: Pictures) -> None:
     UserError
         Where the specimen is not the one that was rendered.
     """
-    from sim.specimen import build_specimen
-    from sim.truth import truth_of, write_specimen
-    from sim.world import draw_world
+    from rhizotwin.sim.specimen import build_specimen
+    from rhizotwin.sim.truth import truth_of, write_specimen
+    from rhizotwin.sim.world import draw_world
 
     scene = pictures.scene_to_render()
     solid = build_specimen(scene)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from recon.results.pictures import figure
-from scenes.atomic import write_bytes
+from rhizotwin.recon.results.pictures import figure
+from rhizotwin.scenes.atomic import write_bytes
 
 Record = Mapping[str, Any]
 

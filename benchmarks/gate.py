@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
-from scenes import atomic
-from scenes.errors import UserError
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
 
 SCHEMA_VERSION = 1
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 Record = Mapping[str, Any]
 

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.metric import Metric
-from recon.optics import cameras, projection, refraction
-from scenes import frames
-from scenes.model import Camera, Scene
+from rhizotwin.recon.optics import cameras, projection, refraction
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, Scene
 
 Array = NDArray[np.float64]
 

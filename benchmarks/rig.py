@@ -14,23 +14,23 @@ import numpy as np
 from benchmarks import rig_faults, rig_kills
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
-from recon.pipeline import reconstruct
-from recon.scoring.score import score
-from rig.arm import inverse, kinematics
-from rig.clock import SystemClock
-from rig.lens import calibration
-from rig.open import open_devices
-from rig.rig_file import ArmPart
-from rig.scanning.scan import scan
-from rig.twin.camera import READOUT_S
-from rig.twin.server import TwinServer
-from rig.twin.stepper import ACCELERATION_DEG_PER_S2
-from rig.twin.twin import Twin
-from scenes import files
-from scenes.board import CharucoBoard
-from scenes.dataset import Dataset
-from scenes.model import CapturePlan, Ring
-from sim.board import simulate_board
+from rhizotwin.recon.pipeline import reconstruct
+from rhizotwin.recon.scoring.score import score
+from rhizotwin.rig.arm import inverse, kinematics
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.lens import calibration
+from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.camera import READOUT_S
+from rhizotwin.rig.twin.server import TwinServer
+from rhizotwin.rig.twin.stepper import ACCELERATION_DEG_PER_S2
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes import files
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.model import CapturePlan, Ring
+from rhizotwin.sim.board import simulate_board
 
 TARGETS_START_DEG = (0.0, 30.0, 30.0, 30.0, 0.0)
 """The one pose that Newton's method begins from, whatever it is to reach."""

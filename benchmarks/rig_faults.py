@@ -17,15 +17,15 @@ from types import FrameType
 
 import numpy as np
 
-from rig.errors import RigError
-from rig.open import open_devices
-from rig.scanning.scan import scan
-from rig.twin.faults import KIND_NAMES, draw_faults, kind_of
-from rig.twin.twin import Twin
-from scenes import plan
-from scenes.dataset import Dataset, load_dataset, read_image, sha256_of
-from scenes.files import load_profile, load_scene
-from scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, kind_of
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 IMAGE_WH = (400, 300)
 RINGS = (Ring(views=4), Ring(views=2, height_mm=-60.0, first_deg=30.0))

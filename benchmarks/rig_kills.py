@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.rig_faults import IMAGE_WH
-from rig.rig_file import RigFile
-from rig.twin.server import TwinServer, rig_text
-from rig.twin.twin import Twin, default_rig
-from scenes import atomic, files
-from scenes.dataset import Dataset, Frame, load_dataset, read_image, sha256_of
-from scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.rig.twin.server import TwinServer, rig_text
+from rhizotwin.rig.twin.twin import Twin, default_rig
+from rhizotwin.scenes import atomic, files
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, sha256_of
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 VIEWS = 12
 SPEED = 40.0

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from recon import drawing, pipeline, shaping
-from recon.coverage import silhouettes
-from recon.optics.refraction import Optics
-from recon.results.result import Result
-from recon.run import Run
-from recon.uncertainty.budget import Budget
+from rhizotwin.recon import drawing, pipeline, shaping
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.run import Run
+from rhizotwin.recon.uncertainty.budget import Budget
 
 
 def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: float) -> Result:

@@ -56,8 +56,8 @@ def pictures_of(text: str) -> Pictures:
 
 def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
     """Return the seconds of the first view (scene and kernels made) and of each one more, of `printed_8ml` at 800x600."""
-    from scenes.model import CapturePlan
-    from sim.simulate import simulate
+    from rhizotwin.scenes.model import CapturePlan
+    from rhizotwin.sim.simulate import simulate
 
     walls = []
     for views in (1, 3):
@@ -71,8 +71,8 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
 
 def reconstruct(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
     """Return the seconds of a reconstruction by stage."""
-    from recon import pipeline
-    from recon.results.result_files import read_summary
+    from rhizotwin.recon import pipeline
+    from rhizotwin.recon.results.result_files import read_summary
 
     pipeline.reconstruct(dataset_folder, working / "result", voxel_mm=voxel_mm, progress=False)
     return {"stages": read_summary(working / "result")["timings_s"]}
@@ -88,9 +88,9 @@ def dataset(pictures: Pictures) -> dict[str, Any]:
 def score(dataset_folder: Path, method: str, voxel_mm: float, working: Path) -> dict[str, Any]:
     """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's."""
     from benchmarks.thesis import reconstruct_thesis
-    from recon import pipeline
-    from recon.scoring import score as scoring
-    from scenes.provenance import peak_memory_mib
+    from rhizotwin.recon import pipeline
+    from rhizotwin.recon.scoring import score as scoring
+    from rhizotwin.scenes.provenance import peak_memory_mib
 
     began, busy = time.perf_counter(), time.process_time()
     if method == "thesis":
@@ -142,7 +142,7 @@ def main() -> int:
     given = parser().parse_args()
 
     from rhizotwin import engine
-    from scenes.provenance import peak_memory_mib
+    from rhizotwin.scenes.provenance import peak_memory_mib
 
     engine.start(given.device)
     work = {

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.coverage import background, silhouettes, translucency, wall
-from recon.coverage.silhouettes import Image, Mask, Silhouette
-from recon.optics import cameras
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.run import Run
-from scenes import frames
-from scenes.errors import UserError
+from rhizotwin.recon.coverage import background, silhouettes, translucency, wall
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.run import Run
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 
 _RING_VIEWS = 8
 """With fewer views of a still camera the turn does not show the empty backlight."""

@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from recon import drawing, shaping
-from recon.calibration import markers, poses
-from recon.calibration.canister_seat import CanisterSeat, find_seat
-from recon.coverage.silhouettes import Silhouette
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.results import calibrated, result
-from recon.run import Run
-from recon.tubes.root_calibration import RigDoubt
-from scenes import frames
-from scenes.dataset import sha256_of
-from scenes.errors import UserError
-from scenes.provenance import peak_memory_mib, versions
+from rhizotwin.recon import drawing, shaping
+from rhizotwin.recon.calibration import markers, poses
+from rhizotwin.recon.calibration.canister_seat import CanisterSeat, find_seat
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results import calibrated, result
+from rhizotwin.recon.run import Run
+from rhizotwin.recon.tubes.root_calibration import RigDoubt
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.provenance import peak_memory_mib, versions
 
 LEAST_VIEWS = 3
 SEAT_UNSEEN = np.array([0.1, 0.1, 0.2, 0.2])

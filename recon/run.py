@@ -10,13 +10,13 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from recon.coverage.translucency import Law
-from recon.device import threads
-from recon.tubes.root_calibration import RigDoubt, RootCalibration
-from scenes.dataset import Dataset, Frame, load_dataset, read_image
-from scenes.errors import UserError
-from scenes.model import Camera
-from scenes.pictures import Grey
+from rhizotwin.recon.coverage.translucency import Law
+from rhizotwin.recon.device import threads
+from rhizotwin.recon.tubes.root_calibration import RigDoubt, RootCalibration
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.pictures import Grey
 
 T = TypeVar("T")
 

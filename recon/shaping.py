@@ -7,21 +7,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage import silhouettes
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
-from recon.hull import carve, parsimony, surface
-from recon.hull.carve import Water
-from recon.optics import projection
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.results.result import Shape, Triple, Voxels
-from recon.roots import rooting, tube_volume
-from recon.run import Run
-from recon.tubes.root_calibration import Sights
-from recon.uncertainty import solid_doubt, tube_doubt
-from recon.uncertainty.budget import Budget
-from scenes.errors import UserError
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
+from rhizotwin.recon.hull import carve, parsimony, surface
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.result import Shape, Triple, Voxels
+from rhizotwin.recon.roots import rooting, tube_volume
+from rhizotwin.recon.run import Run
+from rhizotwin.recon.tubes.root_calibration import Sights
+from rhizotwin.recon.uncertainty import solid_doubt, tube_doubt
+from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.scenes.errors import UserError
 
 FINEST_MM = 0.14
 """Voxels larger than this are carved finer and gathered, so that their occupancy is measured and not guessed."""

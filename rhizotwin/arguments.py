@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn, TypeAlias, TypeVar
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 T = TypeVar("T")
 

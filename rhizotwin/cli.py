@@ -31,7 +31,7 @@ from rhizotwin.arguments import (
     views,
     voxel_mm,
 )
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 DEFAULT_VOXEL_MM = 0.27

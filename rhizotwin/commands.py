@@ -5,11 +5,11 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from recon.results import calibrated
 from rhizotwin import print_commands, rig_commands, steps, traits_commands
-from scenes import files
-from scenes.errors import UserError
-from scenes.truth import load_truth
+from rhizotwin.recon.results import calibrated
+from rhizotwin.scenes import files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.truth import load_truth
 
 
 def run(options: argparse.Namespace) -> None:
@@ -63,7 +63,7 @@ def simulate(options: argparse.Namespace) -> None:
         profile=options.profile,
     )
     steps.start_engine(options)
-    from sim.simulate import simulate as render
+    from rhizotwin.sim.simulate import simulate as render
 
     dataset = render(
         scene,
@@ -119,7 +119,7 @@ def import_(options: argparse.Namespace) -> None:
 
 def score(options: argparse.Namespace) -> None:
     """Print how well a result agrees with the truth."""
-    from recon.scoring.score import score as compare
+    from rhizotwin.recon.scoring.score import score as compare
 
     found = compare(options.result, options.dataset)
     print(json.dumps(found.to_dict(), indent=1) if options.json else found.table())

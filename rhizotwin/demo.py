@@ -4,10 +4,10 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+from rhizotwin.scenes import files
+from rhizotwin.scenes.atomic import beside, write_json
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.steps import change_scene, reconstruct_whole
-from scenes import files
-from scenes.atomic import beside, write_json
-from scenes.errors import UserError
 
 SCENE = "printed_8ml"
 VIEWS = 41
@@ -33,8 +33,8 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
     UserError
         If the folder holds anything else than an earlier demonstration.
     """
-    from recon.scoring.score import score
-    from sim.simulate import CannotContinueError, simulate
+    from rhizotwin.recon.scoring.score import score
+    from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     _clear(folder)
     dataset, result = folder / "dataset", folder / "result"

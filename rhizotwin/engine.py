@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17

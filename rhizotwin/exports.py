@@ -16,14 +16,14 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from recon.hull.surface import paint
-from recon.results import result_files, result_traits
 from rhizotwin import root_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
-from scenes import atomic, frames, rsml, trait_table
-from scenes.dataset import load_dataset
-from scenes.errors import UserError
-from scenes.model import Camera
+from rhizotwin.recon.hull.surface import paint
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.scenes import atomic, frames, rsml, trait_table
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
 MESHES = (".ply", ".stl", ".glb")

@@ -8,13 +8,13 @@ import numpy as np
 
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import list_pictures
-from scenes import files, frames, plan
-from scenes.atomic import new_folder, write_bytes
-from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.pictures import Grey, decode_grey
-from scenes.provenance import versions
+from rhizotwin.scenes import files, frames, plan
+from rhizotwin.scenes.atomic import new_folder, write_bytes
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.provenance import versions
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MASK_MARGIN = 0.1

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from scenes import frames
-from scenes.errors import UserError
-from scenes.model import Camera
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")

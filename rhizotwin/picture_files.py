@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 

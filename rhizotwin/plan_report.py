@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.plans import Row
-from scenes.atomic import write_bytes
+from rhizotwin.scenes.atomic import write_bytes
 
 NOTE = (
     "volume, length: median error, and the worst of the seeds; interval: its width over the true volume, and how often it holds the truth"
@@ -61,7 +61,7 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
     """Draw errors, and what was found, against all pictures of a plan; a line for each set of rings and picture size."""
-    from recon.results.pictures import figure
+    from rhizotwin.recon.results.pictures import figure
 
     has_roots = any(row.length_error is not None for row in rows)
     drawn = figure(13.5 if has_roots else 9.5, 4.6)

@@ -18,12 +18,12 @@ from tqdm import tqdm
 
 from rhizotwin import plan_report, sources
 from rhizotwin.plans import Row, Variant
-from scenes import files
-from scenes.atomic import write_bytes, write_json, write_text
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.provenance import versions
+from rhizotwin.scenes import files
+from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
 """Turning by a view, rest and exposure on the rig of the documentation: what a plan costs at the bench."""
@@ -65,7 +65,7 @@ def run_plans(
         "scene": files.scene_to_dict(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
-        "code": sources.digest(("sim.simulate", "recon.pipeline", "recon.scoring.score")),
+        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.pipeline", "rhizotwin.recon.scoring.score")),
     }
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant in variants}
@@ -109,9 +109,9 @@ def _refuse_strangers(folder: Path) -> None:
 
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
     """Return the score of one run, from its file when the same run was made before."""
-    from recon.pipeline import reconstruct
-    from recon.scoring.score import score
-    from sim.simulate import simulate
+    from rhizotwin.recon.pipeline import reconstruct
+    from rhizotwin.recon.scoring.score import score
+    from rhizotwin.sim.simulate import simulate
 
     made_with = json.loads(json.dumps({**settings, "run": files.scene_to_dict(scene), "seed": seed}))
     if path.is_file():

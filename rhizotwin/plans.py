@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
-from scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 
 
 @dataclass(frozen=True, order=True)

@@ -5,22 +5,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin.picture_files import list_pictures
+from rhizotwin.rig.printing.print_page import PAGES_MM, Paper
+from rhizotwin.scenes import files
+from rhizotwin.scenes.atomic import new_folder
+from rhizotwin.scenes.board import MARKER_SHARE, CharucoBoard, check_board, load_board, save_board
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.steps import change_scene, start_engine
-from rig.printing.print_page import PAGES_MM, Paper
-from scenes import files
-from scenes.atomic import new_folder
-from scenes.board import MARKER_SHARE, CharucoBoard, check_board, load_board, save_board
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import Camera, Scene
 
 BOARD_OPTIONS = ("squares", "square_mm", "marker_mm", "dictionary")
 
 
 def markers(options: argparse.Namespace) -> None:
     """Write the marker strip for the printer."""
-    from rig.printing.print_files import write_pages
-    from rig.printing.print_strip import strip_pages
+    from rhizotwin.rig.printing.print_files import write_pages
+    from rhizotwin.rig.printing.print_strip import strip_pages
 
     scene = files.load_scene(options.scene)
     written = write_pages(
@@ -38,8 +38,8 @@ def calibrate(options: argparse.Namespace) -> None:
 
 def board(options: argparse.Namespace) -> None:
     """Write the calibration board for the printer, and the file that describes it."""
-    from rig.printing.print_board import board_page
-    from rig.printing.print_files import write_pages
+    from rhizotwin.rig.printing.print_board import board_page
+    from rhizotwin.rig.printing.print_files import write_pages
 
     made = _board_of(options)
     described: Path = options.output.with_suffix(".toml")
@@ -55,9 +55,9 @@ def board(options: argparse.Namespace) -> None:
 
 def camera(options: argparse.Namespace) -> None:
     """Fit the lens to pictures of the board."""
-    from rig.lens.calibration import calibrate as fit
-    from rig.lens.calibration import model_text, write_calibration
-    from rig.lens.calibration_report import write_report
+    from rhizotwin.rig.lens.calibration import calibrate as fit
+    from rhizotwin.rig.lens.calibration import model_text, write_calibration
+    from rhizotwin.rig.lens.calibration_report import write_report
 
     paths = list_pictures(options.pictures)
     scene = None if options.scene is None else files.load_scene(options.scene)
@@ -88,7 +88,7 @@ def simulate(options: argparse.Namespace) -> None:
     scene = change_scene(files.load_scene(options.scene), image_wh=options.image_wh, profile=options.profile)
     made = _board_of(options)
     start_engine(options)
-    from sim.board import simulate_board
+    from rhizotwin.sim.board import simulate_board
 
     simulate_board(scene, made, options.output, pictures=options.pictures, seed=options.seed)
     print(f"{options.pictures} pictures of the board in {options.output}, the true lens in {options.output / 'truth' / 'camera.json'}")

@@ -15,15 +15,15 @@ from typing import Any, Literal
 from tqdm import tqdm
 
 from rhizotwin import steps
-from rig.devices import Camera
-from rig.rig_file import RigFile, load_rig
-from rig.scanning.homing import Ask
-from scenes import files
-from scenes.atomic import write_text
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import CapturePlan, Scene
-from scenes.schema import to_plain
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.rig_file import RigFile, load_rig
+from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.scenes import files
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Scene
+from rhizotwin.scenes.schema import to_plain
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
@@ -44,7 +44,7 @@ class Bench:
 
     def open_camera(self) -> Camera:
         """Open the camera."""
-        from rig.cameras import open_camera
+        from rhizotwin.rig.cameras import open_camera
 
         if self.twin is not None:
             camera: Camera = self.twin.open_camera()
@@ -55,8 +55,8 @@ class Bench:
 
 def scan(options: argparse.Namespace) -> None:
     """Take the pictures of a plan."""
-    from rig.open import open_devices
-    from rig.scanning.scan import scan as take
+    from rhizotwin.rig.open import open_devices
+    from rhizotwin.rig.scanning.scan import scan as take
 
     twin = options.rig == TWIN
     if not twin and options.scene is None:
@@ -95,7 +95,7 @@ def scan(options: argparse.Namespace) -> None:
 
 def twin(options: argparse.Namespace) -> None:
     """Run the emulated rig alone."""
-    from rig.twin.server import run_twin
+    from rhizotwin.rig.twin.server import run_twin
 
     scene = replace(files.load_scene(options.scene), disturbances=files.load_profile(options.profile))
     if options.output is not None and options.output.exists():
@@ -123,7 +123,7 @@ def rig(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Look at every device."""
-    from rig.bench import check as look
+    from rhizotwin.rig.bench import check as look
 
     bench = _bench(options)
     with ExitStack() as stack:
@@ -137,8 +137,8 @@ def check(options: argparse.Namespace) -> None:
 
 def jog(options: argparse.Namespace) -> None:
     """Move devices by typed lines."""
-    from rig.jog import Jog
-    from rig.open import open_devices
+    from rhizotwin.rig.jog import Jog
+    from rhizotwin.rig.open import open_devices
 
     bench = _bench(options)
     typed = sys.stdin.isatty()
@@ -154,7 +154,7 @@ def jog(options: argparse.Namespace) -> None:
 
 def example(options: argparse.Namespace) -> None:
     """Write a complete rig file."""
-    from rig.example import EXAMPLE
+    from rhizotwin.rig.example import EXAMPLE
 
     if options.output.exists():
         raise UserError(f"{options.output} exists already; choose another name")
@@ -164,7 +164,7 @@ def example(options: argparse.Namespace) -> None:
 
 def camera(options: argparse.Namespace) -> None:
     """Serve a camera to another computer."""
-    from rig.cameras.server import serve_camera
+    from rhizotwin.rig.cameras.server import serve_camera
 
     part = load_rig(options.rig).camera
     lens = (files.load_scene(options.scene) if options.scene else Scene()).camera
@@ -174,7 +174,7 @@ def camera(options: argparse.Namespace) -> None:
 def _bench(options: argparse.Namespace, *, plan: str | None = None, pictures: Literal["render", "sketch"] = "sketch") -> Bench:
     """Return the rig that the command line names, with its scene."""
     if options.rig != TWIN:
-        from rig.clock import SystemClock
+        from rhizotwin.rig.clock import SystemClock
 
         real = load_rig(options.rig)
         scene = files.load_scene(options.scene) if options.scene else Scene()
@@ -183,7 +183,7 @@ def _bench(options: argparse.Namespace, *, plan: str | None = None, pictures: Li
     scene = replace(scene, disturbances=files.load_profile(options.profile))
     if pictures == "render":
         steps.start_engine(options)
-    from rig.twin.twin import Twin
+    from rhizotwin.rig.twin.twin import Twin
 
     emulated = Twin(scene, seed=options.seed, profile_name=options.profile, pictures=pictures)
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
@@ -205,7 +205,7 @@ def _recorder(path: Path | None, stack: ExitStack) -> Any:
     """Open what keeps the bytes on the wire, if it is asked for."""
     if path is None:
         return None
-    from rig.serial_line.recording import Recorder
+    from rhizotwin.rig.serial_line.recording import Recorder
 
     if path.is_file() and path.stat().st_size and not path.read_bytes().startswith(b'{"recording"'):
         raise UserError(f"{path} exists already and holds no record; choose another name")

@@ -7,7 +7,7 @@ import trimesh
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 

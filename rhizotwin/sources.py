@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("scenes", "sim", "recon", "benchmarks")
+PACKAGES = ("rhizotwin.scenes", "rhizotwin.sim", "rhizotwin.recon", "benchmarks")
 """Packages whose modules count; libraries count by their versions."""
 
-DATA_OF_SCENES = ("scenes/library", "scenes/profiles")
+DATA_OF_SCENES = ("rhizotwin/scenes/library", "rhizotwin/scenes/profiles")
 """What these hold is in the settings of every picture already."""
 
 _Import = tuple[int, str, tuple[str, ...]]
@@ -50,8 +50,8 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
     for name, file in ((name, _file(name, root)) for name in modules):
         if file is not None:
             total.update(f"{name}\0{_read(file.read_bytes())[0]}\0".encode())
-    for package in sorted({name.partition(".")[0] for name in modules}):
-        for path in sorted((root / package).rglob("*")):
+    for package in sorted({_package(name) for name in modules} - {""}):
+        for path in sorted(root.joinpath(*package.split("."), "").rglob("*")):
             place = path.relative_to(root).as_posix()
             if path.is_file() and path.suffix not in (".py", ".pyc", ".json") and not place.startswith(DATA_OF_SCENES):
                 total.update(f"{place}\0".encode() + path.read_bytes())
@@ -60,10 +60,15 @@ def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str]
 
 def _file(module: str, root: Path) -> Path | None:
     """Return a module's file; None where it is none of ours (a name inside a module, a library)."""
-    if module.partition(".")[0] not in PACKAGES:
+    if not _package(module):
         return None
     place = root.joinpath(*module.split("."))
     return next((file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()), None)
+
+
+def _package(module: str) -> str:
+    """Return which of our packages a module lies in; nothing where in none."""
+    return next((package for package in PACKAGES if module == package or module.startswith(f"{package}.")), "")
 
 
 def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin import engine
-from scenes import files
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import CapturePlan, Scene
-from scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.scenes import files
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Scene
+from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 _RSML_SUFFIXES = (".rsml", ".xml")
 _RESULT_NAMES = (
@@ -71,11 +71,11 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
-    from recon.pipeline import reconstruct as find_shape
-    from recon.results import report
-    from recon.results.result_files import read_mesh
-    from recon.scoring.score import truth_mesh_path
-    from scenes.atomic import new_folder
+    from rhizotwin.recon.pipeline import reconstruct as find_shape
+    from rhizotwin.recon.results import report
+    from rhizotwin.recon.results.result_files import read_mesh
+    from rhizotwin.recon.scoring.score import truth_mesh_path
+    from rhizotwin.scenes.atomic import new_folder
 
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:

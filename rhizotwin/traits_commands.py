@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 from rhizotwin import traits_cli
-from scenes import atomic, trait_table
-from scenes.errors import UserError
+from rhizotwin.scenes import atomic, trait_table
+from rhizotwin.scenes.errors import UserError
 
 
 def traits(options: argparse.Namespace) -> None:
@@ -16,7 +16,7 @@ def traits(options: argparse.Namespace) -> None:
         raise UserError(wrong)
     if options.output is not None and options.output.exists():
         raise UserError(f"{options.output} exists already; choose another name")
-    from recon.results import result_files, result_traits
+    from rhizotwin.recon.results import result_files, result_traits
 
     masses = options.mass_g or (None,) * len(options.results)
     summaries = [result_files.read_summary(folder) for folder in options.results]

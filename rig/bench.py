@@ -4,17 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from rig.clock import Clock
-from rig.devices import Arm, Camera, Lights, Turntable
-from rig.errors import RigError
-from rig.open import open_arm, open_board
-from rig.rig_file import ArmPart, RigFile
-from rig.scanning import preflight
-from rig.scanning.safety import Say
-from rig.serial_line.recording import Recorder
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.pictures import Grey
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import open_arm, open_board
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.scanning import preflight
+from rhizotwin.rig.scanning.safety import Say
+from rhizotwin.rig.serial_line.recording import Recorder
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
 
 AT_REST_DEG = 5.0
 """An arm this near to its place of rest may lose its torque."""

@@ -7,7 +7,7 @@ one calls ``close`` on every way out.
 from dataclasses import dataclass
 from typing import Protocol
 
-from scenes.pictures import Grey
+from rhizotwin.scenes.pictures import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
 """Angles to which a turntable can be sent: its wires allow no more turns."""

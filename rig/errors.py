@@ -1,6 +1,6 @@
 """What goes wrong on a rig. Every message is one sentence that names the device, what happened and what to do."""
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 
 class RigError(UserError):

@@ -6,20 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arm.clearance import check_path, plan_path
-from rig.arm.kinematics import cam_from_rig as camera_at
-from rig.arm.placing import arm_of, camera_wanted, joints_for, place_of, within_limits
-from rig.devices import Arm
-from rig.errors import RigError
-from rig.open import Devices
-from rig.scanning import preflight
-from rig.scanning.homing import facing_angle
-from rig.scanning.markers import Sighting, read_strip, why_unread
-from rig.scanning.safety import Say, make_safe, park
-from scenes.atomic import write_bytes
-from scenes.errors import UserError
-from scenes.model import Ring, Scene
-from scenes.pictures import Grey, encode_png
+from rhizotwin.rig.arm.clearance import check_path, plan_path
+from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
+from rhizotwin.rig.arm.placing import arm_of, camera_wanted, joints_for, place_of, within_limits
+from rhizotwin.rig.devices import Arm
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning import preflight
+from rhizotwin.rig.scanning.homing import facing_angle
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.safety import Say, make_safe, park
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.pictures import Grey, encode_png
 
 JOINT_COUNT = 5
 

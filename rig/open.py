@@ -4,18 +4,18 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from rig.arm.arm import open_arm as arm_on
-from rig.cameras import open_camera
-from rig.clock import Clock
-from rig.devices import Arm, Camera, Lights, Turntable
-from rig.errors import RigError
-from rig.rig_file import RigFile
-from rig.serial_line.port import Port
-from rig.serial_line.recording import Recorder
-from rig.table.lights import MarlinLights
-from rig.table.marlin import MarlinLink
-from rig.table.turntable import MarlinTurntable
-from scenes.model import Scene
+from rhizotwin.rig.arm.arm import open_arm as arm_on
+from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.rig.serial_line.port import Port
+from rhizotwin.rig.serial_line.recording import Recorder
+from rhizotwin.rig.table.lights import MarlinLights
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.turntable import MarlinTurntable
+from rhizotwin.scenes.model import Scene
 
 
 @dataclass(kw_only=True)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scenes.files import read_toml
-from scenes.limits import bounded
-from scenes.schema import Place, from_plain
+from rhizotwin.scenes.files import read_toml
+from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.schema import Place, from_plain
 
 JOINTS = 5
 LSC_BAUD = 9600

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 _FULL_DISK = {errno.ENOSPC, errno.EDQUOT}
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scenes import toml_text
-from scenes.atomic import write_text
-from scenes.errors import UserError
-from scenes.files import read_toml
-from scenes.frames import Array
-from scenes.limits import bounded
-from scenes.markers import black_rectangles, dictionary_named
-from scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes import toml_text
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import read_toml
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.markers import black_rectangles, dictionary_named
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 MARKER_SHARE = 11.0 / 15.0
 """Side of a marker over that of its square, where nothing else is said."""

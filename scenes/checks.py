@@ -5,9 +5,9 @@ import math
 import cv2
 import numpy as np
 
-from scenes.model import Camera, Scene
-from scenes.schema import Place, suggestion
-from scenes.specimens import GrownSpecimen, SphereSpecimen
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.schema import Place, suggestion
+from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
 
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:

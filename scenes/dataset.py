@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from scenes.atomic import write_json
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.pictures import Grey, decode_grey
-from scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.atomic import write_json
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 SCHEMA_VERSION = 1
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from scenes import toml_text
-from scenes.atomic import write_text
-from scenes.checks import check_scene
-from scenes.errors import UserError
-from scenes.model import Disturbances, Scene
-from scenes.schema import Place, from_plain, suggestion, to_plain
-from scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.scenes import toml_text
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
+from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 _LIBRARY = Path(__file__).parent / "library"
 _PROFILES = Path(__file__).parent / "profiles"

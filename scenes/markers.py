@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from scenes.frames import Array
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.frames import Array
 
 
 def dictionary_named(name: str) -> cv2.aruco.Dictionary:

@@ -6,8 +6,8 @@ A field's unit is in its name. ``limits`` in a field's metadata are inclusive bo
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from scenes.limits import bounded
-from scenes.specimens import Specimen
+from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.specimens import Specimen
 
 
 @dataclass(frozen=True, kw_only=True)

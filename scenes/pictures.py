@@ -7,7 +7,7 @@ import zlib
 import cv2
 import numpy as np
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"

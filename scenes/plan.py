@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes import frames
-from scenes.model import MarkerStrip, NetPot, Scene
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 
 @dataclass(frozen=True, kw_only=True)

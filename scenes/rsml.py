@@ -16,8 +16,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.atomic import write_bytes
-from scenes.errors import UserError
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.errors import UserError
 
 Array = NDArray[np.float64]
 

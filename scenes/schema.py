@@ -12,7 +12,7 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 T = TypeVar("T")
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from scenes.limits import bounded
+from rhizotwin.scenes.limits import bounded
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
+from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenes.atomic import write_json
-from scenes.dataset import check_rigid, read_versioned_json
-from scenes.errors import UserError
-from scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.atomic import write_json
+from rhizotwin.scenes.dataset import check_rigid, read_versioned_json
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
 
 SCHEMA_VERSION = 1
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 

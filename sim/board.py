@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from scenes import frames
-from scenes.atomic import new_folder, write_image, write_json
-from scenes.board import CharucoBoard, black_parts, check_board, save_board
-from scenes.errors import UserError
-from scenes.model import Camera, Scene
-from scenes.schema import to_plain
-from sim import sensor
-from sim.exposure import expose
-from sim.strip import INK, PAPER
-from sim.textures import bitmap
-from sim.world import lens_distortion
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import new_folder, write_image, write_json
+from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, save_board
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.schema import to_plain
+from rhizotwin.sim import sensor
+from rhizotwin.sim.exposure import expose
+from rhizotwin.sim.strip import INK, PAPER
+from rhizotwin.sim.textures import bitmap
+from rhizotwin.sim.world import lens_distortion
 
 BORDER_MM = 12.0
 """White paper round the pattern."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.model import Canister, NetPot
-from scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.model import Canister, NetPot
+from rhizotwin.scenes.specimens import GrownSpecimen
 
 Array = NDArray[np.float64]
 

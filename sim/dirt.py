@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.model import Scene
+from rhizotwin.scenes.model import Scene
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.model import Camera, Disturbances
+from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
 """Electrons at full scale where a profile has read noise but no photon noise (about that of the Pi HQ camera's pixels)."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from scenes.model import Canister, NetPot
-from scenes.rsml import Root
-from scenes.specimens import GrownSpecimen, RootOrder
-from sim.confinement import Bounds, bounds, keep_inside, steer
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Canister, NetPot
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
+from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 
 Array = NDArray[np.float64]
 

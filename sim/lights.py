@@ -8,11 +8,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import frames
-from scenes.model import Lights, Scene
-from sim import strip
-from sim.textures import bitmap
-from sim.world import TrueCamera, World
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Lights, Scene
+from rhizotwin.sim import strip
+from rhizotwin.sim.textures import bitmap
+from rhizotwin.sim.world import TrueCamera, World
 
 
 def lights(scene: Scene, world: World) -> dict[str, Any]:

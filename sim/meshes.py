@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from sim.solids import Array, Faces, manifold_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.sim.solids import Array, Faces, manifold_of
 
 SUFFIXES = (".ply", ".stl", ".obj")
 LEAST_MM = 0.5

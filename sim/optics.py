@@ -11,12 +11,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import frames
-from scenes.model import Scene
-from sim import dirt, lights, strip
-from sim.specimen import SpecimenSolid
-from sim.textures import bitmap
-from sim.world import World
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
+from rhizotwin.sim import dirt, lights, strip
+from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.textures import bitmap
+from rhizotwin.sim.world import World
 
 SPECIMEN = "specimen"
 ROOT_REFLECTANCE = 0.35

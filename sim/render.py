@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from scenes.model import Scene
-from sim import integrators, lights, optics, sensor
-from sim.specimen import SpecimenSolid
-from sim.world import TrueCamera, World
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.sim import integrators, lights, optics, sensor
+from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}

@@ -12,8 +12,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from scenes import frames
-from scenes.model import Camera
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera
 
 PLUGIN = "opencv"
 NEWTON_STEPS = 6

@@ -10,18 +10,18 @@ import mitsuba as mi
 import numpy as np
 from tqdm import tqdm
 
-from scenes import plan
-from scenes.atomic import write_image, write_json
-from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.provenance import versions
-from scenes.truth import save_truth
-from sim.exposure import expose, mask_picture
-from sim.render import Fidelity, Renderer, checked_samples
-from sim.specimen import SpecimenSolid, build_specimen
-from sim.truth import truth_of, write_specimen
-from sim.world import World, as_given, draw_world
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.atomic import write_image, write_json
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.truth import save_truth
+from rhizotwin.sim.exposure import expose, mask_picture
+from rhizotwin.sim.render import Fidelity, Renderer, checked_samples
+from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
+from rhizotwin.sim.truth import truth_of, write_specimen
+from rhizotwin.sim.world import World, as_given, draw_world
 
 PROGRESS_FILE = "truth/simulate.json"
 """What the set is made with and which frames are done; it is what a second start compares and continues."""

@@ -8,8 +8,8 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from scenes.rsml import Root
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]

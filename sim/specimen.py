@@ -8,14 +8,14 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.rsml import Root, read_rsml
-from scenes.schema import to_plain
-from scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
-from scenes.traits import measure_traits
-from sim import growth, meshes, solids
-from sim.solids import Array, Faces
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root, read_rsml
+from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.traits import measure_traits
+from rhizotwin.sim import growth, meshes, solids
+from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
 """81920 faces: 0.0024 % from the ball before it is scaled to the ball's volume."""

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import UserError
-from scenes.model import MarkerStrip, NetPot
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import MarkerStrip, NetPot
 
 PAPER = 0.85
 INK = 0.04

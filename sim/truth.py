@@ -7,12 +7,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scenes.atomic import write_bytes
-from scenes.files import scene_to_dict
-from scenes.rsml import write_rsml
-from scenes.truth import TrueView, Truth
-from sim.specimen import SpecimenSolid
-from sim.world import TrueCamera, World
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.files import scene_to_dict
+from rhizotwin.scenes.rsml import write_rsml
+from rhizotwin.scenes.truth import TrueView, Truth
+from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.world import TrueCamera, World
 
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:

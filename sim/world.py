@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import frames, plan
-from scenes.model import Disturbances, Scene
-from sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
 
 # One number an effect: the second key of its random stream.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8

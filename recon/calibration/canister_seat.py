@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from recon.optics.cameras import View, matrix
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Scene
-from scenes.pictures import Grey
+from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
 
 LEVELS_MM = 2.5
 """Distance of the heights at which the edges are looked for."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from scenes.frames import Array
+from rhizotwin.scenes.frames import Array
 
 MARGIN: Final = 0.16
 """How much of the quiet zone takes part, in half sides."""

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration.marker_fit import fit_marker
-from scenes.errors import UserError
-from scenes.frames import Array
-from scenes.markers import dictionary_named
-from scenes.model import MarkerStrip
+from rhizotwin.recon.calibration.marker_fit import fit_marker
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.markers import dictionary_named
+from rhizotwin.scenes.model import MarkerStrip
 
 Bytes = NDArray[np.uint8]
 Picture = NDArray[np.uint8 | np.uint16]

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from recon.calibration import view_fit
-from recon.calibration.markers import Markers
-from recon.calibration.rig_fit import RigFit, fit_rig
-from recon.calibration.rig_start import first_rig
-from recon.calibration.view_fit import LEAST_MARKERS, Sightings
-from scenes.dataset import Frame
-from scenes.errors import UserError
-from scenes.frames import Array
-from scenes.model import Scene
+from rhizotwin.recon.calibration import view_fit
+from rhizotwin.recon.calibration.markers import Markers
+from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
+from rhizotwin.recon.calibration.rig_start import first_rig
+from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, Sightings
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Scene
 
 WORST_PX = 1.0
 """A view is left out above this reprojection error when it is also above `WORST_FACTOR` times the median of all views."""

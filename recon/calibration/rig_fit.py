@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration.view_fit import Linearised, Sightings, adjoint, linearise, twist
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.recon.calibration.view_fit import Linearised, Sightings, adjoint, linearise, twist
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 SEAT = np.array([0, 1, 3, 4])
 """The parts of a twist that seat a canister on a table: tilt about x and y, offset in x and y (height and turn belong to the camera)."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration.rig_fit import Rig
-from scenes import frames
-from scenes.dataset import Frame
-from scenes.frames import Array
+from rhizotwin.recon.calibration.rig_fit import Rig
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.frames import Array
 
 AGREE_RAD = np.deg2rad(5.0)
 """Commanded table angles are believed when the pictures agree within this."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from recon.calibration.markers import Markers
-from recon.optics.cameras import matrix
-from scenes import frames, plan
-from scenes.frames import Array
-from scenes.model import Camera, Scene
+from rhizotwin.recon.calibration.markers import Markers
+from rhizotwin.recon.optics.cameras import matrix
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Camera, Scene
 
 LEAST_MARKERS = 4
 FLOOR_PX = 0.02

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.optics import cameras, refraction
-from recon.optics.refraction import Array, Optics
-from scenes.model import Scene
+from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.scenes.model import Scene
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

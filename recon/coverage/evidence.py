@@ -13,10 +13,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
-from recon.device import numbers, vectors, wholes
-from recon.optics import projection
-from recon.optics.projection import Projected, ViewBank
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
+from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import Projected, ViewBank
 
 Array = NDArray[np.float64]
 

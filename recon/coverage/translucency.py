@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from recon.coverage.silhouettes import Image, Mask
+from rhizotwin.recon.coverage.silhouettes import Image, Mask
 
 Array = NDArray[np.float64]
 

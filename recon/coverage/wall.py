@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from recon.coverage.silhouettes import Image, Mask
-from recon.optics import cameras, refraction
-from recon.optics.cameras import View
-from recon.optics.refraction import Array, Optics
+from rhizotwin.recon.coverage.silhouettes import Image, Mask
+from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Array, Optics
 
 T = TypeVar("T")
 

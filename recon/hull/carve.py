@@ -21,9 +21,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
-from recon.optics import projection
-from recon.optics.projection import ViewBank
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]

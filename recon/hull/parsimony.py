@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage import morphology
 
-from recon.hull import carve
-from recon.hull.carve import DistanceMaps, Leaves
-from recon.hull.surface import paint, to_voxels
-from recon.optics import projection
-from recon.optics.projection import ViewBank
+from rhizotwin.recon.hull import carve
+from rhizotwin.recon.hull.carve import DistanceMaps, Leaves
+from rhizotwin.recon.hull.surface import paint, to_voxels
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 from skimage import measure
 
-from recon.hull.carve import Leaves
+from rhizotwin.recon.hull.carve import Leaves
 
 _BRICK = 96
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.optics import refraction
-from recon.optics.refraction import Array, Optics
-from scenes import frames
-from scenes.model import Camera
+from rhizotwin.recon.optics import refraction
+from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,11 +20,11 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
-from recon.device import numbers
-from recon.optics import refraction
-from recon.optics.cameras import View
-from recon.optics.refraction import Array, Optics
-from scenes import frames
+from rhizotwin.recon.device import numbers
+from rhizotwin.recon.optics import refraction
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.scenes import frames
 
 _PARAMETERS = 32
 _CELL_MM = 1.0

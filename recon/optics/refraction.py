@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.model import Scene
+from rhizotwin.scenes.model import Scene
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scenes import frames
+from rhizotwin.scenes import frames
 
 if TYPE_CHECKING:  # the command line reads results without starting the engine
-    from recon.optics.refraction import Optics
-    from recon.tubes.root_calibration import RootCalibration
+    from rhizotwin.recon.optics.refraction import Optics
+    from rhizotwin.recon.tubes.root_calibration import RootCalibration
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from recon.results import shading, surface_distance
-from recon.results.result_files import Mesh, picture_path, read_grey
-from scenes import frames, plan
-from scenes.dataset import Dataset, read_image
-from scenes.model import Scene
+from rhizotwin.recon.results import shading, surface_distance
+from rhizotwin.recon.results.result_files import Mesh, picture_path, read_grey
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.model import Scene
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]

@@ -8,10 +8,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from recon.results import pictures, report_roots, report_tables, result_files, result_traits
-from scenes import atomic, rsml
-from scenes.dataset import Dataset, load_dataset
-from scenes.traits import Traits
+from rhizotwin.recon.results import pictures, report_roots, report_tables, result_files, result_traits
+from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.traits import Traits
 
 DPI = 130
 

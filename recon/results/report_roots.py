@@ -10,11 +10,11 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from recon.results import pictures, shading
-from scenes import frames
-from scenes.dataset import Dataset, read_image
-from scenes.rsml import Root
-from scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
+from rhizotwin.recon.results import pictures, shading
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Floats = NDArray[np.float64]
 

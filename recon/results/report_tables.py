@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from recon.results import calibrated
-from scenes import frames
-from scenes.trait_table import DEFINITIONS, shown
-from scenes.traits import Traits
+from rhizotwin.recon.results import calibrated
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.trait_table import DEFINITIONS, shown
+from rhizotwin.scenes.traits import Traits
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:

@@ -20,14 +20,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from recon.coverage.silhouettes import Silhouette
-from recon.results import result_traits
-from recon.results.result_files import SCHEMA_VERSION, picture_path
-from recon.uncertainty.budget import Budget
-from scenes import atomic, rsml
-from scenes.rsml import Root
-from scenes.schema import to_plain
-from scenes.traits import Traits
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.result_files import SCHEMA_VERSION, picture_path
+from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.traits import Traits
 
 Triple = tuple[float, float, float]
 

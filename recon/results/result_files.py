@@ -22,9 +22,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scenes.dataset import Dataset, sha256_of
-from scenes.errors import UserError
-from scenes.pictures import decode_grey
+from rhizotwin.scenes.dataset import Dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.pictures import decode_grey
 
 Floats = NDArray[np.float64]
 

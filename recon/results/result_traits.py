@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.results import result_files
-from scenes import rsml, trait_table, tube_surface
-from scenes.rsml import Root
-from scenes.traits import Traits, measure_traits
+from rhizotwin.recon.results import result_files
+from rhizotwin.scenes import rsml, trait_table, tube_surface
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import Traits, measure_traits
 
 Floats = NDArray[np.float64]
 

@@ -24,10 +24,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence
-from recon.hull.carve import Grid, Leaves
-from recon.hull.parsimony import even
-from recon.roots.footprints import Footprints, Table, Windows
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.hull.carve import Grid, Leaves
+from rhizotwin.recon.hull.parsimony import even
+from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 
 Array = NDArray[np.float64]
 

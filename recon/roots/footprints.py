@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence, bilinear
-from recon.optics import projection
+from rhizotwin.recon.coverage.evidence import Evidence, bilinear
+from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.roots.proof import Proof
-from recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.roots.proof import Proof
+from rhizotwin.recon.tubes.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 _Point = tuple[Array, float]

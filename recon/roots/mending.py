@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.roots import turning
-from recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, hanging_order
+from rhizotwin.recon.roots import turning
+from rhizotwin.recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, hanging_order
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -8,10 +8,10 @@ from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from recon.hull.parsimony import Balls
-from recon.roots.density import Cells
-from recon.tubes import tubes
-from recon.tubes.tubes import SPACING_MM, Tubes
+from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.roots.density import Cells
+from rhizotwin.recon.tubes import tubes
+from rhizotwin.recon.tubes.tubes import SPACING_MM, Tubes
 
 Mask = NDArray[np.bool_]
 

@@ -10,10 +10,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence, Nodes
-from recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
-from recon.tubes.tube_profiles import Sections
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence, Nodes
+from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
+from rhizotwin.recon.tubes.tube_profiles import Sections
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 

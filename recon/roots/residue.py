@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from recon.coverage.evidence import Evidence, bilinear
-from recon.optics import projection
-from recon.roots import ghosts, tracing
-from recon.roots.density import Cells
-from recon.tubes import tubes
-from recon.tubes.translucent_tube import radius_of
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence, bilinear
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.roots import ghosts, tracing
+from rhizotwin.recon.roots.density import Cells
+from rhizotwin.recon.tubes import tubes
+from rhizotwin.recon.tubes.translucent_tube import radius_of
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 

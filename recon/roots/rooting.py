@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from recon.coverage import evidence
-from recon.coverage.evidence import CORE_PX, Evidence
-from recon.coverage.silhouettes import Image, Silhouette, Window
-from recon.hull import carve, parsimony
-from recon.hull.carve import DistanceMaps, Grid, Water
-from recon.hull.parsimony import Balls
-from recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
-from recon.roots.density import Cells
-from recon.roots.proof import Proof
-from recon.run import Run
-from recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
-from recon.tubes.root_calibration import Sights
-from recon.tubes.tube_law import TubeLaw
-from recon.tubes.tube_profiles import Pull
-from recon.tubes.tubes import Tubes
-from scenes.rsml import Root
+from rhizotwin.recon.coverage import evidence
+from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
+from rhizotwin.recon.coverage.silhouettes import Image, Silhouette, Window
+from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Water
+from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
+from rhizotwin.recon.roots.density import Cells
+from rhizotwin.recon.roots.proof import Proof
+from rhizotwin.recon.run import Run
+from rhizotwin.recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
+from rhizotwin.recon.tubes.root_calibration import Sights
+from rhizotwin.recon.tubes.tube_law import TubeLaw
+from rhizotwin.recon.tubes.tube_profiles import Pull
+from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

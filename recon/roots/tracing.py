@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from recon.roots.density import Cells
+from rhizotwin.recon.roots.density import Cells
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

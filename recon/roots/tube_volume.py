@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.hull.carve import Leaves
-from recon.hull.parsimony import even
-from recon.roots.rooting import RootSystem
-from recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.hull.carve import Leaves
+from rhizotwin.recon.hull.parsimony import even
+from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.tubes.tubes import Index, Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

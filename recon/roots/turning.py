@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, children_of, owners
+from rhizotwin.recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, children_of, owners
 
 Array = NDArray[np.float64]
 

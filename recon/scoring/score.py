@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from recon.results import result_files, result_traits
-from recon.scoring import score_traits
-from recon.scoring.score_rig import RigError, compare_rig
-from recon.scoring.score_roots import RootScore, compare_roots
-from recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
-from recon.scoring.score_traits import TraitScore, compare_traits
-from recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
-from scenes import rsml
-from scenes.dataset import load_dataset
-from scenes.errors import UserError
-from scenes.traits import Traits, measure_traits
-from scenes.truth import load_truth
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.scoring import score_traits
+from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
+from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
+from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from rhizotwin.recon.scoring.score_traits import TraitScore, compare_traits
+from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.traits import Traits, measure_traits
+from rhizotwin.scenes.truth import load_truth
 
 Triple = tuple[float, float, float]
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from recon.results.calibrated import Row, rows
-from scenes import frames
-from scenes.truth import Truth
+from rhizotwin.recon.results.calibrated import Row, rows
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.truth import Truth
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.results import surface_distance
-from recon.results.result_files import Leaves, Mesh
-from recon.scoring import voxelise
+from rhizotwin.recon.results import surface_distance
+from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.scoring import voxelise
 
 SURFACE_SAMPLES = 20_000
 """Points on each surface; the sampling error of the median is below 1 % of the spread."""

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from scenes.trait_table import DEFINITIONS, HISTOGRAMS, shown
-from scenes.traits import Traits
+from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, shown
+from rhizotwin.scenes.traits import Traits
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.results.result_files import picture_path, read_grey
-from scenes import frames
-from scenes.errors import UserError
-from scenes.truth import Truth
+from rhizotwin.recon.results.result_files import picture_path, read_grey
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.truth import Truth
 
 HALF = 0.49
 """Half coverage, a little less: sampled coverage is often exactly one half, and rounding must not decide."""

@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from recon.coverage.evidence import Evidence
-from recon.optics.cameras import View
-from recon.optics.projection import ViewBank
-from recon.optics.refraction import Optics
-from recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
-from recon.tubes.sight_change import QUANTITIES
-from recon.tubes.tube_profiles import HostProfiles, Pull
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes.sight_change import QUANTITIES
+from rhizotwin.recon.tubes.tube_profiles import HostProfiles, Pull
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.calibration.view_fit import twist
-from recon.optics import refraction
-from recon.optics.cameras import View, camera_directions, in_azimuth
-from recon.optics.refraction import Optics
+from rhizotwin.recon.calibration.view_fit import twist
+from rhizotwin.recon.optics import refraction
+from rhizotwin.recon.optics.cameras import View, camera_directions, in_azimuth
+from rhizotwin.recon.optics.refraction import Optics
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.device import numbers
+from rhizotwin.recon.device import numbers
 
 Array = NDArray[np.float64]
 

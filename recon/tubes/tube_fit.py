@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from recon.coverage.evidence import Evidence
-from recon.tubes import tube_picture, tube_profiles
-from recon.tubes.tube_profiles import Pull
-from recon.tubes.tubes import Tubes, moved
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.tubes import tube_picture, tube_profiles
+from rhizotwin.recon.tubes.tube_profiles import Pull
+from rhizotwin.recon.tubes.tubes import Tubes, moved
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

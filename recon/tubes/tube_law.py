@@ -14,11 +14,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.translucency import CLEARLY
-from recon.tubes import translucent_tube, tube_fit, tube_picture, tube_profiles, tubes
-from recon.tubes.tube_profiles import OUTLIER
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.translucency import CLEARLY
+from rhizotwin.recon.tubes import translucent_tube, tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_profiles import OUTLIER
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

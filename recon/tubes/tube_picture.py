@@ -21,11 +21,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from recon.device import numbers, vectors, wholes
-from recon.tubes import translucent_tube
-from recon.tubes.translucent_tube import Layer
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
+from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.tubes import translucent_tube
+from rhizotwin.recon.tubes.translucent_tube import Layer
+from rhizotwin.recon.tubes.tubes import Tubes
 
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""

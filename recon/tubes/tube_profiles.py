@@ -15,12 +15,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.coverage.evidence import Evidence, Nodes, bilinear, sine_to_sight
-from recon.device import numbers, vectors, wholes
-from recon.tubes import translucent_tube
-from recon.tubes.translucent_tube import Layer
-from recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
-from recon.tubes.tubes import Tubes
+from rhizotwin.recon.coverage.evidence import Evidence, Nodes, bilinear, sine_to_sight
+from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.tubes import translucent_tube
+from rhizotwin.recon.tubes.translucent_tube import Layer
+from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
+from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 

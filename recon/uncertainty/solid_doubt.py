@@ -11,11 +11,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from recon.hull import carve, parsimony
-from recon.hull.carve import DistanceMaps, Grid, Hull, Leaves, Water
-from recon.hull.parsimony import Trimmed
-from recon.optics.projection import ViewBank
-from recon.uncertainty.budget import Term
+from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Hull, Leaves, Water
+from rhizotwin.recon.hull.parsimony import Trimmed
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.uncertainty.budget import Term
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
-from recon.coverage.evidence import Evidence
-from recon.roots.rooting import RootSystem
-from recon.tubes import tube_fit, tube_law, tube_picture, tube_profiles
-from recon.tubes.tube_profiles import HostProfiles
-from recon.tubes.tubes import Tubes
-from recon.uncertainty.budget import NINETY, Term
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.tubes import tube_fit, tube_law, tube_picture, tube_profiles
+from rhizotwin.recon.tubes.tube_profiles import HostProfiles
+from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,13 @@ too warm, or has lost its torque shows there.
 
 import math
 
-from rig.arm.lsc_board import LscBoard
-from rig.arm.lx_bus import LxBus
-from rig.arm.servo_bus import MAX_COUNTS, MAX_MOVE_S, MIN_COUNTS, ServoBus
-from rig.clock import Clock
-from rig.errors import LostError, RigError, UnsafeError
-from rig.rig_file import JOINTS, ArmPart, Joint
-from rig.serial_line.port import Wire
+from rhizotwin.rig.arm.lsc_board import LscBoard
+from rhizotwin.rig.arm.lx_bus import LxBus
+from rhizotwin.rig.arm.servo_bus import MAX_COUNTS, MAX_MOVE_S, MIN_COUNTS, ServoBus
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.errors import LostError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import JOINTS, ArmPart, Joint
+from rhizotwin.rig.serial_line.port import Wire
 
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arm.kinematics import places, rig_from_arm
-from rig.arm.placing import Joints, arm_of
-from rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
-from rig.errors import UnsafeError
-from rig.rig_file import RigFile
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Scene
+from rhizotwin.rig.arm.kinematics import places, rig_from_arm
+from rhizotwin.rig.arm.placing import Joints, arm_of
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Scene
 
 TABLE_THICKNESS_MM = 20.0
 """Of the table's disc, below the canister."""

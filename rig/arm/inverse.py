@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.arm.kinematics import body_jacobian, forward, log_se3
-from rig.rig_file import ArmPart
-from scenes.frames import Array
+from rhizotwin.rig.arm.kinematics import body_jacobian, forward, log_se3
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.scenes.frames import Array
 
 EXACT_MM = 1e-9
 """Lengths below this are rounding."""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from rig.rig_file import JOINTS, ArmPart
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.rig.rig_file import JOINTS, ArmPart
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 LINK_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation of the camera on the last link at roll 0."""

@@ -15,9 +15,9 @@ prefer the servo bus (protocol "lx"), which has checksums.
 from collections.abc import Callable, Collection, Iterator, Mapping
 from statistics import median
 
-from rig.arm.servo_bus import HEADER, MAX_COUNTS, MIN_COUNTS, Found, check_move, listen
-from rig.errors import NoAnswerError
-from rig.serial_line.port import Wire
+from rhizotwin.rig.arm.servo_bus import HEADER, MAX_COUNTS, MIN_COUNTS, Found, check_move, listen
+from rhizotwin.rig.errors import NoAnswerError
+from rhizotwin.rig.serial_line.port import Wire
 
 BAUD = 9600
 SERVO_MOVE = 3

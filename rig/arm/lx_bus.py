@@ -8,9 +8,9 @@ commanded; a lost write is noticed because everything written is read back.
 from collections.abc import Collection, Mapping
 from typing import Literal
 
-from rig.arm.servo_bus import HEADER, check_move, listen
-from rig.errors import NoAnswerError, RigError
-from rig.serial_line.port import Wire
+from rhizotwin.rig.arm.servo_bus import HEADER, check_move, listen
+from rhizotwin.rig.errors import NoAnswerError, RigError
+from rhizotwin.rig.serial_line.port import Wire
 
 BROADCAST = 254
 MOVE_TIME_READ = 2

@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arm.inverse import Branches, Found, inverse, newton
-from rig.arm.kinematics import rig_from_arm
-from rig.arm.tangency import azimuth_rad, correct, tangent
-from rig.errors import RigError, UnsafeError
-from rig.rig_file import ArmPart, RigFile
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Ring
+from rhizotwin.rig.arm.inverse import Branches, Found, inverse, newton
+from rhizotwin.rig.arm.kinematics import rig_from_arm
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent
+from rhizotwin.rig.errors import RigError, UnsafeError
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Ring
 
 Joints = tuple[float, ...]
 

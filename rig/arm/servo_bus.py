@@ -3,8 +3,8 @@
 from collections.abc import Callable, Collection, Mapping
 from typing import Protocol, TypeVar
 
-from rig.errors import UnsafeError
-from rig.serial_line.port import Wire
+from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.serial_line.port import Wire
 
 HEADER = b"\x55\x55"
 MIN_COUNTS = 0

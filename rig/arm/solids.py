@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from scenes.frames import Array
+from rhizotwin.scenes.frames import Array
 
 _SEARCH_STEPS = 32  # to 2e-7 of the link's length
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0

@@ -6,11 +6,11 @@ six equations solvable with five joints, where the arm alone would have to leave
 
 import numpy as np
 
-from rig.arm.inverse import Found, newton
-from rig.arm.kinematics import forward
-from rig.rig_file import ArmPart
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.rig.arm.inverse import Found, newton
+from rhizotwin.rig.arm.kinematics import forward
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 
 def azimuth_rad(cam_from_rig: Array) -> float:

@@ -1,12 +1,12 @@
 """Cameras behind one interface: on this Raspberry Pi, on USB, or on another computer."""
 
-from rig.cameras.http import HttpCamera
-from rig.cameras.pi import PiCamera
-from rig.cameras.settings import CameraSettings, settings_of
-from rig.cameras.v4l2 import V4l2Camera
-from rig.clock import Clock
-from rig.devices import Camera
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras.http import HttpCamera
+from rhizotwin.rig.cameras.pi import PiCamera
+from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.cameras.v4l2 import V4l2Camera
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.rig_file import CameraPart
 
 
 def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock: Clock) -> Camera:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.pictures import Grey
+from rhizotwin.scenes.pictures import Grey
 
 COLOURS = ("R", "Gr", "Gb", "B")
 """The order in which black levels are given; Gr is the green in the rows of red."""

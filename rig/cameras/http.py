@@ -10,14 +10,14 @@ from email.message import Message
 from typing import Any
 from urllib.parse import urlsplit
 
-from rig.cameras import protocol
-from rig.cameras.settings import CameraSettings, check_picture
-from rig.clock import Clock
-from rig.devices import Shot
-from rig.errors import LostError, NoAnswerError, RigError
-from scenes.errors import UserError
-from scenes.pictures import decode_grey
-from scenes.schema import to_plain
+from rhizotwin.rig.cameras import protocol
+from rhizotwin.rig.cameras.settings import CameraSettings, check_picture
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.schema import to_plain
 
 RETRIES = 3
 PAUSE_S = 0.5

@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from rig.cameras.pi_frames import RELATIVE, RawMode, choose_mode, grey_of_frame, metadata_faults
-from rig.cameras.settings import CameraSettings, check_picture
-from rig.devices import Shot
-from rig.errors import RigError
+from rhizotwin.rig.cameras.pi_frames import RELATIVE, RawMode, choose_mode, grey_of_frame, metadata_faults
+from rhizotwin.rig.cameras.settings import CameraSettings, check_picture
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError
 
 INSTALL = "sudo apt install python3-picamera2, and a Python that sees it (the system's own, or a venv made with --system-site-packages)"
 TRIES = 8

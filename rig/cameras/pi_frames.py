@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.cameras.bayer import grey_from_bayer
-from rig.cameras.settings import CameraSettings
-from rig.errors import RigError
-from scenes.pictures import Grey
+from rhizotwin.rig.cameras.bayer import grey_from_bayer
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.errors import RigError
+from rhizotwin.scenes.pictures import Grey
 
 LARGEST_BLOCK = 8
 STEP_US = 50.0

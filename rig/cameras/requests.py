@@ -13,12 +13,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from rig.cameras import protocol
-from rig.cameras.service import CameraService
-from rig.cameras.settings import CameraSettings
-from rig.errors import LostError, RigError
-from scenes.errors import UserError
-from scenes.schema import Place, from_plain
+from rhizotwin.rig.cameras import protocol
+from rhizotwin.rig.cameras.service import CameraService
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.errors import LostError, RigError
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place, from_plain
 
 MAX_BODY_BYTES = 4096
 IDLE_S = 30.0

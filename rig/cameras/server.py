@@ -10,13 +10,13 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from rig.cameras import local_camera, protocol
-from rig.cameras.requests import RequestServer
-from rig.cameras.service import CameraService
-from rig.cameras.settings import CameraSettings, settings_of
-from rig.devices import Camera
-from rig.errors import RigError
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras import local_camera, protocol
+from rhizotwin.rig.cameras.requests import RequestServer
+from rhizotwin.rig.cameras.service import CameraService
+from rhizotwin.rig.cameras.settings import CameraSettings, settings_of
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import CameraPart
 
 _EVERYWHERE = ("", "0.0.0.0", "::")
 

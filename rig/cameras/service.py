@@ -6,10 +6,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.cameras.settings import CameraSettings
-from rig.devices import Camera
-from rig.errors import LostError, RigError
-from scenes.pictures import encode_png
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.errors import LostError, RigError
+from rhizotwin.scenes.pictures import encode_png
 
 KEPT = 4
 """Pictures kept for repeated requests; a client asks for one after the other."""

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from rig.errors import RigError
-from rig.rig_file import CameraPart
-from scenes.limits import bounded
-from scenes.pictures import Grey
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import CameraPart
+from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.pictures import Grey
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from rig.cameras.settings import CameraSettings, check_picture
-from rig.devices import Shot
-from rig.errors import RigError
-from scenes.pictures import Grey
+from rhizotwin.rig.cameras.settings import CameraSettings, check_picture
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError
+from rhizotwin.scenes.pictures import Grey
 
 UNIT_S = 1e-4
 """Of V4L2's absolute exposure time."""

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.lens.saddle_fit import Saddle, fit_saddle
-from scenes.board import CharucoBoard, opencv_board
-from scenes.frames import Array
-from scenes.markers import dictionary_named
+from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
+from rhizotwin.scenes.board import CharucoBoard, opencv_board
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.markers import dictionary_named
 
 Picture = NDArray[np.uint8 | np.uint16]
 

@@ -11,18 +11,18 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from rig.errors import RigError
-from rig.lens.board_corners import BoardView, NoBoard, Picture, find_board
-from rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens
-from scenes import frames, toml_text
-from scenes.atomic import write_json, write_text
-from scenes.board import CharucoBoard, check_board
-from scenes.errors import UserError
-from scenes.frames import Array
-from scenes.model import Camera
-from scenes.pictures import decode_grey
-from scenes.provenance import versions
-from scenes.schema import to_plain
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, Picture, find_board
+from rhizotwin.rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens
+from rhizotwin.scenes import frames, toml_text
+from rhizotwin.scenes.atomic import write_json, write_text
+from rhizotwin.scenes.board import CharucoBoard, check_board
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)
 """The picture's field is divided into so many cells, to see how much of it the corners cover."""

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
-from rig.lens.lens_fit import TERMS
-from scenes.atomic import write_text
-from scenes.schema import to_plain
+from rhizotwin.rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
+from rhizotwin.rig.lens.lens_fit import TERMS
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi calibrates without it
     from matplotlib.axes import Axes

@@ -6,11 +6,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rig.errors import RigError
-from rig.lens.board_corners import BoardView
-from scenes import frames
-from scenes.board import CharucoBoard
-from scenes.frames import Array
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.lens.board_corners import BoardView
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.frames import Array
 
 LEAST_PICTURES: Final = 3
 MOST_RMS_TIMES: Final = 3.0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from scenes.frames import Array
+from rhizotwin.scenes.frames import Array
 
 MOST_REACH_PX: Final = 20.0
 LEAST_REACH_PX: Final = 2.5

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from rig.printing.print_page import (
+from rhizotwin.rig.printing.print_page import (
     LEADING,
     RULER_HIGH_MM,
     RULER_MM,
@@ -20,8 +20,8 @@ from rig.printing.print_page import (
     ruler,
     square,
 )
-from scenes.board import CharucoBoard, black_parts, check_board
-from scenes.errors import UserError
+from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board
+from rhizotwin.scenes.errors import UserError
 
 GAP_MM: Final = 6.0
 """White round the pattern."""

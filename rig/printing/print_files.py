@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rig.printing.print_page import Fill, Line, Page, Shape, Text
-from scenes.atomic import write_bytes
-from scenes.errors import UserError
+from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Text
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi scans without it
     from matplotlib.figure import Figure

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from rig.printing.print_page import (
+from rhizotwin.rig.printing.print_page import (
     LEADING,
     RULER_HIGH_MM,
     SQUARE_MM,
@@ -24,9 +24,9 @@ from rig.printing.print_page import (
     ruler,
     square,
 )
-from scenes.errors import UserError
-from scenes.markers import black_rectangles, marker_cells
-from scenes.model import MarkerStrip, NetPot, Scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.markers import black_rectangles, marker_cells
+from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 TAB_MM: Final = 6.0
 """Paper behind the end of a piece, glued under the beginning of the next."""

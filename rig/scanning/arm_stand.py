@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arm.clearance import check_path, plan_path
-from rig.arm.placing import camera_wanted, corrected_joints, joints_for, within_limits
-from rig.arm.tangency import azimuth_rad
-from rig.devices import Arm, Shot
-from rig.errors import LostError, RigError, UnsafeError
-from rig.open import Devices
-from rig.rig_file import ArmPart
-from rig.scanning.eye import Eye
-from rig.scanning.markers import Sighting, visible_markers
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Ring, Scene
+from rhizotwin.rig.arm.clearance import check_path, plan_path
+from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for, within_limits
+from rhizotwin.rig.arm.tangency import azimuth_rad
+from rhizotwin.rig.devices import Arm, Shot
+from rhizotwin.rig.errors import LostError, RigError, UnsafeError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.rig.scanning.eye import Eye
+from rhizotwin.rig.scanning.markers import Sighting, visible_markers
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Ring, Scene
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
 """Placed well enough: servos do not repeat better at the arm's reach, and the pictures tell the rest."""

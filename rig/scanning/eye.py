@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from rig.clock import Clock
-from rig.devices import Camera, Shot
-from rig.errors import RigError
-from rig.scanning.markers import Sighting, read_strip
-from rig.scanning.preflight import check_size
-from scenes.model import Scene
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Camera, Shot
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.scanning.markers import Sighting, read_strip
+from rhizotwin.rig.scanning.preflight import check_size
+from rhizotwin.scenes.model import Scene
 
 TRIES = 3
 FIRST_PAUSE_S = 1.0

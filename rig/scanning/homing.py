@@ -7,12 +7,12 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.devices import LEAST_DEG, MOST_DEG
-from rig.errors import RigError
-from rig.scanning.markers import Sighting
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Scene
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Scene
 
 Ask: TypeAlias = Callable[[str], str]
 """Puts a question to the person at the terminal and returns the answer."""

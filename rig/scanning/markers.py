@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.calibration.markers import detect_markers
-from recon.calibration.view_fit import LEAST_MARKERS, linearise, sightings, single_view
-from scenes import frames, plan
-from scenes.frames import Array
-from scenes.model import Scene
-from scenes.pictures import Grey
+from rhizotwin.recon.calibration.markers import detect_markers
+from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, linearise, sightings, single_view
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
 
 WORST_PX = 3.0
 """Above this reprojection error the markers are not the scene's strip seen by the scene's camera."""

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.devices import Arm, Camera, Lights, Turntable
-from rig.errors import RigError
-from rig.rig_file import LightsPart
-from rig.scanning.markers import read_strip, why_unread
-from scenes.errors import UserError
-from scenes.model import Camera as Lens
-from scenes.model import Scene
-from scenes.pictures import Grey
+from rhizotwin.rig.devices import Arm, Camera, Lights, Turntable
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import LightsPart
+from rhizotwin.rig.scanning.markers import read_strip, why_unread
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera as Lens
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
 
 BRIGHT_SHARE = 0.25
 """The brightest part of a picture, by which its exposure is judged: the panel fills more than this, the white of the strip less."""

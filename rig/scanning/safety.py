@@ -4,12 +4,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TypeAlias
 
-from rig.arm.clearance import plan_path
-from rig.devices import Arm
-from rig.open import Devices
-from rig.rig_file import RigFile
-from scenes.errors import UserError
-from scenes.model import Scene
+from rhizotwin.rig.arm.clearance import plan_path
+from rhizotwin.rig.devices import Arm
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
 
 Say: TypeAlias = Callable[[str], None]
 

@@ -13,23 +13,23 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from rig.devices import LEAST_DEG, MOST_DEG, Shot
-from rig.errors import RigError
-from rig.open import Devices
-from rig.scanning import preflight
-from rig.scanning.arm_stand import ArmStand
-from rig.scanning.eye import Eye
-from rig.scanning.homing import Ask
-from rig.scanning.safety import Say, make_safe
-from rig.scanning.session import Session, file_of, take_up
-from rig.scanning.stand import Stand, Tripod
-from rig.scanning.turning import BoardFaultError, Taken, Turning
-from scenes import plan
-from scenes.dataset import Dataset, Frame
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.pictures import Grey
-from scenes.plan import View
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, Shot
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning import preflight
+from rhizotwin.rig.scanning.arm_stand import ArmStand
+from rhizotwin.rig.scanning.eye import Eye
+from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.rig.scanning.safety import Say, make_safe
+from rhizotwin.rig.scanning.session import Session, file_of, take_up
+from rhizotwin.rig.scanning.stand import Stand, Tripod
+from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Dataset, Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.plan import View
 
 MOST_FAULTS = 3
 """So many faults of the board one after the other, without a picture between them, end the scan."""

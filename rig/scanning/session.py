@@ -13,15 +13,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rig.rig_file import RigFile
-from scenes.atomic import write_bytes
-from scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
-from scenes.errors import UserError
-from scenes.model import Disturbances, Scene
-from scenes.pictures import Grey, encode_png
-from scenes.plan import View
-from scenes.provenance import versions
-from scenes.schema import to_plain
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.pictures import Grey, encode_png
+from rhizotwin.scenes.plan import View
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.schema import to_plain
 
 PROGRAM = "rhizotwin scan"
 _VERSIONED = ("numpy", "opencv-python-headless", "pyserial")

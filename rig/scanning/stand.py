@@ -5,13 +5,13 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.arm.placing import place_of
-from rig.devices import Shot
-from rig.errors import RigError
-from rig.scanning.eye import Eye
-from rig.scanning.homing import Ask
-from rig.scanning.markers import Sighting
-from scenes.model import Ring, Scene
+from rhizotwin.rig.arm.placing import place_of
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.scanning.eye import Eye
+from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.rig.scanning.markers import Sighting
+from rhizotwin.scenes.model import Ring, Scene
 
 FAR_MM, FAR_DEG = 40.0, 5.0
 """A person is asked again when the tripod stands further off than this."""

@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.open import Devices
-from rig.scanning.eye import Eye
-from rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrapped
-from rig.scanning.markers import Sighting, read_strip, why_unread
-from rig.scanning.session import Session
-from scenes.model import Scene
-from scenes.pictures import Grey, decode_grey
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.scanning.eye import Eye
+from rhizotwin.rig.scanning.homing import DISAGREE_DEG, Angle, Ask, Reference, angle_against, facing_angle, find_angle, wrapped
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
+from rhizotwin.rig.scanning.session import Session
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey, decode_grey
 
 WAIT_S = 20.0
 """How long a lost board is waited for: time to plug it in again."""

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import serial
 from serial.tools import list_ports
 
-from rig.clock import Clock
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.serial_line.recording import Recorder
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.serial_line.recording import Recorder
 
 _WRITE_TIMEOUT_S = 5.0
 _READ_AT_ONCE = 4096

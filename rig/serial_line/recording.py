@@ -12,10 +12,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from rig.clock import Clock
-from rig.errors import RigError
-from scenes.errors import UserError
-from scenes.provenance import versions
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.errors import RigError
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.provenance import versions
 
 FORMAT = 1
 

@@ -1,10 +1,10 @@
 """The lamps: two NeoPixel strips of a Marlin board."""
 
-from rig.clock import Clock
-from rig.errors import LostError, NoAnswerError
-from rig.rig_file import LightsPart
-from rig.table.marlin import MarlinLink
-from rig.table.marlin_lines import POSITION
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.rig_file import LightsPart
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.marlin_lines import POSITION
 
 _FULL = 255
 

@@ -8,11 +8,11 @@ command that prints something, asked after it, has printed it: see `MarlinLink.a
 
 import re
 
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.serial_line.port import Wire
-from rig.table.marlin_exchange import BUSY_EVERY_S, TRAILING_S, Exchange, Journal
-from rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind
-from rig.table.marlin_wire import MarlinWire
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.serial_line.port import Wire
+from rhizotwin.rig.table.marlin_exchange import BUSY_EVERY_S, TRAILING_S, Exchange, Journal
+from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind
+from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 BOOT_S = 3.0
 """Boards that start anew when their port is opened greet within this time; others say nothing."""

@@ -3,9 +3,9 @@
 import re
 from dataclasses import dataclass, field
 
-from rig.errors import NoAnswerError, RigError
-from rig.table.marlin_lines import Kind, Line, numbered
-from rig.table.marlin_wire import MarlinWire
+from rhizotwin.rig.errors import NoAnswerError, RigError
+from rhizotwin.rig.table.marlin_lines import Kind, Line, numbered
+from rhizotwin.rig.table.marlin_wire import MarlinWire
 
 ANSWER_S = 10.0
 """Silence beyond the time that a command is expected to take, after which it is sent again."""

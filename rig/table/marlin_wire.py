@@ -2,9 +2,9 @@
 
 from collections import deque
 
-from rig.errors import LostError, NoAnswerError
-from rig.serial_line.port import Wire
-from rig.table.marlin_lines import Kind, Line, read_line
+from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.serial_line.port import Wire
+from rhizotwin.rig.table.marlin_lines import Kind, Line, read_line
 
 MOST_BYTES = 65536
 

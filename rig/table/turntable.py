@@ -2,12 +2,12 @@
 
 import math
 
-from rig.clock import Clock
-from rig.devices import LEAST_DEG, MOST_DEG
-from rig.errors import LostError, NoAnswerError, UnsafeError
-from rig.rig_file import TurntablePart
-from rig.table.marlin import MarlinLink
-from rig.table.marlin_lines import POSITION
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.errors import LostError, NoAnswerError, UnsafeError
+from rhizotwin.rig.rig_file import TurntablePart
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.marlin_lines import POSITION
 
 ZERO_X_DEG = 360.0
 """The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board itself remembers

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.clock import Clock
-from rig.devices import Shot
-from rig.errors import NoAnswerError
-from rig.rig_file import CameraPart
-from rig.twin.faults import Pending
-from scenes.pictures import Grey
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import NoAnswerError
+from rhizotwin.rig.rig_file import CameraPart
+from rhizotwin.rig.twin.faults import Pending
+from rhizotwin.scenes.pictures import Grey
 
 READOUT_S = 0.03
 PATIENCE_S = 10.0

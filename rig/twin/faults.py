@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from scenes.errors import UserError
-from scenes.schema import suggestion
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import suggestion
 
 Device = Literal["table", "arm", "camera"]
 Where = Literal["reply", "request", "device", "shot"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.twin.imperfections import Imperfections, Key
+from rhizotwin.rig.twin.imperfections import Imperfections, Key
 
 LEDS = 30
 Rgb = tuple[int, int, int]

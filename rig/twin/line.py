@@ -5,9 +5,9 @@ from bisect import insort
 from collections import deque
 from collections.abc import Callable
 
-from rig.twin.adapter import Adapter, Reply
-from rig.twin.faults import Device, Fault, Pending
-from rig.twin.lsc_adapter import COMPLETED
+from rhizotwin.rig.twin.adapter import Adapter, Reply
+from rhizotwin.rig.twin.faults import Device, Fault, Pending
+from rhizotwin.rig.twin.lsc_adapter import COMPLETED
 
 BITS_A_BYTE = 10
 NOISE = bytes((0xFF, 0x00, 0x55, 0x13, 0x9C, 0x0A, 0x55, 0x55, 0xFE, 0x7F, 0x01, 0x80))

@@ -6,8 +6,8 @@ After Hiwonder's "Communication Protocol" of its servo controllers. Frame: 55 55
 import math
 import struct
 
-from rig.twin.adapter import Reply
-from rig.twin.servo import Servo, Supply
+from rhizotwin.rig.twin.adapter import Reply
+from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.003
 PER_SERVO_S = 0.004

@@ -7,8 +7,8 @@ import math
 import struct
 from collections.abc import Callable
 
-from rig.twin.adapter import Reply
-from rig.twin.servo import Servo, Supply
+from rhizotwin.rig.twin.adapter import Reply
+from rhizotwin.rig.twin.servo import Servo, Supply
 
 THINKING_S = 0.0015
 """From the end of a question to its answer."""

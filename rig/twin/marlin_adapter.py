@@ -7,8 +7,8 @@ import math
 import re
 from collections import deque
 
-from rig.twin.adapter import Motor, Reply, Strip
-from rig.twin.marlin_commands import VERSION, MarlinCommands
+from rhizotwin.rig.twin.adapter import Motor, Reply, Strip
+from rhizotwin.rig.twin.marlin_commands import VERSION, MarlinCommands
 
 THINKING_S = 0.001
 """From a line to its answer."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.twin.adapter import Motor, Strip
+from rhizotwin.rig.twin.adapter import Motor, Strip
 
 IDLE_RELEASE_S = 120.0
 FIRST_SPEED_DEG_PER_S = 25.0

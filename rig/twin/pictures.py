@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.twin.world import Sight
-from scenes import frames
-from scenes.atomic import write_image
-from scenes.model import Scene
-from scenes.pictures import Grey
-from scenes.truth import save_truth
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.truth import save_truth
 
 if TYPE_CHECKING:
-    from sim.render import Renderer
-    from sim.specimen import SpecimenSolid
-    from sim.world import TrueCamera, World
+    from rhizotwin.sim.render import Renderer
+    from rhizotwin.sim.specimen import SpecimenSolid
+    from rhizotwin.sim.world import TrueCamera, World
 
 Light = NDArray[np.float32]
 _NOISE = 106  # second key of the noise's random stream; those of the devices are in `rig.twin.world`
@@ -46,7 +46,7 @@ class Drawn:
 
 def draw(scene: Scene, *, seed: int) -> Drawn:
     """Draw as `sim.world.draw_world` does: the same scene and seed stand the same in simulated pictures and on the twin."""
-    from sim.world import draw_world
+    from rhizotwin.sim.world import draw_world
 
     world = draw_world(scene, seed=seed)
     firsts = np.cumsum([0, *(ring.views for ring in scene.plan.rings)])[:-1]
@@ -60,7 +60,7 @@ def draw(scene: Scene, *, seed: int) -> Drawn:
 
 def calibrated_scene(scene: Scene) -> Scene:
     """Return what a lab knows of a scene: the nominal rig and the calibrated lens."""
-    from sim.world import as_given
+    from rhizotwin.sim.world import as_given
 
     return as_given(scene)
 
@@ -90,7 +90,7 @@ class Rendered:
 
     def picture(self, sight: Sight) -> Grey:
         """Return what the camera stores for a state of the world; it depends on that state, the scene and the seed only."""
-        from sim.exposure import expose
+        from rhizotwin.sim.exposure import expose
 
         key = sight.key
         if key not in self._pictures:
@@ -114,7 +114,7 @@ class Rendered:
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
         """Write the ``truth`` of a dataset, given each picture's file name and what it shows; the scene must have a specimen."""
-        from sim.truth import truth_of, write_specimen
+        from rhizotwin.sim.truth import truth_of, write_specimen
 
         world = self._drawn()
         if self._solid is None:
@@ -129,7 +129,7 @@ class Rendered:
 
     def _look(self, sight: Sight, *, panel: bool, front: bool) -> Light:
         """Render with one lamp or both at full; keep the mask."""
-        from sim.exposure import mask_picture
+        from rhizotwin.sim.exposure import mask_picture
 
         renderer = self._renderer(panel=panel, front=front)
         image, coverage = renderer.look(_camera(sight), ring=self._nearest_ring(sight))
@@ -138,7 +138,7 @@ class Rendered:
         return image
 
     def _renderer(self, *, panel: bool, front: bool) -> Renderer:
-        from sim.render import Renderer
+        from rhizotwin.sim.render import Renderer
 
         if (panel, front) not in self._renderers:
             world = self._drawn()
@@ -149,8 +149,8 @@ class Rendered:
         return self._renderers[panel, front]
 
     def _drawn(self) -> World:
-        from sim.specimen import build_specimen
-        from sim.world import draw_world
+        from rhizotwin.sim.specimen import build_specimen
+        from rhizotwin.sim.world import draw_world
 
         if self._world is None:
             self._world = draw_world(self._scene, seed=self._seed)
@@ -165,6 +165,6 @@ class Rendered:
 
 
 def _camera(sight: Sight) -> TrueCamera:
-    from sim.world import TrueCamera
+    from rhizotwin.sim.world import TrueCamera
 
     return TrueCamera(cam_from_rig=sight.cam_from_rig, rig_from_canister=sight.rig_from_canister, table_deg=sight.table_deg)

@@ -13,10 +13,10 @@ from typing import Any
 
 from serial import PortNotOpenError, SerialBase, SerialException
 
-from rig.twin.clock import VirtualClock
-from rig.twin.line import Line
+from rhizotwin.rig.twin.clock import VirtualClock
+from rhizotwin.rig.twin.line import Line
 
-PACKAGE = "rig.twin"
+PACKAGE = "rhizotwin.rig.twin"
 """What pyserial is told to look for this module in."""
 CALL_S = 20e-6
 """What asking a port costs: a loop that only asks comes to its deadline, too."""

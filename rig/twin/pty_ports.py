@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from rig.twin.clock import ScaledClock, VirtualClock
-from rig.twin.line import Line
+from rhizotwin.rig.twin.clock import ScaledClock, VirtualClock
+from rhizotwin.rig.twin.line import Line
 
 LOOK_AGAIN_S = 0.02
 """How often ports that nobody has open are looked at."""

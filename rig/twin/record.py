@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rig.twin.world import Sight
-from scenes.errors import UserError
-from scenes.pictures import Grey
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.pictures import Grey
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,20 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rig.cameras.server import CameraServer
-from rig.cameras.settings import CameraSettings
-from rig.devices import Camera
-from rig.rig_file import CameraPart, RigFile
-from rig.twin.faults import MENU, Fault, parse_fault
-from rig.twin.pty_ports import PtyPorts
-from rig.twin.twin import ArmProtocol, PictureKind, Twin
-from scenes import toml_text
-from scenes.atomic import write_text
-from scenes.errors import UserError
-from scenes.files import save_scene
-from scenes.model import Scene
-from scenes.pictures import Grey
-from scenes.schema import to_plain
+from rhizotwin.rig.cameras.server import CameraServer
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.rig_file import CameraPart, RigFile
+from rhizotwin.rig.twin.faults import MENU, Fault, parse_fault
+from rhizotwin.rig.twin.pty_ports import PtyPorts
+from rhizotwin.rig.twin.twin import ArmProtocol, PictureKind, Twin
+from rhizotwin.scenes import toml_text
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import save_scene
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.schema import to_plain
 
 Say = Callable[[str], None]
 HELP = "a fault (such as: reset, or: reply_late table amount=3), faults, where, help, quit"

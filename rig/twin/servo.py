@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from rig.twin.imperfections import Imperfections, Key
+from rhizotwin.rig.twin.imperfections import Imperfections, Key
 
 DEG_PER_COUNT = 0.24
 MAX_SPEED = 60.0 / 0.22 / DEG_PER_COUNT

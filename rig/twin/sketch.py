@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.twin.world import Sight
-from scenes import frames
-from scenes.markers import marker_cells
-from scenes.model import Scene
-from scenes.pictures import Grey
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.markers import marker_cells
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey
 
 INK = 0.05
 """Reflectance of the black cells; paper is 1."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.twin.imperfections import Imperfections, Key
+from rhizotwin.rig.twin.imperfections import Imperfections, Key
 
 MICROSTEPS = 32
 ACCELERATION_DEG_PER_S2 = 60.0

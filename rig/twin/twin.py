@@ -9,26 +9,26 @@ from typing import Literal, Protocol
 
 import serial
 
-from rig.clock import Clock
-from rig.rig_file import ArmPart, CameraPart, RigFile
-from rig.twin import pictures as rendering
-from rig.twin import protocol_twin
-from rig.twin.adapter import Adapter
-from rig.twin.camera import Look, TwinCamera
-from rig.twin.clock import VirtualClock
-from rig.twin.faults import Device, Fault, Pending
-from rig.twin.imperfections import imperfections_of
-from rig.twin.line import Line
-from rig.twin.lsc_adapter import LscAdapter
-from rig.twin.lx_adapter import LxAdapter
-from rig.twin.marlin_adapter import MarlinAdapter
-from rig.twin.record import Record
-from rig.twin.sketch import Sketch
-from rig.twin.world import Sight, TwinWorld
-from scenes.dataset import Frame
-from scenes.errors import UserError
-from scenes.model import Scene
-from scenes.pictures import Grey, decode_grey
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.rig_file import ArmPart, CameraPart, RigFile
+from rhizotwin.rig.twin import pictures as rendering
+from rhizotwin.rig.twin import protocol_twin
+from rhizotwin.rig.twin.adapter import Adapter
+from rhizotwin.rig.twin.camera import Look, TwinCamera
+from rhizotwin.rig.twin.clock import VirtualClock
+from rhizotwin.rig.twin.faults import Device, Fault, Pending
+from rhizotwin.rig.twin.imperfections import imperfections_of
+from rhizotwin.rig.twin.line import Line
+from rhizotwin.rig.twin.lsc_adapter import LscAdapter
+from rhizotwin.rig.twin.lx_adapter import LxAdapter
+from rhizotwin.rig.twin.marlin_adapter import MarlinAdapter
+from rhizotwin.rig.twin.record import Record
+from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.world import Sight, TwinWorld
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.pictures import Grey, decode_grey
 
 PictureKind = Literal["render", "sketch"]
 ArmProtocol = Literal["lx", "lsc"]

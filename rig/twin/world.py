@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.arm import kinematics
-from rig.rig_file import ArmPart, Joint, RigFile
-from rig.twin.imperfections import Imperfections
-from rig.twin.lamps import Lamp
-from rig.twin.servo import Servo, Supply
-from rig.twin.stepper import Stepper
-from scenes import frames, plan
-from scenes.model import Scene
+from rhizotwin.rig.arm import kinematics
+from rhizotwin.rig.rig_file import ArmPart, Joint, RigFile
+from rhizotwin.rig.twin.imperfections import Imperfections
+from rhizotwin.rig.twin.lamps import Lamp
+from rhizotwin.rig.twin.servo import Servo, Supply
+from rhizotwin.rig.twin.stepper import Stepper
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Scene
 
 # One number a device: the second key of its random streams. Those of `sim.world` are below 100.
 _SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105

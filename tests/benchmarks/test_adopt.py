@@ -9,10 +9,10 @@ import pytest
 from benchmarks import datasets
 from benchmarks.adopt import adopt
 from benchmarks.cases import Pictures
-from scenes.dataset import load_dataset
-from scenes.errors import UserError
-from scenes.truth import load_truth
-from sim.simulate import simulate
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.truth import load_truth
+from rhizotwin.sim.simulate import simulate
 
 BALL = Pictures(scene="sphere_20mm", rings=2, views=2, image_wh=(32, 24), seed=3)
 

@@ -12,8 +12,8 @@ from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
-from scenes.errors import UserError
-from scenes.model import Ring
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Ring
 
 PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
 CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]

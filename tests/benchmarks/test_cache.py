@@ -16,7 +16,8 @@ def our_sources(tmp_path_factory) -> Path:
     """Return a copy of the sources that tests may change."""
     root = tmp_path_factory.mktemp("sources")
     for package in sources.PACKAGES:
-        shutil.copytree(sources.ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+        place = Path(*package.split("."))
+        shutil.copytree(sources.ROOT / place, root / place, ignore=shutil.ignore_patterns("__pycache__"))
     return root
 
 
@@ -35,7 +36,7 @@ def appended(our_sources):
     before: dict[Path, bytes | None] = {}
 
     def append(name: str, text: str) -> None:
-        path = our_sources / name
+        path = our_sources / "rhizotwin" / name
         before[path] = path.read_bytes() if path.is_file() else None
         path.write_bytes((before[path] or b"") + text.encode())
 
@@ -81,8 +82,15 @@ def test_traits_are_in_the_digest_of_the_truth(our_sources, appended):
 
 def test_the_renderer_and_the_plant_are_in_the_closure_and_the_reconstruction_is_not():
     found = set(sources.closure(datasets.PICTURES, without=datasets.TRUTH_ONLY))
-    assert {"sim.simulate", "sim.render", "sim.solids", "sim.growth", "sim.dirt", "scenes.model"} <= found
-    assert not {name for name in found if name.startswith("recon")}
+    assert {
+        "rhizotwin.sim.simulate",
+        "rhizotwin.sim.render",
+        "rhizotwin.sim.solids",
+        "rhizotwin.sim.growth",
+        "rhizotwin.sim.dirt",
+        "rhizotwin.scenes.model",
+    } <= found
+    assert not {name for name in found if name.startswith("rhizotwin.recon")}
     assert not found & datasets.TRUTH_ONLY
 
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import gate
 from benchmarks.metric import Metric
 from benchmarks.targets import TARGETS
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 ERROR = Metric(key="ball/volume_error", value=-0.010, unit="1", direction="zero", abs_tol=0.002)
 IOU = Metric(key="ball/iou", value=0.90, unit="1", direction="up", abs_tol=0.01)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import paired
 from benchmarks.cases import ladder
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 CASES = ladder(scenes=("radish_day05*", "radish_day10*"), profiles=("clean", "bench"), methods=("coverage",))
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes import atomic, frames, plan
-from scenes.dataset import Dataset, Frame, save_dataset, sha256_of
-from scenes.model import Camera, CapturePlan, Ring, Scene
-from scenes.truth import TrueView, Truth, save_truth
+from rhizotwin.scenes import atomic, frames, plan
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.truth import TrueView, Truth, save_truth
 
 RADIUS_MM = 6.0
 CENTRE_MM = np.array([4.0, -3.0, -50.0])

@@ -4,14 +4,14 @@ from functools import cache
 
 import numpy as np
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import Silhouette
-from recon.optics import projection
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.tubes import tube_picture, tubes
-from scenes import plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.tubes import tube_picture, tubes
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.lines import line
 
 TRUNK = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))

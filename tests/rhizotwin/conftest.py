@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from scenes import atomic
+from rhizotwin.scenes import atomic
 
 
 @pytest.fixture

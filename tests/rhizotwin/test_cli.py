@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from rhizotwin import cli, commands, steps
-from scenes import files
-from scenes.errors import UserError
-from scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.scenes import files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = ("scenes", "simulate", "reconstruct", "import", "score", "demo")

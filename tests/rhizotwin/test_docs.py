@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.__main__ import parser as benchmarks_parser
 from rhizotwin import cli
-from scenes.files import load_profile, load_scene, scene_from_dict
+from rhizotwin.scenes.files import load_profile, load_scene, scene_from_dict
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from rhizotwin import cli
 from rhizotwin.nerfstudio import read_cameras
-from scenes import files, frames
-from scenes.dataset import load_dataset
-from scenes.truth import load_truth
+from rhizotwin.scenes import files, frames
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.truth import load_truth
 
 SIZE = ["--views", "11", "--image-wh", "280x210"]
 

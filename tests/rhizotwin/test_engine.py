@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from rhizotwin import engine
-from scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from rhizotwin import cli
 from rhizotwin.importer import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
-from scenes import files, frames, plan
-from scenes.dataset import load_dataset, read_image
-from scenes.errors import UserError
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes import files, frames, plan
+from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 WH = (64, 48)
 

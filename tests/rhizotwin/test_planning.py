@@ -9,8 +9,8 @@ import pytest
 from benchmarks import cases
 from rhizotwin import cli, plan_report, planning, plans
 from rhizotwin.plans import Height
-from scenes import files, frames
-from scenes.model import Ring
+from rhizotwin.scenes import files, frames
+from rhizotwin.scenes.model import Ring
 
 
 def row(pictures: int, worst: float, *, image_wh: tuple[int, int] = (800, 600)) -> plans.Row:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rhizotwin import cli
-from scenes.atomic import write_image
-from scenes.board import CharucoBoard, load_board
-from scenes.files import load_scene
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.board import CharucoBoard, load_board
+from rhizotwin.scenes.files import load_scene
 
 
 def run(words: str) -> int:

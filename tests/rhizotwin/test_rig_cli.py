@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from rhizotwin import cli
-from rig.rig_file import load_rig
-from scenes.dataset import load_dataset
-from scenes.files import load_scene, save_scene
-from scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.rig.rig_file import load_rig
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.files import load_scene, save_scene
+from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ("--fidelity", "sketch", "--profile", "clean", "--seed", "2")

@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from rhizotwin import exports, root_mesh
-from scenes.errors import UserError
-from scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
 
 
 def bent(order: int, diameter_mm: float, *, parent: int = -1) -> Root:

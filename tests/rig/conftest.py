@@ -7,7 +7,7 @@ from functools import reduce
 
 import pytest
 
-from rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.marlin import MarlinLink
 from tests.rig.fake_time import Time
 from tests.rig.table.marlin_script import GREETING, Script, Talk
 

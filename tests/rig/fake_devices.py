@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.arm import kinematics
-from rig.devices import Shot
-from rig.errors import LostError
-from rig.open import Devices
-from rig.rig_file import ArmPart, RigFile
-from rig.scanning.scan import scan
-from rig.twin.sketch import Sketch
-from rig.twin.world import Sight
-from scenes import frames, plan
-from scenes.dataset import Dataset
-from scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.rig.arm import kinematics
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import LostError
+from rhizotwin.rig.open import Devices
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 
 LENS = Camera(image_wh=(400, 300), focal_px=(650.0, 650.0), principal_px=(199.5, 149.5))
 STRIP = MarkerStrip(columns=22, rows=1, marker_mm=18.0, bottom_mm=2.0)

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import check
-from rig.errors import RigError
-from rig.example import EXAMPLE
-from rig.jog import Jog
-from rig.open import open_devices
-from rig.rig_file import ArmPart, RigFile, load_rig
-from rig.twin.faults import FOR_GOOD, Fault
-from rig.twin.twin import Twin
-from scenes.errors import UserError
-from scenes.files import load_profile
-from scenes.model import Camera, MarkerStrip, Scene
-from scenes.pictures import decode_grey
+from rhizotwin.rig.bench import check
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.example import EXAMPLE
+from rhizotwin.rig.jog import Jog
+from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.rig_file import ArmPart, RigFile, load_rig
+from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_profile
+from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
+from rhizotwin.scenes.pictures import decode_grey
 
 SCENE = Scene(
     camera=Camera().resized((400, 300)),

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes import atomic
-from scenes.errors import UserError
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
 
 
 def names(folder: Path) -> list[str]:

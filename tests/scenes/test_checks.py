@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from scenes.checks import check_scene, marker_capacity
-from scenes.errors import UserError
-from scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, MarkerStrip, NetPot, Ring, Scene, Water
-from scenes.specimens import GrownSpecimen, SphereSpecimen
+from rhizotwin.scenes.checks import check_scene, marker_capacity
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, MarkerStrip, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenes import frames
-from scenes.atomic import write_image
-from scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
-from scenes.errors import UserError
-from scenes.model import Camera, CapturePlan, Ring, Scene
-from scenes.specimens import GrownSpecimen
-from scenes.truth import TrueView, Truth, load_truth, save_truth
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.truth import TrueView, Truth, load_truth, save_truth
 
 POSE = frames.from_rotvec(np.array([0.1, -2.0, 0.3]), np.array([1 / 3, 2e-9, 400.0]))
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import files, toml_text
-from scenes.errors import UserError
-from scenes.model import Camera, Canister, CapturePlan, Disturbances, Ring, Scene
-from scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes import files, toml_text
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
 
 
 @dataclass(frozen=True)

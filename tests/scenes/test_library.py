@@ -2,9 +2,9 @@
 
 import pytest
 
-from scenes.files import library, load_profile, load_scene, profiles
-from scenes.model import Disturbances
-from scenes.specimens import GrownSpecimen, SphereSpecimen
+from rhizotwin.scenes.files import library, load_profile, load_scene, profiles
+from rhizotwin.scenes.model import Disturbances
+from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
 
 # Wet root masses in g of radish 1 to 18 (thesis, table A.1), three an age: days 5, 10, ... 30; taken as ml at 1.0 g/ml.
 WET_ROOT_G = [

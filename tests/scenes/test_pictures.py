@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from scenes.errors import UserError
-from scenes.pictures import decode_grey
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.pictures import decode_grey
 
 RNG = np.random.default_rng(7)
 GREY = RNG.integers(0, 256, (40, 60), dtype=np.uint8)

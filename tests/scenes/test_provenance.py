@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from scenes.provenance import peak_memory_mib, versions
+from rhizotwin.scenes.provenance import peak_memory_mib, versions
 
 
 def test_versions_are_those_of_the_libraries_and_a_missing_one_is_unknown() -> None:

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.errors import UserError
-from scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
 
 LINE = '<geometry><polyline><point x="0" y="0" z="-1"/><point x="0" y="0" z="-2"/><point x="0" y="0" z="-4"/></polyline></geometry>'
 SAMPLES = '<sample value="0.5"/><sample value="0.4"/><sample value="0.1"/>'

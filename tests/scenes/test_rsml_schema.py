@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xmlschema
 
-from scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
 
 
 @cache

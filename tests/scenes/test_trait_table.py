@@ -8,9 +8,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from scenes.rsml import Root
-from scenes.trait_table import DEFINITIONS, HISTOGRAMS, lines, shown, to_csv, to_json
-from scenes.traits import Traits, measure_traits
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.trait_table import DEFINITIONS, HISTOGRAMS, lines, shown, to_csv, to_json
+from rhizotwin.scenes.traits import Traits, measure_traits
 
 TAP = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -25.0]]), diameters_mm=np.array([0.35, 0.35]), order=0, parent=-1)
 BOX = np.array([[x, y, z] for x in (0.0, 2.0) for y in (0.0, 1.0) for z in (-25.0, 0.0)])

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes.rsml import Root
-from scenes.traits import measure_traits
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import measure_traits
 
 RNG = np.random.default_rng(0)
 

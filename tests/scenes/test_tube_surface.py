@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scenes.rsml import Root
-from scenes.tube_surface import outside_mm2, stations
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.tube_surface import outside_mm2, stations
 
 
 def tube(start, end, radius_mm) -> Root:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scenes.model import Camera, Disturbances
-from sim.exposure import expose, mask_picture
+from rhizotwin.scenes.model import Camera, Disturbances
+from rhizotwin.sim.exposure import expose, mask_picture
 
 
 def test_a_perfect_camera_only_rounds_and_clips() -> None:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes.errors import UserError
-from scenes.model import Canister, NetPot
-from scenes.specimens import GrownSpecimen, RootOrder
-from sim import growth
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Canister, NetPot
+from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
+from rhizotwin.sim import growth
 
 STRAIGHT = RootOrder(
     diameter_mm=1.0, diameter_sd=0.0, taper=0.5, elongation_mm_per_day=10.0, max_length_mm=80.0, length_sd=0.0, interlateral_mm=6.0,

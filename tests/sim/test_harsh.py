@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.model import CapturePlan, Disturbances, Ring, Scene
-from sim.dirt import Bubble, Fibre, Patch
-from sim.render import Image, Renderer
-from sim.specimen import SpecimenSolid
-from sim.world import World, draw_world
+from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.sim.dirt import Bubble, Fibre, Patch
+from rhizotwin.sim.render import Image, Renderer
+from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.world import World, draw_world
 
 CENTRE = np.s_[14:16, 19:21]
 

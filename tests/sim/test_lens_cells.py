@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.render import lens_cells
+from rhizotwin.sim.render import lens_cells
 
 
 @pytest.mark.parametrize("side", [1, 3, 4, 5, 9])

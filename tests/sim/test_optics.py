@@ -9,11 +9,11 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from scenes import frames, plan
-from scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, NetPot, Ring, Scene, Water
-from sim.render import Renderer
-from sim.specimen import SpecimenSolid
-from sim.world import draw_world
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, NetPot, Ring, Scene, Water
+from rhizotwin.sim.render import Renderer
+from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.world import draw_world
 
 Array = NDArray[np.float64]
 CLEAN = Disturbances()

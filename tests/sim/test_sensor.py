@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes import frames
-from scenes.model import Camera
-from sim import sensor
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera
+from rhizotwin.sim import sensor
 
 STRONG = (-0.25, 0.08, 0.003, -0.002, 0.02)
 STRAIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)

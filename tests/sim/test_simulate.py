@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import trimesh
 
-import sim.render
-import sim.simulate
-from scenes import plan
-from scenes.dataset import Dataset, load_dataset, read_image
-from scenes.errors import UserError
-from scenes.model import CapturePlan, Disturbances, Ring, Scene
-from scenes.specimens import MeshSpecimen, SphereSpecimen
-from scenes.truth import load_truth
-from sim.render import Renderer
-from sim.simulate import CannotContinueError, simulate
-from sim.specimen import build_specimen
-from sim.world import draw_world
+import rhizotwin.sim.render
+import rhizotwin.sim.simulate
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.specimens import MeshSpecimen, SphereSpecimen
+from rhizotwin.scenes.truth import load_truth
+from rhizotwin.sim.render import Renderer
+from rhizotwin.sim.simulate import CannotContinueError, simulate
+from rhizotwin.sim.specimen import build_specimen
+from rhizotwin.sim.world import draw_world
 
 WRONG = Disturbances(full_well_e=8000.0, read_noise_e=3.0, aperture_mm=1.5, arm_deg=0.3, table_deg=0.05, canister_offset_mm=1.0)
 
@@ -94,7 +94,7 @@ def test_many_samples_in_several_passes_are_as_bright(monkeypatch: pytest.Monkey
     scene = tiny(views=1, wrong=Disturbances())
     world = draw_world(scene, seed=0)
     whole, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
-    monkeypatch.setattr(sim.render, "MAX_PATHS", 64 * 48 * 16)
+    monkeypatch.setattr(rhizotwin.sim.render, "MAX_PATHS", 64 * 48 * 16)
     in_parts, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
     assert np.abs(whole - in_parts).max() > 0.0
     assert in_parts.mean() == pytest.approx(whole.mean(), rel=5e-3)
@@ -139,7 +139,7 @@ def test_another_setting_or_a_foreign_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other" / "thesis.txt").write_text("important")
     with pytest.raises(UserError, match="not empty"):
         make(tmp_path / "other", tiny(views=1))
-    (tmp_path / "set" / sim.simulate.PROGRESS_FILE).write_text("{")
+    (tmp_path / "set" / rhizotwin.sim.simulate.PROGRESS_FILE).write_text("{")
     with pytest.raises(UserError, match="damaged"):
         make(tmp_path / "set", tiny(views=1))
 
@@ -148,14 +148,14 @@ def test_a_set_begun_with_another_program_is_refused(tmp_path: Path, monkeypatch
     make(tmp_path, tiny(views=1))
     before = contents(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
+        patch.setattr(rhizotwin.sim.simulate, "versions", lambda names: {"rhizotwin": "8.8"} | dict.fromkeys(names, "9.9"))
         with pytest.raises(CannotContinueError, match=r"made with another rhizotwin \(.*, now 8\.8\), mitsuba \(3.*, now 9\.9\)"):
             make(tmp_path, tiny(views=1))
-    record = tmp_path / sim.simulate.PROGRESS_FILE
+    record = tmp_path / rhizotwin.sim.simulate.PROGRESS_FILE
     record.write_text(record.read_text().replace("_ad_mono", "_mono"))
     with pytest.raises(CannotContinueError, match=r"variant \(.*_mono, now .*_ad_mono\)"):
         make(tmp_path, tiny(views=1))
-    record.write_bytes(before[sim.simulate.PROGRESS_FILE])
+    record.write_bytes(before[rhizotwin.sim.simulate.PROGRESS_FILE])
     assert contents(tmp_path) == before
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.errors import UserError
-from scenes.rsml import Root
-from scenes.specimens import GrownSpecimen
-from sim import growth, solids
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.specimens import GrownSpecimen
+from rhizotwin.sim import growth, solids
 
 
 def straight(a: tuple[float, float, float], b: tuple[float, float, float], diameter_mm: float, *, points: int = 11) -> Root:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.errors import UserError
-from scenes.files import load_scene
-from scenes.model import Scene
-from scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
-from sim.specimen import SpecimenSolid, build_specimen
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_scene
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 
 def build(specimen: SphereSpecimen | MeshSpecimen | RsmlSpecimen | GrownSpecimen, folder: Path | None = None) -> SpecimenSolid:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import frames, plan
-from scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
-from sim import dirt
-from sim.world import World, draw_world
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
+from rhizotwin.sim import dirt
+from rhizotwin.sim.world import World, draw_world
 
 WRONG = Disturbances(
     arm_deg=0.3,

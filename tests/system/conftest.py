@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import trimesh
 
-from recon import pipeline
-from recon.results import result
 from rhizotwin import cli
+from rhizotwin.recon import pipeline
+from rhizotwin.recon.results import result
 
 VIEWS = 10
 
@@ -162,8 +162,8 @@ def scan(made: Path, found: Reconstructed, tmp_path: Path) -> Path:
 @pytest.fixture
 def rig(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the file of the scene without its specimen's file, for `import`."""
-    from scenes.dataset import load_dataset
-    from scenes.files import save_scene
+    from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.scenes.files import save_scene
 
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     save_scene(load_dataset(made).scene, path)

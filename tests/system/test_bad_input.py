@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon.hull import carve
-from scenes.atomic import write_image
+from rhizotwin.recon.hull import carve
+from rhizotwin.scenes.atomic import write_image
 
 FAST = ("--device", "cpu", "--voxel-mm", "2")
 

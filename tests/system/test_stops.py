@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 import rhizotwin.importer
-import scenes.atomic
-import sim.simulate
-from recon import drawing, pipeline, run, shaping
-from recon.calibration import poses
-from recon.results import report, result
+import rhizotwin.scenes.atomic
+import rhizotwin.sim.simulate
 from rhizotwin import cli, commands
+from rhizotwin.recon import drawing, pipeline, run, shaping
+from rhizotwin.recon.calibration import poses
+from rhizotwin.recon.results import report, result
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATE = ("simulate", "sphere_20mm", "--views", "3", "--image-wh", "48x36", "--device", "cpu")
@@ -50,7 +50,7 @@ class Moment:
 
 def writes(*numbers: int) -> list[Moment]:
     """Return moments of writing: the flush of a file or folder before or after it is renamed."""
-    return [Moment(scenes.atomic.os, "fsync", number) for number in numbers]
+    return [Moment(rhizotwin.scenes.atomic.os, "fsync", number) for number in numbers]
 
 
 @pytest.fixture(scope="module")
@@ -91,15 +91,15 @@ def test_full_disk_in_simulate(moment: Moment, small: Path, tmp_path: Path, comm
 
 SIMULATE_MOMENTS = [
     *SIMULATE_WRITES,
-    Moment(sim.simulate, "build_specimen"),
-    Moment(sim.simulate, "draw_world"),
-    Moment(sim.simulate.Renderer, "__init__"),
-    Moment(sim.simulate.Renderer, "view", 2),
-    Moment(sim.simulate, "expose", 3),
+    Moment(rhizotwin.sim.simulate, "build_specimen"),
+    Moment(rhizotwin.sim.simulate, "draw_world"),
+    Moment(rhizotwin.sim.simulate.Renderer, "__init__"),
+    Moment(rhizotwin.sim.simulate.Renderer, "view", 2),
+    Moment(rhizotwin.sim.simulate, "expose", 3),
     Moment(Path, "replace", 1),
     Moment(Path, "replace", 4),
-    Moment(sim.simulate, "save_truth"),
-    Moment(sim.simulate, "save_dataset"),
+    Moment(rhizotwin.sim.simulate, "save_truth"),
+    Moment(rhizotwin.sim.simulate, "save_dataset"),
 ]
 
 
@@ -243,7 +243,7 @@ def test_stopped_demo_starts_again(tmp_path: Path, command: Any, fault: Any) -> 
     fault.stop(demo.shutil, "rmtree")
     command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
     fault.mend()
-    fault.stop(sim.simulate, "draw_world")
+    fault.stop(rhizotwin.sim.simulate, "draw_world")
     command.fails("demo", "-o", folder, "--device", "cpu", named=["stopped"], code=130)
     no_temporary(tmp_path)
     assert [path.name for path in folder.iterdir()] == ["dataset"]
@@ -255,7 +255,7 @@ def test_stopped_demo_keeps_its_pictures(tmp_path: Path, command: Any, fault: An
     fault.patch.setattr(demo, "VIEWS", 3)
     fault.patch.setattr(demo, "IMAGE_WH", (48, 36))
     words = ("demo", "-o", tmp_path / "demo", "--device", "cpu")
-    drawn = fault.stop(sim.simulate.Renderer, "view", at=3)
+    drawn = fault.stop(rhizotwin.sim.simulate.Renderer, "view", at=3)
     command.fails(*words, named=["stopped", "the same command"], code=130)
     kept = bytes_of(tmp_path / "demo" / "dataset" / "images")
     assert list(kept) == ["view_000.png", "view_001.png"]
@@ -269,13 +269,13 @@ def test_stopped_demo_keeps_its_pictures(tmp_path: Path, command: Any, fault: An
 
 
 def test_ctrl_c_pressed_twice_lets_the_tidying_finish(made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
-    tidy = scenes.atomic.shutil.rmtree
+    tidy = rhizotwin.scenes.atomic.shutil.rmtree
 
     def press_again(*arguments: Any, **options: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         tidy(*arguments, **options)
 
-    fault.patch.setattr(scenes.atomic.shutil, "rmtree", press_again)
+    fault.patch.setattr(rhizotwin.scenes.atomic.shutil, "rmtree", press_again)
     fault.patch.setattr(rhizotwin.importer, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
     command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["stopped"], code=130)
     assert list(tmp_path.iterdir()) == []

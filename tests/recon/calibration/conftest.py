@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes import frames
-from scenes.model import Camera, Scene
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, Scene
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.calibration.canister_seat import find_seat
-from recon.optics.cameras import View, matrix
-from scenes import frames, plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.calibration.canister_seat import find_seat
+from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 CAMERA = Camera(distortion=(-0.05, 0.02, 0.0003, -0.0002, 0.0)).resized((400, 300))
 SCENE = Scene(camera=CAMERA, plan=CapturePlan(rings=(Ring(views=7, height_mm=-60.0, tilt_deg=3.0),)))

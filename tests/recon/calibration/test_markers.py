@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recon.calibration.marker_fit import fit_marker
-from recon.calibration.markers import Markers, detect_markers
-from recon.calibration.poses import find_poses
-from recon.optics.cameras import matrix
-from scenes import frames, plan
-from scenes.dataset import Frame
-from scenes.errors import UserError
-from scenes.model import Camera, MarkerStrip, Scene
+from rhizotwin.recon.calibration.marker_fit import fit_marker
+from rhizotwin.recon.calibration.markers import Markers, detect_markers
+from rhizotwin.recon.calibration.poses import find_poses
+from rhizotwin.recon.optics.cameras import matrix
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
 
 
 @dataclass(frozen=True)

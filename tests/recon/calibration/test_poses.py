@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.calibration.markers import Markers
-from recon.calibration.poses import find_poses
-from recon.calibration.view_fit import adjoint, linearise, sightings, twist
-from recon.optics.cameras import matrix
-from scenes import frames, plan
-from scenes.dataset import Frame
-from scenes.errors import UserError
-from scenes.model import CapturePlan, Ring, Scene, Turntable
+from rhizotwin.recon.calibration.markers import Markers
+from rhizotwin.recon.calibration.poses import find_poses
+from rhizotwin.recon.calibration.view_fit import adjoint, linearise, sightings, twist
+from rhizotwin.recon.optics.cameras import matrix
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene, Turntable
 
 SCENE = Scene()
 CORNER_PX = 0.05

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.coverage import background
-from recon.optics import cameras, refraction
-from scenes import plan
-from scenes.model import Camera, Scene
+from rhizotwin.recon.coverage import background
+from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, Scene
 
 
 def panel(height: int = 120, width: int = 160) -> np.ndarray:

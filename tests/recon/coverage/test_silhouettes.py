@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.coverage import silhouettes
-from recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.silhouettes import Silhouette
 
 
 def strip(width_px: float, angle: float, offset: float, shape: tuple[int, int] = (96, 128), samples: int = 12) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.coverage import translucency
+from rhizotwin.recon.coverage import translucency
 
 PX_A_MM = 4.0
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.coverage import background, wall
-from recon.optics import cameras
-from recon.optics.refraction import Optics
-from scenes import frames, plan
-from scenes.model import Camera, Scene
+from rhizotwin.recon.coverage import background, wall
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, Scene
 
 VIEWS = 16
 

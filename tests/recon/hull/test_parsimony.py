@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from recon.coverage import silhouettes
-from recon.coverage.silhouettes import Silhouette
-from recon.hull import carve, parsimony
-from recon.optics import cameras, projection, refraction
-from scenes import plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.optics import cameras, projection, refraction
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
 

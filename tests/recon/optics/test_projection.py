@@ -5,9 +5,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from recon.optics import cameras, projection, refraction
-from scenes import frames
-from scenes.model import Camera, Canister, Scene, Water
+from rhizotwin.recon.optics import cameras, projection, refraction
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, Canister, Scene, Water
 
 LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 

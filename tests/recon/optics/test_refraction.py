@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.projection import images_swept, points_on_rays
-from recon.optics import cameras, refraction
-from scenes import frames, plan
-from scenes.model import Camera, Canister, Scene, Water
+from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, Canister, Scene, Water
 
 
 def a_view(scene: Scene, *, azimuth_deg: float, tilt_deg: float, height_mm: float, shift_mm: tuple[float, float, float]) -> cameras.View:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from recon.optics.refraction import Optics
-from recon.results import calibrated
-from recon.scoring.score_rig import compare_rig
-from scenes import frames
-from scenes.model import Scene
-from scenes.truth import TrueView, Truth
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results import calibrated
+from rhizotwin.recon.scoring.score_rig import compare_rig
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.truth import TrueView, Truth
 
 SEAT = frames.from_rotvec(np.deg2rad([0.1, -0.05, 0.0]), np.array([0.2, 0.3, 0.0]))
 RIG = {

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon.results import pictures, report, shading
-from recon.results.result_files import Mesh
-from scenes import frames
-from scenes.errors import UserError
-from scenes.rsml import Root, write_rsml
+from rhizotwin.recon.results import pictures, report, shading
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root, write_rsml
 
 
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:

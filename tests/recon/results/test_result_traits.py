@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon.results import result_files, result_traits
-from recon.scoring.score_traits import compare_traits
-from scenes.rsml import Root, write_rsml
-from scenes.traits import measure_traits
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.scoring.score_traits import compare_traits
+from rhizotwin.scenes.rsml import Root, write_rsml
+from rhizotwin.scenes.traits import measure_traits
 
 
 def root(start, end, diameter_mm, **kind) -> Root:

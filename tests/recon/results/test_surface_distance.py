@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from recon.results import surface_distance
+from rhizotwin.recon.results import surface_distance
 
 
 def brute_force(points, mesh):

@@ -5,15 +5,15 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import Silhouette
-from recon.optics import projection
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.roots import density
-from recon.roots.footprints import Footprints, Table, Windows
-from scenes import plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.roots import density
+from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 VIEWS, WIDTH, HEIGHT = 5, 200, 150
 

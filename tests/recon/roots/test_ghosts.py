@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from recon.roots import ghosts, proof
-from recon.tubes import tube_picture, tube_profiles, tubes
+from rhizotwin.recon.roots import ghosts, proof
+from rhizotwin.recon.tubes import tube_picture, tube_profiles, tubes
 from tests.recon.lines import line
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from recon.roots.hierarchy import arrange
-from scenes.rsml import Root
+from rhizotwin.recon.roots.hierarchy import arrange
+from rhizotwin.scenes.rsml import Root
 
 
 def line(*corners, diameter_mm=0.3, parent=-1, order=0) -> Root:

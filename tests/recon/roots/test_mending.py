@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.roots import mending
-from recon.tubes import tubes
+from rhizotwin.recon.roots import mending
+from rhizotwin.recon.tubes import tubes
 from tests.recon.lines import line
 
 

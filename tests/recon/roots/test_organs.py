@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from recon.hull.carve import Grid
-from recon.hull.parsimony import Balls
-from recon.roots import organs
-from recon.roots.density import Cells
+from rhizotwin.recon.hull.carve import Grid
+from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.roots import organs
+from rhizotwin.recon.roots.density import Cells
 from tests.recon.lines import line
 from tests.recon.strings import strung
 

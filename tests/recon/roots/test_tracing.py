@@ -3,14 +3,14 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import Silhouette
-from recon.hull.carve import Grid
-from recon.roots import residue, tracing
-from recon.roots.density import Cells, estimate
-from recon.scoring import score_roots
-from recon.tubes import tube_picture, tubes
-from scenes.rsml import Root
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.hull.carve import Grid
+from rhizotwin.recon.roots import residue, tracing
+from rhizotwin.recon.roots.density import Cells, estimate
+from rhizotwin.recon.scoring import score_roots
+from rhizotwin.recon.tubes import tube_picture, tubes
+from rhizotwin.scenes.rsml import Root
 from tests.recon.strings import TRUNK, TWIG, cameras, pictured, strung
 
 

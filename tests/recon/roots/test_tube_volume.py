@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from recon.hull.carve import Grid, Leaves
-from recon.roots import rooting, tube_volume
-from recon.tubes import tubes
-from recon.tubes.tube_law import TubeLaw
+from rhizotwin.recon.hull.carve import Grid, Leaves
+from rhizotwin.recon.roots import rooting, tube_volume
+from rhizotwin.recon.tubes import tubes
+from rhizotwin.recon.tubes.tube_law import TubeLaw
 from tests.recon.lines import line
 from tests.recon.strings import pictured, strung
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from recon.scoring import score_views
-from recon.scoring.score import score
-from scenes import frames
-from scenes.errors import UserError
+from rhizotwin.recon.scoring import score_views
+from rhizotwin.recon.scoring.score import score
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 
 RADIUS_MM = 6.0
 

@@ -6,16 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import Silhouette
-from recon.optics import cameras, projection
-from recon.optics.cameras import View
-from recon.optics.refraction import Optics
-from recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
-from recon.tubes.root_calibration import RigDoubt, Sights
-from recon.tubes.sight_change import QUANTITIES, Quantity
-from scenes import plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics import cameras, projection
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
+from rhizotwin.recon.tubes.root_calibration import RigDoubt, Sights
+from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 RINGS = Ring(views=6), Ring(views=6, height_mm=10.0, tilt_deg=8.0, first_deg=10.0)
 POINTS = np.array([[0.0, 0.0, -50.0], [20.0, 10.0, -30.0], [-35.0, 5.0, -90.0], [10.0, -45.0, -70.0]])

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from recon.coverage.evidence import Evidence
-from recon.coverage.silhouettes import Silhouette
-from recon.optics.cameras import View
-from recon.optics.projection import ViewBank
-from recon.optics.refraction import Optics
-from recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tube_profiles, tubes
-from scenes import plan
-from scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tube_profiles, tubes
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 
 @cache

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from recon.coverage.evidence import Nodes
-from recon.tubes import tube_picture, tubes
+from rhizotwin.recon.coverage.evidence import Nodes
+from rhizotwin.recon.tubes import tube_picture, tubes
 from tests.recon.lines import line
 from tests.recon.strings import pictured, strung
 

@@ -5,9 +5,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from recon.roots import proof
-from recon.tubes import translucent_tube, tube_picture, tube_profiles, tubes
-from recon.tubes.tube_profiles import Profiles, Sections
+from rhizotwin.recon.roots import proof
+from rhizotwin.recon.tubes import translucent_tube, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_profiles import Profiles, Sections
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
 

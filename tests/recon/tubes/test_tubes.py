@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
 from tests.recon.lines import line
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 

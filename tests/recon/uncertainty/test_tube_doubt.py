@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from recon.roots import rooting
-from recon.tubes import tubes
-from recon.tubes.tube_law import TubeLaw
-from recon.uncertainty import tube_doubt
+from rhizotwin.recon.roots import rooting
+from rhizotwin.recon.tubes import tubes
+from rhizotwin.recon.tubes.tube_law import TubeLaw
+from rhizotwin.recon.uncertainty import tube_doubt
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
 

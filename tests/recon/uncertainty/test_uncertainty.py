@@ -6,11 +6,11 @@ from typing import cast
 import numpy as np
 import pytest
 
-from recon import shaping
-from recon.hull.carve import DistanceMaps, Grid, Leaves, Water
-from recon.optics.projection import ViewBank
-from recon.uncertainty import solid_doubt
-from recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
+from rhizotwin.recon import shaping
+from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Leaves, Water
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.uncertainty import solid_doubt
+from rhizotwin.recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
 
 
 def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:

@@ -4,9 +4,9 @@ from collections.abc import Collection, Mapping
 
 import pytest
 
-from rig.arm.arm import ServoArm
-from rig.errors import RigError
-from rig.rig_file import ArmPart, Joint
+from rhizotwin.rig.arm.arm import ServoArm
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import ArmPart, Joint
 from tests.rig.fake_time import Time
 
 IDS = (6, 5, 4, 3, 2)

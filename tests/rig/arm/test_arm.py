@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
 from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, arm_and_bus
 
 

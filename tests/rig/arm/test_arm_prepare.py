@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from rig.arm.arm import open_arm
-from rig.devices import Arm
-from rig.errors import LostError, NoAnswerError, UnsafeError
-from rig.rig_file import ArmPart
+from rhizotwin.rig.arm.arm import open_arm
+from rhizotwin.rig.devices import Arm
+from rhizotwin.rig.errors import LostError, NoAnswerError, UnsafeError
+from rhizotwin.rig.rig_file import ArmPart
 from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, PART, arm_and_bus
 from tests.rig.fake_time import Time
 

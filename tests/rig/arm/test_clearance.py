@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
-from rig.arm.kinematics import arm_from_cam, rig_from_arm
-from rig.arm.placing import Joints, camera_wanted, joints_for
-from rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
-from rig.errors import UnsafeError
-from rig.rig_file import ArmPart, Bar, Clearance, RigFile
-from scenes import frames
-from scenes.frames import Array
-from scenes.model import Canister, Ring, Scene
+from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
+from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
+from rhizotwin.rig.arm.placing import Joints, camera_wanted, joints_for
+from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
+from rhizotwin.rig.errors import UnsafeError
+from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
+from rhizotwin.scenes.model import Canister, Ring, Scene
 
 ARM = ArmPart()
 RIG = RigFile(arm=ARM)

@@ -8,11 +8,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rig.arm.inverse import MOST_STEPS, inverse, newton, three_link
-from rig.arm.kinematics import body_jacobian, forward, log_se3
-from rig.rig_file import ArmPart
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.rig.arm.inverse import MOST_STEPS, inverse, newton, three_link
+from rhizotwin.rig.arm.kinematics import body_jacobian, forward, log_se3
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 PART = ArmPart()
 LINKS = PART.links_mm

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from rig.arm.kinematics import arm_from_cam, body_jacobian, cam_from_rig, forward, log_se3, places, rig_from_arm
-from rig.rig_file import ArmPart
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, cam_from_rig, forward, log_se3, places, rig_from_arm
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 PART = ArmPart()
 L0, L1, L2, L3 = PART.links_mm

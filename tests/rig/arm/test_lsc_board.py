@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.arm.lsc_board import LscBoard, find_frames, find_positions
-from rig.errors import NoAnswerError, UnsafeError
+from rhizotwin.rig.arm.lsc_board import LscBoard, find_frames, find_positions
+from rhizotwin.rig.errors import NoAnswerError, UnsafeError
 
 SILENT = ""
 REST = "00 " * 100

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.arm.lx_bus import LxBus, find_reply, frame
-from rig.arm.servo_bus import check_move
-from rig.errors import NoAnswerError, UnsafeError
+from rhizotwin.rig.arm.lx_bus import LxBus, find_reply, frame
+from rhizotwin.rig.arm.servo_bus import check_move
+from rhizotwin.rig.errors import NoAnswerError, UnsafeError
 
 SILENT = ""
 ASK_POS_1, POS_1_IS_500 = "55 55 01 03 1c df", "55 55 01 05 1c f4 01 e8"

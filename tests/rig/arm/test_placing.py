@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from rig.arm.kinematics import cam_from_rig
-from rig.arm.placing import camera_wanted, corrected_joints, joints_for
-from rig.arm.tangency import azimuth_rad, tangent, turned_to
-from rig.errors import RigError, UnsafeError
-from rig.rig_file import ArmPart, Joint, RigFile
-from scenes import frames
-from scenes.model import Ring
+from rhizotwin.rig.arm.kinematics import cam_from_rig
+from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for
+from rhizotwin.rig.arm.tangency import azimuth_rad, tangent, turned_to
+from rhizotwin.rig.errors import RigError, UnsafeError
+from rhizotwin.rig.rig_file import ArmPart, Joint, RigFile
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Ring
 
 RIG = RigFile(arm=ArmPart())
 ARM = ArmPart()

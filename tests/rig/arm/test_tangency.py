@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rig.arm.inverse import inverse
-from rig.arm.kinematics import cam_from_rig, forward, log_se3, rig_from_arm
-from rig.arm.tangency import azimuth_rad, correct, tangent, turned_to
-from rig.rig_file import ArmPart
-from scenes import frames
-from scenes.frames import Array
+from rhizotwin.rig.arm.inverse import inverse
+from rhizotwin.rig.arm.kinematics import cam_from_rig, forward, log_se3, rig_from_arm
+from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent, turned_to
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 
 PART = ArmPart()
 RING = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)

@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rig.cameras import open_camera
-from rig.cameras import pi as pi_module
-from rig.cameras.bayer import grey_from_bayer
-from rig.cameras.pi import TRIES, PiCamera
-from rig.cameras.pi_frames import choose_mode, metadata_faults
-from rig.cameras.settings import CameraSettings
-from rig.clock import SystemClock
-from rig.errors import RigError
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.cameras import pi as pi_module
+from rhizotwin.rig.cameras.bayer import grey_from_bayer
+from rhizotwin.rig.cameras.pi import TRIES, PiCamera
+from rhizotwin.rig.cameras.pi_frames import choose_mode, metadata_faults
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import CameraPart
 
 FRAME_NS = 100_000_000
 BLACK, WHITE = 256, 4095

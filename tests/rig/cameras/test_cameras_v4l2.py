@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.cameras import open_camera
-from rig.cameras.settings import CameraSettings
-from rig.cameras.v4l2 import V4l2Camera
-from rig.clock import SystemClock
-from rig.errors import RigError
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.cameras.v4l2 import V4l2Camera
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import CameraPart
 
 BUFFERS = 4
 SETTINGS = CameraSettings(image_wh=(32, 24), bits=8, exposure_s=0.0156, gain=16.0, white_balance_kelvin=4600)

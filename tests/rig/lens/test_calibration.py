@@ -12,19 +12,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rig.errors import RigError
-from rig.lens.board_corners import BoardView, NoBoard, find_board
-from rig.lens.calibration import calibrate, calibrate_views, numbers, write_calibration
-from rig.lens.calibration_report import write_report
-from rig.lens.lens_fit import fit_lens
-from rig.lens.saddle_fit import fit_saddle
-from scenes import frames
-from scenes.atomic import write_image
-from scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board, save_board
-from scenes.errors import UserError
-from scenes.files import load_profile, load_scene
-from scenes.model import Camera, Scene
-from sim.board import board_picture, draw_pose, project, simulate_board
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
+from rhizotwin.rig.lens.calibration import calibrate, calibrate_views, numbers, write_calibration
+from rhizotwin.rig.lens.calibration_report import write_report
+from rhizotwin.rig.lens.lens_fit import fit_lens
+from rhizotwin.rig.lens.saddle_fit import fit_saddle
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board, save_board
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.sim.board import board_picture, draw_pose, project, simulate_board
 
 Array = NDArray[np.float64]
 BOARD = CharucoBoard()

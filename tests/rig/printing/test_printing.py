@@ -11,13 +11,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
-from rig.printing.print_board import board_page
-from rig.printing.print_files import figure_of, write_pages
-from rig.printing.print_page import PAGES_MM, Line, Page, Paper
-from rig.printing.print_strip import strip_pages
-from scenes.board import CharucoBoard, opencv_board
-from scenes.errors import UserError
-from scenes.model import MarkerStrip, NetPot, Scene
+from rhizotwin.rig.printing.print_board import board_page
+from rhizotwin.rig.printing.print_files import figure_of, write_pages
+from rhizotwin.rig.printing.print_page import PAGES_MM, Line, Page, Paper
+from rhizotwin.rig.printing.print_strip import strip_pages
+from rhizotwin.scenes.board import CharucoBoard, opencv_board
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 DPI = 300
 PX_PER_MM = DPI / 25.4

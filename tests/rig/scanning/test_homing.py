@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.devices import LEAST_DEG, MOST_DEG
-from rig.errors import RigError
-from rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
-from rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
-from rig.twin.sketch import Sketch
-from rig.twin.world import Sight
-from scenes import frames, plan
-from scenes.model import Camera, Ring, Scene, Turntable
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
+from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, Ring, Scene, Turntable
 
 SCENE = Scene(camera=Camera().resized((800, 600)))
 ANGLES = st.floats(-90.0, 720.0)

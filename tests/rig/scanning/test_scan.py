@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.arm.tangency import azimuth_rad
-from rig.devices import Shot
-from rig.errors import RigError, UnsafeError
-from rig.rig_file import ArmPart
-from rig.scanning.scan import scan
-from scenes import frames, plan
-from scenes.dataset import load_dataset, read_image
-from scenes.errors import UserError
-from scenes.model import Ring, Scene
+from rhizotwin.rig.arm.tangency import azimuth_rad
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError, UnsafeError
+from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Ring, Scene
 from tests.rig.fake_devices import ARM_ERROR_DEG, BLIND, SCENE, Trouble, World, angles, devices, run, stop_at, with_rings
 
 

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from rig.scanning import scan as scan_module
-from rig.scanning import session
-from rig.scanning.homing import facing_angle
-from rig.scanning.markers import read_strip
-from scenes import plan
-from scenes.dataset import load_dataset, read_image
-from scenes.errors import UserError
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.scanning import scan as scan_module
+from rhizotwin.rig.scanning import session
+from rhizotwin.rig.scanning.homing import facing_angle
+from rhizotwin.rig.scanning.markers import read_strip
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
 from tests.rig.fake_devices import SCENE, Trouble, World, angles, run, stop_at
 
 CALLS = 25

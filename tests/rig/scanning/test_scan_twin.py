@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import RigError
-from rig.open import Devices, open_devices
-from rig.scanning.scan import scan
-from rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
-from rig.twin.imperfections import BENCH
-from rig.twin.twin import Twin
-from scenes import plan
-from scenes.dataset import Dataset, load_dataset, read_image
-from scenes.files import load_profile
-from scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.open import Devices, open_devices
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
+from rhizotwin.rig.twin.imperfections import BENCH
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
+from rhizotwin.scenes.files import load_profile
+from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 
 SCENE = Scene(
     camera=Camera().resized((400, 300)),

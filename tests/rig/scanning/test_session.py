@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.rig_file import ArmPart, RigFile
-from rig.scanning import session as session_module
-from rig.scanning.session import Session, file_of, take_up
-from scenes import plan
-from scenes.dataset import Frame, load_dataset, read_image, save_dataset
-from scenes.errors import UserError
-from scenes.model import Camera, CapturePlan, Ring, Scene
-from scenes.pictures import decode_grey, encode_png
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.scanning import session as session_module
+from rhizotwin.rig.scanning.session import Session, file_of, take_up
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.pictures import decode_grey, encode_png
 
 SCENE = Scene(camera=Camera().resized((64, 48)), plan=CapturePlan(rings=(Ring(views=4),)))
 VIEWS = plan.views(SCENE)

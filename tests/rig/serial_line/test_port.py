@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 import serial
 
-from rig.clock import SystemClock
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.serial_line.port import Port
-from rig.serial_line.recording import Recorder
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.serial_line.port import Port
+from rhizotwin.rig.serial_line.recording import Recorder
 
 
 @dataclass
@@ -102,10 +102,10 @@ def test_an_absent_port_is_refused_with_those_that_are_there(monkeypatch: pytest
     class There:
         device: str
 
-    monkeypatch.setattr("rig.serial_line.port.list_ports.comports", lambda: [There("/dev/ttyUSB7"), There("/dev/ttyACM0")])
+    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda: [There("/dev/ttyUSB7"), There("/dev/ttyACM0")])
     with pytest.raises(RigError, match=r"is not there \(serial ports that are: /dev/ttyACM0, /dev/ttyUSB7\)"):
         opened(str(tmp_path / "ttyUSB0"))
-    monkeypatch.setattr("rig.serial_line.port.list_ports.comports", list)
+    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", list)
     with pytest.raises(RigError, match="ports that are: none"):
         opened(str(tmp_path / "ttyUSB0"))
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from rig.errors import RigError
-from rig.rig_file import LightsPart, TurntablePart
-from rig.serial_line.port import Port
-from rig.serial_line.recording import Recorder, ReplayError, ReplayPort, replay_port
-from rig.table.lights import MarlinLights
-from rig.table.marlin import MarlinLink
-from rig.table.turntable import MarlinTurntable
-from scenes.errors import UserError
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import LightsPart, TurntablePart
+from rhizotwin.rig.serial_line.port import Port
+from rhizotwin.rig.serial_line.recording import Recorder, ReplayError, ReplayPort, replay_port
+from rhizotwin.rig.table.lights import MarlinLights
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.turntable import MarlinTurntable
+from rhizotwin.scenes.errors import UserError
 
 Scan = Callable[[Any], list[float]]
 

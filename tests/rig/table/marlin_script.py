@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.marlin import MarlinLink
 
 POSITION_LINE = "X:0.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0"
 

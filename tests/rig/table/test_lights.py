@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.rig_file import LightsPart
-from rig.table.lights import MarlinLights
-from rig.table.marlin import MarlinLink
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.rig_file import LightsPart
+from rhizotwin.rig.table.lights import MarlinLights
+from rhizotwin.rig.table.marlin import MarlinLink
 
 PART = LightsPart(panel_strip=1, front_strip=0, panel_rgb=(255, 250, 240), front_rgb=(10, 20, 30), settle_s=0.5)
 OFF = {"R": 0, "U": 0, "B": 0, "P": 0}

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.table.marlin import MarlinLink
-from rig.table.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
-from rig.table.marlin_lines import POSITION
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.marlin_exchange import ANSWER_S, BUSY_S, LONGEST_S
+from rhizotwin.rig.table.marlin_lines import POSITION
 from tests.rig.table.marlin_script import GREETING, POSITION_LINE, Talk
 
 M400 = "N8 M400"

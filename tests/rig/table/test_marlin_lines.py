@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, numbered, read_line
+from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, numbered, read_line
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.errors import RigError
-from rig.rig_file import TurntablePart
-from rig.table.marlin import MarlinLink
-from rig.table.turntable import MarlinTurntable
+from rhizotwin.rig.errors import RigError
+from rhizotwin.rig.rig_file import TurntablePart
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.turntable import MarlinTurntable
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from rig.errors import LostError, NoAnswerError
-from rig.table.marlin import MarlinLink
+from rhizotwin.rig.errors import LostError, NoAnswerError
+from rhizotwin.rig.table.marlin import MarlinLink
 from tests.rig.table.marlin_script import GREETING, Script, Talk
 
 

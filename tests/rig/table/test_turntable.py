@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from rig.rig_file import TurntablePart
-from rig.table.marlin import MarlinLink
-from rig.table.turntable import MarlinTurntable
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import TurntablePart
+from rhizotwin.rig.table.marlin import MarlinLink
+from rhizotwin.rig.table.turntable import MarlinTurntable
 
 PART = TurntablePart(speed_deg_per_s=30.0, approach_deg=3.6)
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from rig.twin.adapter import Reply
-from rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, kind_of, parse_fault
-from rig.twin.line import COMPLETED, Line, corrupted
-from scenes.errors import UserError
+from rhizotwin.rig.twin.adapter import Reply
+from rhizotwin.rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, kind_of, parse_fault
+from rhizotwin.rig.twin.line import COMPLETED, Line, corrupted
+from rhizotwin.scenes.errors import UserError
 
 BAUD = 10_000  # a byte takes a millisecond
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.twin.imperfections import CLEAN
-from rig.twin.lamps import Lamp
-from rig.twin.marlin_adapter import MarlinAdapter
-from rig.twin.stepper import Stepper
+from rhizotwin.rig.twin.imperfections import CLEAN
+from rhizotwin.rig.twin.lamps import Lamp
+from rhizotwin.rig.twin.marlin_adapter import MarlinAdapter
+from rhizotwin.rig.twin.stepper import Stepper
 
 
 class _Board:

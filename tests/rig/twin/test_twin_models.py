@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.twin.clock import VirtualClock
-from rig.twin.imperfections import BENCH, CLEAN, Imperfections, imperfections_of
-from rig.twin.lamps import Lamp
-from rig.twin.servo import DEG_PER_COUNT, Servo, Supply
-from rig.twin.stepper import MICROSTEPS, Stepper
+from rhizotwin.rig.twin.clock import VirtualClock
+from rhizotwin.rig.twin.imperfections import BENCH, CLEAN, Imperfections, imperfections_of
+from rhizotwin.rig.twin.lamps import Lamp
+from rhizotwin.rig.twin.servo import DEG_PER_COUNT, Servo, Supply
+from rhizotwin.rig.twin.stepper import MICROSTEPS, Stepper
 
 
 def servo(wrong: Imperfections = CLEAN, *, start: float = 500.0, key: tuple[int, ...] = (0, 1)) -> Servo:

@@ -8,26 +8,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recon.calibration.markers import detect_markers
-from rig.errors import NoAnswerError
-from rig.rig_file import CameraPart
-from rig.twin.camera import TwinCamera
-from rig.twin.faults import FOR_GOOD, Fault, Pending
-from rig.twin.pictures import Rendered, calibrated_scene, draw
-from rig.twin.record import Record, digest_of
-from rig.twin.sketch import Sketch
-from rig.twin.twin import Twin
-from rig.twin.world import Sight
-from scenes import frames, plan
-from scenes.atomic import write_image
-from scenes.dataset import Frame
-from scenes.errors import UserError
-from scenes.model import CapturePlan, Disturbances, Ring, Scene
-from scenes.specimens import SphereSpecimen
-from scenes.truth import load_truth
-from sim.render import Renderer
-from sim.specimen import build_specimen
-from sim.world import draw_world
+from rhizotwin.recon.calibration.markers import detect_markers
+from rhizotwin.rig.errors import NoAnswerError
+from rhizotwin.rig.rig_file import CameraPart
+from rhizotwin.rig.twin.camera import TwinCamera
+from rhizotwin.rig.twin.faults import FOR_GOOD, Fault, Pending
+from rhizotwin.rig.twin.pictures import Rendered, calibrated_scene, draw
+from rhizotwin.rig.twin.record import Record, digest_of
+from rhizotwin.rig.twin.sketch import Sketch
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.rig.twin.world import Sight
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene
+from rhizotwin.scenes.specimens import SphereSpecimen
+from rhizotwin.scenes.truth import load_truth
+from rhizotwin.sim.render import Renderer
+from rhizotwin.sim.specimen import build_specimen
+from rhizotwin.sim.world import draw_world
 from tests.rig.fake_time import Time
 
 WRONG = Disturbances(
@@ -183,7 +183,7 @@ def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
 
 
 def _camera(twin: Twin, k: int) -> object:
-    from sim.world import TrueCamera
+    from rhizotwin.sim.world import TrueCamera
 
     sight = twin.record.shots[k].sight
     return TrueCamera(cam_from_rig=sight.cam_from_rig, rig_from_canister=sight.rig_from_canister, table_deg=sight.table_deg)

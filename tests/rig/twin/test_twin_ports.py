@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import serial
 
-from rig.twin.faults import Fault
-from rig.twin.twin import Twin
-from scenes.model import Disturbances, Scene
+from rhizotwin.rig.twin.faults import Fault
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.model import Disturbances, Scene
 
 ASK_ARM = bytes.fromhex("55 55 05 03 1c db")  # position of servo 5
 
@@ -234,7 +234,7 @@ def test_a_repaired_twin_has_no_fault_left() -> None:
 def served(tmp_path: Path) -> Iterator[tuple[Twin, dict[str, Path]]]:
     if sys.platform == "win32":
         pytest.skip("needs pseudo-terminals")
-    from rig.twin.pty_ports import PtyPorts
+    from rhizotwin.rig.twin.pty_ports import PtyPorts
 
     rig = twin()
     ports = PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0, opened=lambda name: rig.board_opened() if name == "table" else None)
@@ -262,7 +262,7 @@ def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, dict[str,
 def test_a_cable_pulled_from_a_pseudo_terminal(tmp_path: Path) -> None:
     if sys.platform == "win32":
         pytest.skip("needs pseudo-terminals")
-    from rig.twin.pty_ports import PtyPorts
+    from rhizotwin.rig.twin.pty_ports import PtyPorts
 
     rig = twin()
     ports = PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0)

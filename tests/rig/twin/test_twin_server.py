@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import serial
 
-from rig.cameras import open_camera
-from rig.clock import SystemClock
-from rig.rig_file import load_rig
-from rig.twin.server import TwinServer, rig_text, run_twin
-from rig.twin.twin import Twin
-from scenes.files import load_scene
-from scenes.model import Disturbances, Scene
+from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.clock import SystemClock
+from rhizotwin.rig.rig_file import load_rig
+from rhizotwin.rig.twin.server import TwinServer, rig_text, run_twin
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.files import load_scene
+from rhizotwin.scenes.model import Disturbances, Scene
 
 if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals", allow_module_level=True)

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.twin.imperfections import CLEAN
-from rig.twin.lsc_adapter import LscAdapter
-from rig.twin.lx_adapter import LxAdapter
-from rig.twin.servo import Servo, Supply
+from rhizotwin.rig.twin.imperfections import CLEAN
+from rhizotwin.rig.twin.lsc_adapter import LscAdapter
+from rhizotwin.rig.twin.lx_adapter import LxAdapter
+from rhizotwin.rig.twin.servo import Servo, Supply
 
 
 def hexes(text: str) -> bytes:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.cameras.server import CameraServer
+from rhizotwin.rig.cameras.server import CameraServer
 from tests.rig.cameras.http_camera.numbered import NumberedCamera
 
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rig.cameras.http import HttpCamera
-from rig.cameras.server import CameraServer
-from rig.cameras.settings import CameraSettings
-from rig.devices import Shot
-from rig.errors import RigError
+from rhizotwin.rig.cameras.http import HttpCamera
+from rhizotwin.rig.cameras.server import CameraServer
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.errors import RigError
 
 SETTINGS = CameraSettings(image_wh=(32, 24), bits=12, exposure_s=0.01, gain=2.0)
 

@@ -14,12 +14,12 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from rig.cameras import open_camera
-from rig.cameras.http import PAUSE_S, RETRIES, HttpCamera
-from rig.cameras.server import CameraServer
-from rig.cameras.settings import CameraSettings
-from rig.errors import LostError, NoAnswerError, RigError
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras import open_camera
+from rhizotwin.rig.cameras.http import PAUSE_S, RETRIES, HttpCamera
+from rhizotwin.rig.cameras.server import CameraServer
+from rhizotwin.rig.cameras.settings import CameraSettings
+from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
+from rhizotwin.rig.rig_file import CameraPart
 from tests.rig.cameras.http_camera.numbered import SETTINGS, A, NumberedCamera, Waits, client, number_of
 
 Mangle = Callable[[bytes, int], bytes | None]

@@ -10,12 +10,12 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from rig.cameras import server as server_module
-from rig.cameras.protocol import PICTURE, SHA256
-from rig.cameras.server import CameraServer, serve_camera
-from rig.cameras.service import KEPT, CameraService
-from rig.errors import LostError, RigError
-from rig.rig_file import CameraPart
+from rhizotwin.rig.cameras import server as server_module
+from rhizotwin.rig.cameras.protocol import PICTURE, SHA256
+from rhizotwin.rig.cameras.server import CameraServer, serve_camera
+from rhizotwin.rig.cameras.service import KEPT, CameraService
+from rhizotwin.rig.errors import LostError, RigError
+from rhizotwin.rig.rig_file import CameraPart
 from tests.rig.cameras.http_camera.numbered import SETTINGS, A, B, NumberedCamera, client
 
 
