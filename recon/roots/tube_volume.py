@@ -36,12 +36,25 @@ class Filled:
     """(M, 3)"""
     volume_mm3: Array
     """(M,) the part of the tubes that each stands for."""
+    branch: Index
+    """(M,)"""
+    along_mm: Array
+    """(M,) how far along its branch."""
 
 
 def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill the union of tubes with points some ``spacing_mm`` apart.
+    """Fill the union of tubes with points some ``spacing_mm`` apart: where branches overlap, the later one's points are left out."""
+    filled = fill_each(tubes, spacing_mm, left_out=left_out)
+    earlier = np.zeros(len(filled.branch), bool)
+    point, other, _ = within(tubes, filled.point_mm, filled.branch)
+    earlier[point[other < filled.branch[point]]] = True
+    return Filled(filled.point_mm[~earlier], filled.volume_mm3[~earlier], filled.branch[~earlier], filled.along_mm[~earlier])
 
-    Every cross-section is a sunflower (Vogel 1979, Math. Biosci. 44:179). Where branches overlap, the later one's points are left out.
+
+def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
+    """Fill every tube for itself with points some ``spacing_mm`` apart, overlaps and all.
+
+    Every cross-section is a sunflower (Vogel 1979, Math. Biosci. 44:179).
 
     Parameters
     ----------
@@ -50,10 +63,12 @@ def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Fi
     a, b = tubes.segments.T
     branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
     r_a, r_b = tubes.segment_radii
+    length = np.linalg.norm(tubes.centre_mm[b] - tubes.centre_mm[a], axis=1)
+    before = np.cumsum(length) - length
+    before -= before[np.searchsorted(branch, branch)]
     if left_out is not None:
         stays = ~(left_out[a] & left_out[b])
-        a, b, r_a, r_b, branch = a[stays], b[stays], r_a[stays], r_b[stays], branch[stays]
-    length = np.linalg.norm(tubes.centre_mm[b] - tubes.centre_mm[a], axis=1)
+        a, b, r_a, r_b, branch, length, before = (of[stays] for of in (a, b, r_a, r_b, branch, length, before))
     slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
     segment, part = _counted(slices)
     share = (part + 0.5) / slices[segment]
@@ -66,8 +81,7 @@ def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Fi
     point = tubes.centre_mm[a][of] + share[disc, None] * along[of]
     point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
     volume = (np.pi * radius**2 * (length / slices)[segment] / count)[disc]
-    own = ~_in_earlier(tubes, point, branch[of])
-    return Filled(point[own], volume[own])
+    return Filled(point, volume, branch[of], before[of] + (share * length[segment])[disc])
 
 
 def _counted(count: Index) -> tuple[Index, Index]:
@@ -85,38 +99,46 @@ def _frames(along: Array) -> tuple[Array, Array, Array]:
     return along, side, np.cross(unit, side)
 
 
-def _in_earlier(tubes: Tubes, point: Array, branch: Index) -> Mask:
-    """Tell the points (M,) of branches (M,) that lie inside an earlier branch."""
-    centre, radius, owner = _dense(tubes)
-    inside = np.zeros(len(point), bool)
-    if not len(point):
-        return inside
+def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
+    """Find which points (M, 3) of branches (M,) lie inside other branches.
+
+    Returns
+    -------
+    point, other : (K,) a point and a branch it lies in.
+    along_mm : (K,) how far along that branch.
+    """
+    centre, radius, owner, along = _dense(tubes)
+    pairs: list[tuple[Index, Index]] = []
     # only points near two branches need a closer look: those whose node's neighbourhood holds another branch
     tree, thick = cKDTree(centre), radius > _THICK_MM
     reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
     mixed = np.zeros(len(centre), bool)
-    pairs = tree.query_pairs(reach, output_type="ndarray")
-    pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
-    mixed[pairs.ravel()] = True
+    close = tree.query_pairs(reach, output_type="ndarray")
+    close = close[owner[close[:, 0]] != owner[close[:, 1]]]
+    mixed[close.ravel()] = True
     if thick.any():
-        close = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
-        one, other = np.flatnonzero(thick)[close["i"]], close["j"]
-        touch = (close["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
+        apart = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
+        one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
+        touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
         mixed[one[touch]] = mixed[other[touch]] = True
-    doubted = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]])
-    for part in (thick, ~thick):
-        if not part.any() or not len(doubted):
+    doubted = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
+    for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
+        if not len(part) or not len(doubted):
             continue
-        tree, width, before = cKDTree(centre[part]), radius[part], owner[part]
+        tree, width = cKDTree(centre[part]), radius[part]
         distance, near = tree.query(point[doubted], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
         near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
-        inside[doubted] |= ((distance < width[near]) & (before[near] < branch[doubted][:, None])).any(axis=1)
-    return inside
+        row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[doubted][:, None]))
+        pairs.append((doubted[row], part[near[row, column]]))
+    if not pairs:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    inside, node = (np.concatenate(found) for found in zip(*pairs, strict=True))
+    return inside, owner[node], along[node]
 
 
-def _dense(tubes: Tubes) -> tuple[Array, Array, Index]:
-    """Return points (P, 3) close together on all branches, with radius (P,) and branch (P,)."""
-    centres, radii, owners = [], [], []
+def _dense(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
+    """Return points (P, 3) close together on all branches, with radius (P,), branch (P,) and how far along it (P,)."""
+    centres, radii, owners, ways = list[Array](), list[Array](), list[Index](), list[Array]()
     for k, nodes in enumerate(tubes.branches):
         line, radius = tubes.centre_mm[nodes], tubes.radii(k)
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
@@ -124,7 +146,8 @@ def _dense(tubes: Tubes) -> tuple[Array, Array, Index]:
         centres.append(np.stack([np.interp(at, along, line[:, axis]) for axis in range(3)], axis=1))
         radii.append(np.interp(at, along, radius))
         owners.append(np.full(len(at), k))
-    return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners)
+        ways.append(at)
+    return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners), np.concatenate(ways)
 
 
 @dataclass(frozen=True)
@@ -186,7 +209,7 @@ def _painted(thick: Leaves, filled: Filled) -> Leaves:
     tube = np.bincount(inverse[: len(at)], weights=filled.volume_mm3 / thick.grid.size_mm**3, minlength=len(keys)).astype(np.float64)
     organ = np.zeros(len(keys))
     organ[inverse[len(at) :]] = thick.occupancy[~large]
-    occupancy = np.maximum(_levelled(tube), organ)
+    occupancy = np.maximum(levelled(tube), organ)
     new = (occupancy > 0) & ~np.isin(keys, (coarse - low) @ weights)
     index = np.stack([keys // weights[0], keys // weights[1] % span[1], keys % span[2]], axis=1) + low
     return Leaves(
@@ -197,7 +220,7 @@ def _painted(thick: Leaves, filled: Filled) -> Leaves:
     )
 
 
-def _levelled(occupancy: Array) -> Array:
+def levelled(occupancy: Array) -> Array:
     """Return occupancies (N,) of at most 1 with the same sum: what sampling put too much into full nodes goes to the others."""
     factor, total = 1.0, float(occupancy.sum())
     for _ in range(5):
