@@ -39,7 +39,7 @@ def about(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "command": f"{given.what}{' --quick' if given.quick else ''}",
         "device": given.device,
-        "reconstruction": sources.digest(("rhizotwin.recon.pipeline",))[:12],
+        "reconstruction": sources.digest(("rhizotwin.recon.reconstruct",))[:12],
         "python": platform.python_version(),
         **versions,
     }

@@ -16,7 +16,7 @@ from rhizotwin.scenes import atomic
 from rhizotwin.scenes.provenance import versions
 
 _SOURCES = {
-    "coverage": ("rhizotwin.recon.pipeline", "rhizotwin.recon.scoring.score"),
+    "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score"),
     "thesis": ("benchmarks.thesis", "rhizotwin.recon.scoring.score"),
 }
 """Modules that decide what becomes of a dataset, by method."""

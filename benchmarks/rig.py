@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import rig_faults, rig_kills
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
-from rhizotwin.recon.pipeline import reconstruct
+from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.scoring.score import score
 from rhizotwin.rig.arm import inverse, kinematics
 from rhizotwin.rig.clock import SystemClock
@@ -163,7 +163,7 @@ def _scanned() -> list[Metric]:
         folder, result = Path(working) / "dataset", Path(working) / "result"
         dataset = _scan(twin, folder)
         result.mkdir()
-        reconstruct(folder, result, progress=False)
+        reconstruct(folder).save(result)
         twin.write_truth(folder, dataset.frames)
         found: dict[str, Any] = score(result, folder).to_dict()
     return [

@@ -9,23 +9,38 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.recon import drawing, pipeline, shaping
+from rhizotwin.recon import shaping
+from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.coverage.measure import measure_coverage
+from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.reconstruct import gather
 from rhizotwin.recon.results.result import Result
-from rhizotwin.recon.run import Run
 from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.monitor import Monitor
 
 
 def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: float) -> Result:
     """Reconstruct a dataset by the thesis's method into ``result_folder``."""
-    run = Run.of(dataset_folder, progress=False)
-    found, rig = pipeline.find_cameras(run, measure=False, single_view=True)
-    views = pipeline.usable(run, found)
-    optics = Optics.of(run.dataset.scene)
-    drawn = drawing.draw(run, views, optics, outline=lambda image, _, seen: silhouettes.thesis(image, seen))
-    hull = shaping.carve_hull(run, drawn, views, optics, finest_mm=voxel_mm, slack_px=0.0, ignore_blindness=True).hull
+    monitor, dataset = Monitor(), load_dataset(dataset_folder)
+    pictures = read_pictures(dataset, monitor=monitor)
+    cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
+    coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=lambda image, _, seen: silhouettes.thesis(image, seen))
+    carved = shaping.carve_hull(dataset, cameras, coverage, finest_mm=voxel_mm, slack_px=0.0, ignore_blindness=True, monitor=monitor)
+    hull = carved.hull
     counted = float((hull.leaves.size.astype(np.float64) ** 3).sum() * voxel_mm**3)
-    budget = Budget(volume_mm3=counted, terms=(), views=len(views))
-    shape = shaping.measure(run, hull, hull.leaves, voxel_mm=voxel_mm, budget=budget, bounds_mm3=(counted, counted), untrimmed_mm3=counted)
-    return pipeline.finish(run, found, rig, drawn, shape, result_folder, settings={"method": "thesis", "voxel_mm": voxel_mm})
+    solid = shaping.measure(
+        hull,
+        hull.leaves,
+        voxel_mm=voxel_mm,
+        budget=Budget(volume_mm3=counted, terms=(), views=len(cameras.order)),
+        bounds_mm3=(counted, counted),
+        untrimmed_mm3=counted,
+        monitor=monitor,
+    )
+    recorded = {"method": "thesis", "voxel_mm": voxel_mm, "finest_mm": solid.finest_mm}
+    warnings = (*cameras.warnings, *solid.warnings)
+    result = gather(dataset, cameras, coverage, solid, warnings=warnings, settings=recorded, monitor=monitor)
+    result.save(result_folder)
+    return result

@@ -69,12 +69,13 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
     return {"first_view": walls[0], "per_view": (walls[1] - walls[0]) / 2.0}
 
 
-def reconstruct(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
+def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
     """Return the seconds of a reconstruction by stage."""
-    from rhizotwin.recon import pipeline
+    from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.results.result_files import read_summary
+    from rhizotwin.recon.settings import Settings
 
-    pipeline.reconstruct(dataset_folder, working / "result", voxel_mm=voxel_mm, progress=False)
+    reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
     return {"stages": read_summary(working / "result")["timings_s"]}
 
 
@@ -88,15 +89,16 @@ def dataset(pictures: Pictures) -> dict[str, Any]:
 def score(dataset_folder: Path, method: str, voxel_mm: float, working: Path) -> dict[str, Any]:
     """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's."""
     from benchmarks.thesis import reconstruct_thesis
-    from rhizotwin.recon import pipeline
+    from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.scoring import score as scoring
+    from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.provenance import peak_memory_mib
 
     began, busy = time.perf_counter(), time.process_time()
     if method == "thesis":
         reconstruct_thesis(dataset_folder, working / "result", voxel_mm=voxel_mm)
     else:
-        pipeline.reconstruct(dataset_folder, working / "result", voxel_mm=voxel_mm, progress=False)
+        reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
     taken = {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,
@@ -147,7 +149,7 @@ def main() -> int:
     engine.start(given.device)
     work = {
         "render": lambda: render(given.fidelity, given.working),
-        "reconstruct": lambda: reconstruct(given.dataset, given.voxel_mm, given.working),
+        "reconstruct": lambda: stages(given.dataset, given.voxel_mm, given.working),
         "dataset": lambda: dataset(given.pictures),
         "score": lambda: score(given.dataset, given.method, given.voxel_mm, given.working),
         "projection": projection,

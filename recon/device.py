@@ -1,11 +1,10 @@
-"""What computes: the processors that may be used, and numbers for Dr.Jit's kernels.
+"""Numbers for Dr.Jit's kernels.
 
 Dr.Jit takes an array of NumPy as it lies in memory, and compiles a kernel anew for every combination of inputs that begin at a multiple of
 64 bytes and inputs that do not. Small arrays begin anywhere, so that a kernel of twenty inputs would be compiled time and again (a second
 each). These are copied to where they begin at a multiple of 64 bytes.
 """
 
-import os
 from typing import Any
 
 import mitsuba as mi
@@ -14,11 +13,6 @@ from numpy.typing import NDArray
 
 _ALIGNED = 64
 """Bytes of the widest vector that Dr.Jit loads."""
-
-
-def threads() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def numbers(values: NDArray[Any]) -> Any:

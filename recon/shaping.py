@@ -7,39 +7,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
 from rhizotwin.recon.hull import carve, parsimony, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import projection
-from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.results.result import Shape, Triple, Voxels
+from rhizotwin.recon.results.result import Solid, Triple
+from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
-from rhizotwin.recon.run import Run
-from rhizotwin.recon.tubes.root_calibration import Sights
+from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import solid_doubt, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
 
-FINEST_MM = 0.14
-"""Voxels larger than this are carved finer and gathered, so that their occupancy is measured and not guessed."""
-THIN_KEPT, THIN_SMALL = 0.3, 0.7
-"""Tubes are sought where more than these shares of the trimmed volume are untrimmed hull, and leaves of the finest size.
-
-Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large leaves (14 % small)."""
-THIN_MISSED = 0.3
-"""... and where the trimmed hull stands before less than the rest of what the pictures show: roots too faint for any hull.
-
-Translucent roots of five days that no resolved root told to be so leave a half of their coverage, a print with felt fibres about it 1 %."""
 _MISSED_VIEWS = 8
 _MISSED_LEAVES = 100_000
 """Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the other."""
 _MISSED_PX = 1.5
 """What lies this near to the hull in a picture is its own."""
-SLACK_PX = 0.3
-"""By how much outlines are moved in and out for the silhouette-consistent bounds."""
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
 _MUCH_KEPT = 0.2
@@ -52,47 +43,50 @@ class Carved:
     hull: carve.Hull
     bank: projection.ViewBank
     maps: carve.DistanceMaps
-    silhouettes: list[Silhouette]
+    silhouettes: tuple[Silhouette, ...]
     """In the order of the bank's views."""
-    sights: Sights
+    cameras: Cameras
+    """In the order of the bank's views."""
     water: Water
 
 
 def carve_hull(
-    run: Run,
-    drawn: dict[int, Silhouette],
-    views: dict[int, View],
-    optics: Optics,
+    dataset: Dataset,
+    cameras: Cameras,
+    coverage: Coverage,
     *,
     finest_mm: float,
-    slack_px: float = SLACK_PX,
+    slack_px: float,
+    monitor: Monitor,
     ignore_blindness: bool = False,
 ) -> Carved:
     """Carve the silhouettes' hull out of the water between the floor and the net pot.
 
     Parameters
     ----------
-    drawn, views : silhouettes and cameras by index of the frame.
-    finest_mm : edge of the finest nodes.
-    slack_px, ignore_blindness : as in `carve.carve`.
+    finest_mm : float
+        Edge of the finest nodes.
+    slack_px, ignore_blindness
+        As in `carve.carve`.
 
     Raises
     ------
     UserError
         Where the silhouettes have no volume in common.
     """
-    order = [list(views)[place] for place in _spread(len(views))]
-    with run.stage("outlines"):
-        window = Window.around([drawn[k] for k in order])
-        outlines = _outlines(run, [drawn[k].cut(window) for k in order])
-    with run.stage("carve"):
-        maps = carve.DistanceMaps.of(outlines, run.dataset.scene.camera.image_wh, window)
+    order = [cameras.order[place] for place in _spread(len(cameras.order))]
+    cameras = cameras.ordered(order)
+    with monitor.stage("outlines"):
+        window = Window.around([coverage.silhouettes[k] for k in order])
+        outlines = _outlines([coverage.silhouettes[k].cut(window) for k in order], monitor)
+    with monitor.stage("carve"):
+        scene, radius = dataset.scene, cameras.optics.inner_radius_mm
+        maps = carve.DistanceMaps.of(outlines, scene.camera.image_wh, window)
         del outlines
-        bank = projection.ViewBank.of([views[k] for k in order], optics)
-        scene, radius = run.dataset.scene, optics.inner_radius_mm
+        bank = projection.ViewBank.of(cameras.views, cameras.optics)
         top, bottom = min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm
         grid = carve.Grid.over(np.array([-radius, -radius, bottom]), np.array([radius, radius, top]), finest_mm)
-        with run.bar("carve", grid.levels + 1, "level") as bar:
+        with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(
                 bank,
                 maps,
@@ -103,29 +97,46 @@ def carve_hull(
                 min_votes=max(3, math.ceil(parsimony.VOTES * bank.count)),
                 slack_px=slack_px,
                 ignore_blindness=ignore_blindness,
-                progress=bar.update,
+                progress=step,
             )
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
-            f"{run.dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
+            f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
             "the poses or the scene file do not fit the pictures."
         )
-    doubt = None if run.doubt is None else run.doubt.of(order)
-    sights = Sights(order, [views[k] for k in order], optics, doubt)
-    drawn_in_order = [drawn[k] for k in order]
-    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn_in_order, sights=sights, water=Water(radius, top, bottom))
+    drawn = tuple(coverage.silhouettes[k] for k in order)
+    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=Water(radius, top, bottom))
 
 
-def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics: Optics, *, voxel_mm: float) -> Shape:
-    """Carve the silhouettes' hull, trim it to what they need, fit tubes to the roots that are too thin for it, and measure the whole."""
-    halvings = max(0, math.ceil(math.log2(voxel_mm / FINEST_MM)))
-    carved = carve_hull(run, drawn, views, optics, finest_mm=voxel_mm / 2**halvings)
-    hull = carved.hull
-    with run.stage("trim"):
-        trimmed = parsimony.trim(carved.bank, carved.maps, hull.leaves)
-    system = None
-    if _is_thin(trimmed) or _misses(carved, trimmed.leaves) > THIN_MISSED:
-        system = rooting.find(run, Evidence.of(carved.bank, carved.silhouettes), carved.sights, trimmed.balls, carved.water)
+@dataclass(frozen=True, kw_only=True)
+class TrimmedHull:
+    """What the silhouettes need of their hull."""
+
+    carved: Carved
+    trimmed: parsimony.Trimmed
+
+
+def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> TrimmedHull:
+    """Carve the silhouettes' hull, and trim it to what they need."""
+    halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
+    finest_mm = settings.voxel_mm / 2**halvings
+    carved = carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
+    with monitor.stage("trim"):
+        return TrimmedHull(carved=carved, trimmed=parsimony.trim(carved.bank, carved.maps, carved.hull.leaves))
+
+
+def find_roots(found: TrimmedHull, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> RootSystem | None:
+    """Fit tubes to the roots that are too thin for a hull; None where there are none."""
+    carved, trimmed = found.carved, found.trimmed
+    if not _is_thin(trimmed, settings) and _misses(carved, trimmed.leaves) <= settings.roots.least_missed:
+        return None
+    seen = Evidence.of(carved.bank, carved.silhouettes)
+    return rooting.find(seen, carved.cameras, trimmed.balls, carved.water, coverage.attenuation, monitor=monitor)
+
+
+def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
+    """Unite the trimmed hull and the tubes, and measure the whole."""
+    hull, trimmed = found.carved.hull, found.trimmed
     # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
     moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
     if system is None:
@@ -133,46 +144,47 @@ def build(run: Run, drawn: dict[int, Silhouette], views: dict[int, View], optics
         volume = leaves.volume_mm3()
         bounds = max(0.0, volume - moved_in_mm3), hull.moved_out_mm3
     else:
-        with run.stage("unite"):
+        with monitor.stage("unite"):
             united = tube_volume.unite(trimmed.leaves, system)
         leaves, share = united.leaves, united.thick_mm3 / trimmed.leaves.volume_mm3()
         volume, kept_mm3 = leaves.volume_mm3(), share * trimmed.kept_mm3
         bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
-    with run.stage("doubt"):
-        budget = _budget(carved, trimmed, leaves, system, share=share, volume_mm3=volume)
-    _warn(run, budget, kept_mm3)
-    shape = measure(run, hull, leaves, voxel_mm=voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3)
+    with monitor.stage("uncertainty"):
+        budget = _budget(found, leaves, system, share=share, volume_mm3=volume, slack_px=settings.hull.slack_px)
+    solid = measure(hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3, monitor=monitor)
+    solid = replace(solid, warnings=(*_warnings(budget, kept_mm3), *solid.warnings))
     if system is None:
-        return replace(shape, mu_per_mm=None if run.law is None else run.law.mu_per_mm)
+        return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     law = system.law
     sigma = None if law.mu_per_mm is None else law.sigma * law.mu_per_mm
-    return replace(shape, roots=system.roots(), mu_per_mm=law.mu_per_mm, mu_sigma_per_mm=sigma)
+    return replace(solid, roots=system.roots(), mu_per_mm=law.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
 def _budget(
-    carved: Carved, trimmed: parsimony.Trimmed, leaves: carve.Leaves, system: rooting.RootSystem | None, *, share: float, volume_mm3: float
+    found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, *, share: float, volume_mm3: float, slack_px: float
 ) -> Budget:
     """Gather what every part of the shape leaves open."""
-    half, found = 0.0, None
+    carved, trimmed = found.carved, found.trimmed
+    half, told = 0.0, None
     if system is None:
-        half = solid_doubt.half_excess(carved.bank, carved.sights.frames, carved.maps, carved.hull, trimmed, carved.water)
+        half = solid_doubt.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, trimmed, carved.water)
     else:
-        found = tube_doubt.doubt(system.seen, system)
+        told = tube_doubt.doubt(system.seen, system)
     terms = (
-        *(() if found is None else found.terms),
-        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=SLACK_PX, half_excess=half),
+        *(() if told is None else told.terms),
+        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=slack_px, half_excess=half),
         solid_doubt.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
     )
-    fill, unexplained = (0.0, 0.0) if found is None else (found.fill, found.unexplained)
+    fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill)
 
 
-def _is_thin(trimmed: parsimony.Trimmed) -> bool:
+def _is_thin(trimmed: parsimony.Trimmed, settings: Settings) -> bool:
     """Tell whether much of the shape is roots too thin to be trimmed."""
     leaves, volume = trimmed.leaves, trimmed.leaves.volume_mm3()
     finest_mm3 = float(leaves.occupancy[leaves.size == 1].sum(dtype=np.float64)) * leaves.grid.size_mm**3
-    return trimmed.kept_mm3 > THIN_KEPT * volume and finest_mm3 > THIN_SMALL * volume
+    return trimmed.kept_mm3 > settings.roots.least_untrimmed * volume and finest_mm3 > settings.roots.least_finest * volume
 
 
 def _misses(carved: Carved, leaves: carve.Leaves) -> float:
@@ -201,7 +213,6 @@ def _misses(carved: Carved, leaves: carve.Leaves) -> float:
 
 
 def measure(
-    run: Run,
     hull: carve.Hull,
     leaves: carve.Leaves,
     *,
@@ -209,9 +220,11 @@ def measure(
     budget: Budget,
     bounds_mm3: tuple[float, float],
     untrimmed_mm3: float,
-) -> Shape:
+    monitor: Monitor,
+) -> Solid:
     """Gather leaves into voxels, draw the surface, and find the extents."""
-    with run.stage("surface"):
+    warnings: tuple[str, ...] = ()
+    with monitor.stage("surface"):
         voxels = _voxels(leaves, voxel_mm)
         units, parts = 1, (leaves.index, leaves.size, leaves.occupancy)
         while len(parts[1]) > _SURFACE_LEAVES:
@@ -222,23 +235,21 @@ def measure(
         if len(mesh.vertices):
             low, high = np.asarray(mesh.bounds, np.float64)
         else:
-            run.warnings.append("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm")
-            corners = origin_mm + voxel_mm * voxels.index
+            warnings = ("the shape is thinner than the voxels everywhere: the surface is empty; choose a smaller --voxel-mm",)
+            corners = origin_mm + voxel_mm * voxels.low
             low, high = corners.min(axis=0), (corners + voxel_mm * voxels.size[:, None]).max(axis=0)
-        return Shape(
+        return Solid(
             voxels=voxels,
             hull=_voxels(hull.leaves, voxel_mm),
-            origin_mm=origin_mm,
-            voxel_mm=voxel_mm,
             finest_mm=leaves.grid.size_mm,
             mesh=mesh,
-            budget=budget,
-            volume_bounds_mm3=bounds_mm3,
+            volume=budget.volume(bounds_mm3),
             hull_mm3=hull.leaves.volume_mm3(),
             untrimmed_mm3=untrimmed_mm3,
             blind_mm3=hull.blind_mm3,
             extents_min_mm=_triple(low),
             extents_max_mm=_triple(high),
+            warnings=warnings,
         )
 
 
@@ -247,7 +258,7 @@ def _spread(count: int) -> list[int]:
     return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
 
 
-def _outlines(run: Run, drawn: list[Silhouette]) -> NDArray[np.float32]:
+def _outlines(drawn: list[Silhouette], monitor: Monitor) -> NDArray[np.float32]:
     """Return the distance maps (V, 2 H, 2 W) of silhouettes."""
     height, width = drawn[0].coverage.shape
     maps = np.empty((len(drawn), UPSAMPLING * height, UPSAMPLING * width), np.float32)
@@ -255,25 +266,26 @@ def _outlines(run: Run, drawn: list[Silhouette]) -> NDArray[np.float32]:
     def one(place: int) -> None:
         maps[place] = silhouettes.signed_distance(drawn[place])
 
-    run.each(one, "outlines", list(range(len(drawn))))
+    monitor.each(one, "outlines", range(len(drawn)))
     return maps
 
 
-def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Voxels:
+def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Leaves:
     """Gather leaves into voxels."""
-    return Voxels(*surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm)))
+    low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
+    origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
+    return Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
-def _warn(run: Run, budget: Budget, untrimmed_mm3: float) -> None:
+def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
     """Say when the volume is not to be trusted."""
-    kept = untrimmed_mm3 / max(budget.volume_mm3, 1e-9)
+    kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
-        run.warnings.append(
+        found.append(
             f"{100.0 * kept:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
             "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
         )
-    if budget.doubts:
-        run.warnings.append(budget.verdict)
+    return [*found, budget.verdict] if budget.doubts else found
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

@@ -65,7 +65,7 @@ def run_plans(
         "scene": files.scene_to_dict(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
-        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.pipeline", "rhizotwin.recon.scoring.score")),
+        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score")),
     }
     _refuse_strangers(folder)
     found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant in variants}
@@ -109,7 +109,7 @@ def _refuse_strangers(folder: Path) -> None:
 
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
     """Return the score of one run, from its file when the same run was made before."""
-    from rhizotwin.recon.pipeline import reconstruct
+    from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.scoring.score import score
     from rhizotwin.sim.simulate import simulate
 
@@ -126,7 +126,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
         simulate(scene, dataset, profile_name=profile_name, seed=seed, progress=False)
         result.mkdir()
         try:
-            reconstruct(dataset, result, progress=False)
+            reconstruct(dataset).save(result)
             found = score(result, dataset).to_dict()
         except UserError as error:  # too few views, a strip out of sight: that is what is to be found out
             found = {"failed": str(error).replace(f"{working}/", "")}

@@ -71,17 +71,19 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
-    from rhizotwin.recon.pipeline import reconstruct as find_shape
+    from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.results import report
     from rhizotwin.recon.results.result_files import read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
+    from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.atomic import new_folder
+    from rhizotwin.scenes.monitor import Monitor
 
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     with new_folder(output, replace=True) as building:
-        find_shape(dataset, building, voxel_mm=voxel_mm, mass_g=mass_g)
+        reconstruct(dataset, settings=Settings(voxel_mm=voxel_mm), mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
         written = report.write_pictures(building, dataset, truth_mesh=truth_mesh)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

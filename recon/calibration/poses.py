@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rhizotwin.recon.calibration import view_fit
+from rhizotwin.recon.calibration.cameras import Camera, Ring
 from rhizotwin.recon.calibration.markers import Markers
 from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
 from rhizotwin.recon.calibration.rig_start import first_rig
@@ -36,53 +37,14 @@ STRANGERS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewPose:
-    """Where the camera stood for one picture."""
-
-    used: bool
-    reason: str | None = None
-    """Why the view is left out."""
-    cam_from_canister: Array | None = None
-    """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
-    reprojection_px: float | None = None
-    """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
-    single_view_px: float | None = None
-    """The same for the pose from this picture alone."""
-    markers: int = 0
-    outliers: int = 0
-    """Markers that count for nearly nothing, since they lie far off."""
-    table_deg: float | None = None
-    """Table angle as the pictures tell it."""
-    covariance: Array | None = None
-    """(6, 6) of the left-hand twist of cam_from_canister: rotation vector (rad), shift (mm), in the camera's frame."""
-    position_sigma_mm: float | None = None
-    """Standard deviation of the camera's centre, all axes together."""
-    rotation_sigma_deg: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class RingPose:
-    """Where the camera stood for one turn of the table, or the part of it until it was placed anew."""
-
-    ring: int
-    placement: int
-    cam_from_rig: Array
-    covariance: Array
-    """(6, 6) as in `ViewPose`."""
-    own_deg: float
-    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still camera."""
-    own_mm: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Poses:
     """Cameras of all views, in the order of the frames, and what they say about the rig."""
 
-    views: tuple[ViewPose, ...]
-    rings: tuple[RingPose, ...] = ()
+    views: tuple[Camera, ...]
+    rings: tuple[Ring, ...] = ()
     table_from_canister: Array | None = None
-    """(4, 4) how the canister is seated on the table: tilt and offset."""
-    seat_sigma: Array | None = None
+    """(4, 4) how the canister stands on the table: tilt and offset."""
+    table_sigma: Array | None = None
     """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
     inset_px: float = 0.0
     """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
@@ -93,7 +55,7 @@ class Poses:
     focal_sigma: float | None = None
     """Its standard deviation."""
     before_px: float | None = None
-    """Median reprojection error of the views with the commanded table angles and one nominal seat."""
+    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
     after_px: float | None = None
     """Median reprojection error of the views at the end."""
     warnings: tuple[str, ...] = field(default=())
@@ -103,7 +65,7 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
     """Find the camera of every picture from its markers.
 
     Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
-    every table angle, the canister's seat on the table and what the camera moved between views (`recon.calibration.rig_fit`). Views
+    every table angle, the canister's pose on the table and what the camera moved between views (`recon.calibration.rig_fit`). Views
     that do not fit are left out with the reason.
 
     Parameters
@@ -121,10 +83,10 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
     _refuse_strangers(detected, scene, captured)
-    views: list[ViewPose] = []
+    views: list[Camera] = []
     seen: dict[int, Sightings] = {}
-    for k, markers in enumerate(detected):
-        view, sight = _alone(markers, scene, polish=not single_view)
+    for k, (markers, frame) in enumerate(zip(detected, captured, strict=True)):
+        view, sight = _alone(markers, scene, frame, polish=not single_view)
         views.append(view)
         if sight is not None:
             seen[k] = sight
@@ -160,34 +122,36 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
         )
 
 
-def _alone(markers: Markers, scene: Scene, *, polish: bool) -> tuple[ViewPose, Sightings | None]:
+def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
     """Find a view's pose from its own markers."""
     count = len(markers.ids)
+    nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
     if count < LEAST_MARKERS:
         reason = markers.diagnosis if count == 0 and markers.diagnosis else f"only {count} markers, at least {LEAST_MARKERS} are needed"
-        return ViewPose(used=False, reason=reason, markers=count), None
+        return replace(nothing, reason=reason), None
     seen = view_fit.sightings(markers, scene)
     pose = view_fit.single_view(seen, polish=polish)
     if pose is None:
         reason = "its markers do not fit the scene's strip: check the strip's columns, rows, first_id and sizes, and the camera"
-        return ViewPose(used=False, reason=reason, markers=count), None
+        return replace(nothing, reason=reason), None
     local = view_fit.linearise(seen, pose)
-    view = _view(pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64), count)
+    view = _placed(nothing, pose, local, np.asarray(np.linalg.inv(local.normal[:6, :6]), np.float64))
     return replace(view, single_view_px=local.rms_px), seen
 
 
-def _refocused(view: ViewPose, seen: Sightings, focal_scale: float) -> ViewPose:
+def _refocused(view: Camera, seen: Sightings, focal_scale: float) -> Camera:
     """Find the pose of a view that is not part of the rig with the lens as the rig's views found it."""
     pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
 
-def _view(pose: Array, local: view_fit.Linearised, covariance: Array, count: int) -> ViewPose:
-    return ViewPose(
+def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
+    return replace(
+        view,
         used=True,
+        reason=None,
         cam_from_canister=pose,
         reprojection_px=local.rms_px,
-        markers=count,
         outliers=int(np.count_nonzero(local.weight < OUTLIER_WEIGHT)),
         covariance=covariance,
         position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
@@ -202,14 +166,14 @@ def _misfit(error_px: float | None, median_px: float) -> str | None:
     return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
 
 
-def _need_one(views: Sequence[ViewPose], captured: Sequence[Frame]) -> None:
+def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
     if not any(view.used for view in views):
         raise UserError(
             f"{captured[0].file}: {views[0].reason}; no picture gives a camera: check strip, focal_px and distortion in the scene"
         )
 
 
-def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
+def _together(views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
     """Fit the rig to the views, leave out those that moved, fit again. Views of cameras that went about freely keep their own pose."""
     keys = _rig_keys(views, sorted(seen), scene, captured)
     if not keys:
@@ -233,7 +197,7 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
         for k in set(seen) - set(keys):
             views[k] = _refocused(views[k], seen[k], focal_scale)
     for i, k in enumerate(keys):
-        view = _view(fit.rig.pose(i), fit.views[i], fit.covariance[i], views[k].markers)
+        view = _placed(views[k], fit.rig.pose(i), fit.views[i], fit.covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])))
         views[k] = replace(
@@ -248,7 +212,7 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
     return Poses(
         views=tuple(views),
         rings=tuple(
-            RingPose(
+            Ring(
                 ring=ring,
                 placement=placement,
                 cam_from_rig=fit.rig.cam_from_rig[r],
@@ -259,7 +223,7 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
             for r, (ring, placement) in enumerate(first.stations)
         ),
         table_from_canister=fit.rig.table_from_canister,
-        seat_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
+        table_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
         focal_scale=focal_scale,
         focal_found=refocused.rig.focal_scale,
@@ -270,11 +234,11 @@ def _together(views: list[ViewPose], seen: dict[int, Sightings], scene: Scene, c
     )
 
 
-def _found(views: Sequence[ViewPose], keys: Sequence[int]) -> list[Array]:
+def _found(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
     return [pose for k in keys if (pose := views[k].cam_from_canister) is not None]
 
 
-def _rig_keys(views: Sequence[ViewPose], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
+def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
     """Return the views of those rings whose camera stood still, but for small movements."""
     first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)

@@ -47,7 +47,7 @@ class Evidence:
     """Whether ``coverage`` is opacity, which comes with its noise; coverage comes without."""
 
     @staticmethod
-    def of(bank: ViewBank, silhouettes: list[Silhouette]) -> Evidence:
+    def of(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
         """Put silhouettes on the device."""
         height, width = silhouettes[0].coverage.shape
         coverage = numbers(np.concatenate([s.coverage.ravel() for s in silhouettes]))

@@ -7,9 +7,7 @@ pictures. Bubbles are small, round and dark-rimmed: what they cover is not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -20,8 +18,7 @@ from rhizotwin.recon.coverage.silhouettes import Image, Mask
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Array, Optics
-
-T = TypeVar("T")
+from rhizotwin.scenes.monitor import Monitor
 
 _TEXEL_MM = 1.0
 _STEP = 8
@@ -106,14 +103,7 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
     return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-class Each(Protocol):
-    """How work is done for views in parallel: `recon.run.Run.each`."""
-
-    def __call__(self, work: Callable[[int], T], name: str, indices: list[int], /) -> list[T]:
-        """Do the work for each index."""
-
-
-def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Crossings], optics: Optics, each: Each) -> Wall:
+def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Crossings], optics: Optics, monitor: Monitor) -> Wall:
     """Find what clings to the wall.
 
     Parameters
@@ -135,7 +125,7 @@ def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Cro
             sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
         return np.stack(sides)
 
-    places = dict(zip(keys, each(place, "wall", keys), strict=True))
+    places = dict(zip(keys, monitor.each(place, "wall", keys), strict=True))
 
     def observed(k: int) -> Image:
         """Return the mean optical depth (2, rows * columns) of the places a view sees, other side's film taken off, NaN elsewhere."""
@@ -150,7 +140,7 @@ def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Cro
         return np.stack(sides)
 
     for _ in range(_ROUNDS):
-        views = np.concatenate(each(observed, "wall", keys))
+        views = np.concatenate(monitor.each(observed, "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
         faint = np.where(dark > _DARKEST, 0.0, dark)  # roots on the wall are no film, nor is what the opening leaves of their fringe
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")

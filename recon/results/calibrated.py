@@ -10,8 +10,7 @@ import numpy as np
 from rhizotwin.scenes import frames
 
 if TYPE_CHECKING:  # the command line reads results without starting the engine
-    from rhizotwin.recon.optics.refraction import Optics
-    from rhizotwin.recon.tubes.root_calibration import RootCalibration
+    from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,20 +34,66 @@ class Row:
         return f"{self.quantity}: given {self.given:.6g}, found {self.found:.6g}{sigma} {self.unit}".rstrip() + kept
 
 
-def of_roots(asked: RootCalibration | None, optics: Optics, focal_scale: float = 1.0) -> dict[str, Any]:
-    """Return what the roots told as JSON values for the rig of a result; the index's sigma is None where no roots could be asked.
+def of_cameras(cameras: Cameras) -> dict[str, Any]:
+    """Return what all views together told as JSON values, for the ``rig`` of a result; empty where the cameras were given and no more."""
+    found = {} if cameras.markers is None else _of_markers(cameras.markers)
+    if found or cameras.roots is not None:
+        found |= _of_roots(cameras, found.get("focal_scale", 1.0))
+    return found
+
+
+def _of_markers(found: MarkerCalibration) -> dict[str, Any]:
+    """Return what the markers and the canister's edges told."""
+    canister = found.canister
+    return {
+        "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
+        "canister_from_strip_sigma": None if canister is None else canister.sigma.tolist(),
+        "canister_edges": None
+        if canister is None
+        else {
+            "count": canister.edges,
+            "before_mm": canister.before_mm,
+            "after_mm": canister.after_mm,
+            "radius_excess_mm": canister.radius_excess_mm,
+        },
+        "reprojection_before_px": found.before_px,
+        "reprojection_after_px": found.after_px,
+        "table_from_canister": None if found.table_from_canister is None else found.table_from_canister.tolist(),
+        "table_from_canister_sigma": None if found.table_sigma is None else found.table_sigma.tolist(),
+        "marker_inset_px": found.inset_px,
+        "focal_scale": found.focal_scale,
+        "focal_scale_found": found.focal_found,
+        "focal_scale_sigma": found.focal_sigma,
+        "rings": [
+            {
+                "ring": ring.ring,
+                "placement": ring.placement,
+                "cam_from_rig": ring.cam_from_rig.tolist(),
+                "covariance": ring.covariance.tolist(),
+                "own_movement_mm": ring.own_mm,
+                "own_movement_deg": ring.own_deg,
+            }
+            for ring in found.rings
+        ],
+        "table_correction_deg": found.table_correction_deg,
+    }
+
+
+def _of_roots(cameras: Cameras, focal_scale: float) -> dict[str, Any]:
+    """Return what the roots told; the index's sigma is None where no roots could be asked.
 
     ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
     """
-    given = {"n_water": optics.n_water, "n_water_given": optics.n_water, "n_water_found": None, "n_water_sigma": None, "roots": None}
-    if asked is None:
-        return given
-    taken = {"n_water": asked.n_water, "focal_scale": focal_scale * asked.focal_scale} if asked.believed else {}
-    return given | {
-        **taken,
-        "n_water_found": asked.n_water,
-        "n_water_sigma": asked.n_water_sigma,
-        "roots": {"nodes": asked.nodes, "before_px": asked.before_px, "after_px": asked.after_px},
+    told, given = cameras.roots, cameras.optics.n_water
+    if told is None:
+        return {"n_water": given, "n_water_given": given, "n_water_found": None, "n_water_sigma": None, "roots": None}
+    taken = {"focal_scale": focal_scale * told.focal_scale} if told.believed else {}
+    return taken | {
+        "n_water": told.n_water if told.believed else told.n_water_given,
+        "n_water_given": told.n_water_given,
+        "n_water_found": told.n_water,
+        "n_water_sigma": told.n_water_sigma,
+        "roots": {"nodes": told.nodes, "before_px": told.before_px, "after_px": told.after_px},
     }
 
 

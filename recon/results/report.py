@@ -58,7 +58,7 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
     result_folder = Path(result_folder)
     summary = result_files.read_summary(result_folder)
     dataset = load_dataset(Path(dataset_folder))
-    result_files.check_same_scan(summary, result_folder, dataset)
+    result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     shape = result_files.read_mesh(result_folder / "shape.ply")
 
     written: list[Path] = []

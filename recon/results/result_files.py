@@ -166,10 +166,10 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
     return np.asarray(picture / np.float32(np.iinfo(picture.dtype).max), np.float32)
 
 
-def check_same_scan(summary: dict[str, Any], result_folder: Path, dataset: Dataset) -> None:
+def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
     """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells."""
-    if summary["dataset_sha256"] != sha256_of(dataset.folder / "dataset.json"):
+    if dataset_sha256 != sha256_of(dataset.folder / "dataset.json"):
         raise UserError(
-            f"{result_folder} was not reconstructed from {dataset.folder} as it is now (its scene was {summary['scene']!r}); "
+            f"{where} was not reconstructed from {dataset.folder} as it is now (its scene was {scene!r}); "
             "give the dataset that the result was made from, or reconstruct again."
         )

@@ -11,21 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage import evidence
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Silhouette, Window
+from rhizotwin.recon.coverage.translucency import Law
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Water
 from rhizotwin.recon.hull.parsimony import Balls
 from rhizotwin.recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.proof import Proof
-from rhizotwin.recon.run import Run
 from rhizotwin.recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
-from rhizotwin.recon.tubes.root_calibration import Sights
 from rhizotwin.recon.tubes.tube_law import TubeLaw
 from rhizotwin.recon.tubes.tube_profiles import Pull
 from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -70,6 +71,8 @@ class RootSystem:
     """What it was fitted to, with cameras and water as the roots corrected them."""
     doubtful: Mask
     """(N,) nodes of ends whose tips are likely none."""
+    cameras: Cameras
+    """Those of ``seen``; their ``roots`` tell how the roots corrected them."""
 
     @property
     def blur_px(self) -> float:
@@ -88,34 +91,39 @@ class RootSystem:
         return hierarchy.arrange(roots)
 
 
-def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -> RootSystem | None:
+def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuation: Law | None, *, monitor: Monitor) -> RootSystem | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
     ----------
-    seen : measured coverage.
-    sights : its cameras, which the roots themselves may correct.
-    balls : balls inside the hull, as `parsimony.trim` grew them.
+    seen : Evidence
+        Measured coverage.
+    cameras : Cameras
+        Of its views, in their order; the roots themselves may correct them.
+    balls : Balls
+        Inside the hull, as `parsimony.trim` grew them.
+    attenuation : Law or None
+        With which opacity became coverage; None where the pictures were silhouettes already.
     """
     px_a_mm = _scale(seen, water)
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
-    with run.stage("search"):
-        cells, core = _search_space(run, seen, water, _CELL_PX / px_a_mm)
+    with monitor.stage("search"):
+        cells, core = _search_space(seen, water, _CELL_PX / px_a_mm, monitor)
         if not len(cells.index):
             return None
         dr.flush_malloc_cache()  # what carving left to be used again is in the way of the footprints, and these of what follows
-    with run.stage("density"):
+    with monitor.stage("density"):
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
         organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
         thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
         cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
         dr.flush_malloc_cache()
-    with run.stage("trace"):
+    with monitor.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:
             return None
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
-    with run.stage("tubes"):
+    with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
         start, _, _ = organs.thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
         core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
@@ -123,9 +131,9 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         start, buried, organ = organs.centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
         blur_px = _blur(seen, fitted)
-    with run.stage("translucency"):
+    with monitor.stage("translucency"):
         law, fitted = tube_law.find(seen, fitted, organ, blur_px)
-        if law.mu_per_mm is None and run.law is not None and run.law.mu_per_mm is not None:
+        if law.mu_per_mm is None and attenuation is not None and attenuation.mu_per_mm is not None:
             # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
             seen = seen.by_light()
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
@@ -133,13 +141,12 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         if law.mu_per_mm is not None:
             seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
         blur_px = law.blur_px
-        run.warnings += law.warnings()
-    with run.stage("branches"):
+    with monitor.stage("branches"):
         settle = _Settling(seen, core, balls, near_mm, blur_px, ghosts.FLANK_PX / px_a_mm)
         fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(ghosts.short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
-    with run.stage("residue"):
+    with monitor.stage("residue"):
         outside = cells.chosen(depth <= depth.min())
         for _ in range(_SEARCHES):
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
@@ -149,16 +156,16 @@ def find(run: Run, seen: Evidence, sights: Sights, balls: Balls, water: Water) -
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
         fitted, buried, organ = settle.ended(fitted, pull, organ)
     if law.mu_per_mm is not None:
-        with run.stage("translucency again"):
+        with monitor.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
             blur_px, seen = law.blur_px, replace(seen, mu_per_mm=law.mu_per_mm)
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    with run.stage("index"):
-        seen, fitted, run.asked_roots = root_calibration.calibrate(seen, sights, fitted, organ, blur_px=blur_px)
-    with run.stage("last tubes"):
+    with monitor.stage("index"):
+        seen, fitted, cameras = root_calibration.calibrate(seen, cameras, fitted, organ, blur_px=blur_px)
+    with monitor.stage("last tubes"):
         fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
         doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(seen, fitted, blur_px), organ)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, doubtful)
+    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, doubtful, cameras)
 
 
 @dataclass(frozen=True)
@@ -211,9 +218,9 @@ def _scale(seen: Evidence, water: Water) -> float:
     return float(np.median(np.sqrt(np.linalg.norm(at.du, axis=-1) * np.linalg.norm(at.dv, axis=-1))))
 
 
-def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tuple[Cells, Cells]:
+def _search_space(seen: Evidence, water: Water, size_mm: float, monitor: Monitor) -> tuple[Cells, Cells]:
     """Carve where roots may be, and where thick organs are for certain."""
-    generous = _outlines(run, seen, evidence.generous_outline, "search")
+    generous = _outlines(seen, evidence.generous_outline, "search", monitor)
     low, high = np.array([-water.radius_mm, -water.radius_mm, water.bottom_mm]), np.array([water.radius_mm, water.radius_mm, water.top_mm])
     while True:
         grid = Grid.over(low, high, size_mm)
@@ -222,14 +229,14 @@ def _search_space(run: Run, seen: Evidence, water: Water, size_mm: float) -> tup
             break
         size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # each 1.26 halves their number
     del generous
-    core = density.even_cells(_carve(seen, _outlines(run, seen, evidence.core_outline, "core"), grid, water))
+    core = density.even_cells(_carve(seen, _outlines(seen, evidence.core_outline, "core", monitor), grid, water))
     return cells, core
 
 
-def _outlines(run: Run, seen: Evidence, outline: Callable[[Silhouette], Image], name: str) -> DistanceMaps:
+def _outlines(seen: Evidence, outline: Callable[[Silhouette], Image], name: str, monitor: Monitor) -> DistanceMaps:
     """Draw outlines in all views."""
     window = Window.around(seen.silhouettes)
-    drawn = run.each(lambda k: outline(seen.silhouettes[k].cut(window)), name, list(range(seen.bank.count)))
+    drawn = monitor.each(lambda silhouette: outline(silhouette.cut(window)), name, seen.silhouettes)
     return DistanceMaps.of(np.stack(drawn), seen.image_wh, window)
 
 

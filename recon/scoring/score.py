@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.result import Result
 from rhizotwin.recon.scoring import score_traits
 from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
 from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
@@ -15,7 +17,7 @@ from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelSc
 from rhizotwin.recon.scoring.score_traits import TraitScore, compare_traits
 from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 from rhizotwin.scenes import rsml
-from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
@@ -165,59 +167,65 @@ def truth_mesh_path(dataset_folder: Path) -> Path:
     return truth_folder / "specimen.ply"
 
 
-def score(result_folder: Path, dataset_folder: Path) -> Score:
-    """Score a result folder against the truth of the dataset it was made from.
+def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
+    """Score a result against the truth of the dataset it was made from.
+
+    Parameters
+    ----------
+    result : Result or path
+        As it was reconstructed, or its folder.
+    dataset : Dataset or path
+        That it was made from, or its folder.
 
     Raises
     ------
     UserError
         If the dataset has no truth, the result is of another dataset, or a file is missing or damaged.
     """
-    result_folder, dataset_folder = Path(result_folder), Path(dataset_folder)
-    summary = result_files.read_summary(result_folder)
-    dataset = load_dataset(dataset_folder)
-    mesh_path = truth_mesh_path(dataset_folder)
-    result_files.check_same_scan(summary, result_folder, dataset)
-    truth = load_truth(dataset_folder)
-    leaves, shape = result_files.read_leaves(result_folder), result_files.read_mesh(result_folder / "shape.ply")
-    solid = result_files.read_mesh(mesh_path)
+    where = "the result" if isinstance(result, Result) else str(result)
+    found = result if isinstance(result, Result) else load_result(result)
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+    mesh_path = truth_mesh_path(dataset.folder)
+    result_files.check_same_scan(found.dataset_sha256, found.scene, where, dataset)
+    truth, true_solid, solid = load_truth(dataset.folder), result_files.read_mesh(mesh_path), found.solid
 
-    extents_mm = np.subtract(summary["extents_max_mm"], summary["extents_min_mm"])
+    extents_mm = np.subtract(solid.extents_max_mm, solid.extents_min_mm)
     extents_true_mm = np.subtract(truth.extents_max_mm, truth.extents_min_mm)
     extents_error = extents_mm / extents_true_mm - 1.0
     try:
-        voxels, hull = compare_voxels(leaves, result_files.read_leaves(result_folder, hull=True), solid)
+        voxels, hull = compare_voxels(solid.voxels, solid.hull, true_solid)
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
-    low, high = (float(value) for value in summary["volume_interval_mm3"])
-    found_roots, true_roots = result_folder / "roots.rsml", mesh_path.parent / "skeleton.rsml"
-    both = found_roots.is_file() and true_roots.is_file()
+    low, high = found.interval_mm3
+    true_roots = mesh_path.parent / "skeleton.rsml"
+    both = found.roots and true_roots.is_file()
+    surface = result_files.Mesh(vertices_mm=np.asarray(solid.mesh.vertices, np.float64), faces=np.asarray(solid.mesh.faces, np.int64))
     return Score(
-        scene=summary["scene"],
-        voxel_mm=float(summary["voxel_mm"]),
-        volume_mm3=float(summary["volume_mm3"]),
+        scene=found.scene,
+        voxel_mm=solid.voxel_mm,
+        volume_mm3=found.volume_mm3,
         volume_true_mm3=truth.volume_mm3,
-        volume_error=float(summary["volume_mm3"]) / truth.volume_mm3 - 1.0,
+        volume_error=found.volume_mm3 / truth.volume_mm3 - 1.0,
         volume_interval_mm3=(low, high),
         interval_holds_truth=low <= truth.volume_mm3 <= high,
-        volume_trusted=summary["volume_trusted"],
-        volume_verdict=summary["volume_verdict"],
+        volume_trusted=found.trusted,
+        volume_verdict=found.verdict,
         extents_mm=_triple(extents_mm),
         extents_true_mm=_triple(extents_true_mm),
         extents_error=_triple(extents_error),
         extents_error_max=float(np.abs(extents_error).max()),
         voxels=voxels,
-        surface=compare_surfaces(shape, solid),
-        poses=compare_poses(summary["views"], truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
-        rig=compare_rig(summary, truth),
-        masks=compare_masks(summary["views"], result_folder, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
+        surface=compare_surfaces(surface, true_solid),
+        poses=compare_poses(found.cameras, truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
+        rig=compare_rig(found.rig, found.cameras, truth),
+        masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
-        roots=compare_roots(rsml.read_rsml(found_roots), rsml.read_rsml(true_roots)) if both else None,
-        traits=compare_traits(result_traits.read(result_folder), _true_traits(true_roots, solid, truth.volume_mm3)),
-        blind_mm3=float(summary["blind_mm3"]),
-        timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
-        peak_memory_mib=summary.get("peak_memory_mib"),
-        warnings=tuple(summary["warnings"]),
+        roots=compare_roots(found.roots, rsml.read_rsml(true_roots)) if both else None,
+        traits=compare_traits(found.measured, _true_traits(true_roots, true_solid, truth.volume_mm3)),
+        blind_mm3=solid.blind_mm3,
+        timings_s=found.timings_s,
+        peak_memory_mib=found.peak_memory_mib or None,
+        warnings=found.warnings,
     )
 
 

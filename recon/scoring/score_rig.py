@@ -1,10 +1,12 @@
 """Compare what the pictures told of the rig with the truth, each quantity in its own standard deviations."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.results.calibrated import Row, rows
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import Truth
@@ -35,15 +37,14 @@ class RigError:
         return f"{self.found:.6g}, true {self.true:.6g}: off by {self.error:+.2g} {self.unit}".rstrip() + sigmas
 
 
-def compare_rig(summary: dict[str, Any], truth: Truth) -> tuple[RigError, ...]:
+def compare_rig(rig: dict[str, Any], cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
     """Return the errors of those quantities of a result's rig that the truth knows."""
-    rig = summary.get("rig") or {}
     found = []
     for row in rows(rig):
         true = _true(row, truth)
         if true is not None:
             found.append(RigError(quantity=row.quantity, found=row.found, true=true, sigma=row.sigma, unit=row.unit))
-    angles = _table_angles(summary["views"], truth)
+    angles = _table_angles(cameras, truth)
     return (*found, *([] if angles is None or not rig else [angles]))
 
 
@@ -62,13 +63,13 @@ def _true(row: Row, truth: Truth) -> float | None:
     return float(np.concatenate([np.rad2deg(frames.to_rotvec(pose)[:2]), pose[:2, 3]])[_OF_POSE[what]])
 
 
-def _table_angles(views: list[dict[str, Any]], truth: Truth) -> RigError | None:
+def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
     """Return how far the table angles are off (root mean square), their common part taken out: the camera's azimuth takes that up."""
     true = {view.file: view.table_deg for view in truth.views}
     off: dict[int, list[float]] = {}
-    for view in views:
-        if view["used"] and view.get("table_deg") is not None and view["file"] in true:
-            off.setdefault(view["ring"], []).append((view["table_deg"] - true[view["file"]] + 180.0) % 360.0 - 180.0)
+    for view in cameras:
+        if view.used and view.table_deg is not None and view.file in true:
+            off.setdefault(view.ring, []).append((view.table_deg - true[view.file] + 180.0) % 360.0 - 180.0)
     left = np.concatenate([np.zeros(0), *(np.array(ring) - np.mean(ring) for ring in off.values())])
     if not len(left):
         return None

@@ -1,5 +1,6 @@
 """Compare each view with the truth: where the camera was, and what the silhouette should have been."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rhizotwin.recon.calibration.cameras import Camera
+from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results.result_files import picture_path, read_grey
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -54,21 +57,20 @@ class MaskScore:
     """The same four numbers by file."""
 
 
-def compare_poses(views: list[dict[str, Any]], truth: Truth, *, centre_mm: frames.Array) -> PoseScore | None:
+def compare_poses(cameras: Sequence[Camera], truth: Truth, *, centre_mm: frames.Array) -> PoseScore | None:
     """Return the pose errors of the used views of a result; None where no view was used.
 
     ``centre_mm`` is the specimen's centre (3,) in the canister frame, where shifts of the frame are stated.
     """
     true_poses = {view.file: np.array(view.cam_from_canister) for view in truth.views}
-    used = [view for view in views if view["used"] and view.get("cam_from_canister") is not None]
-    unknown = [view["file"] for view in used if view["file"] not in true_poses]
+    poses = {view.file: view.cam_from_canister for view in cameras if view.used and view.cam_from_canister is not None}
+    unknown = [file for file in poses if file not in true_poses]
     if unknown:
         raise UserError(f"truth/truth.json has no camera for {unknown[0]}; simulate the dataset again.")
-    if not used:
+    if not poses:
         return None
-    found = [np.array(view["cam_from_canister"], np.float64) for view in used]
-    true = [true_poses[view["file"]] for view in used]
-    errors = {view["file"]: frames.pose_error(a, b) for view, a, b in zip(used, found, true, strict=True)}
+    found, true = list(poses.values()), [true_poses[file] for file in poses]
+    errors = {file: frames.pose_error(a, b) for file, a, b in zip(poses, found, true, strict=True)}
     mm, deg = np.array(list(errors.values())).T
 
     # Each view by itself says where the found canister frame lies in the true one; their mean is the common part.
@@ -76,8 +78,8 @@ def compare_poses(views: list[dict[str, Any]], truth: Truth, *, centre_mm: frame
     shifts = np.array([frames.apply(pose, centre_mm) for pose in true_from_found]) - centre_mm
     turn = Rotation.from_matrix(true_from_found[:, :3, :3]).mean().magnitude()
     return PoseScore(
-        used=len(used),
-        left_out=len(views) - len(used),
+        used=len(poses),
+        left_out=len(cameras) - len(poses),
         median_mm=float(np.median(mm)),
         max_mm=float(mm.max()),
         median_deg=float(np.median(deg)),
@@ -89,20 +91,12 @@ def compare_poses(views: list[dict[str, Any]], truth: Truth, *, centre_mm: frame
     )
 
 
-def compare_masks(views: list[dict[str, Any]], result_folder: Path, masks_folder: Path, *, image_wh: tuple[int, int]) -> MaskScore | None:
+def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, image_wh: tuple[int, int]) -> MaskScore | None:
     """Return the silhouette errors of the used views; None where the result holds no silhouettes."""
-    if not (result_folder / "silhouettes").is_dir():
-        return None
     errors: dict[str, tuple[float, float, float, float]] = {}
-    for view in views:
-        if not view["used"]:
-            continue
-        file = view["file"]
-        found = read_grey(picture_path(result_folder / "silhouettes", file), image_wh=image_wh)
+    for file, found in silhouettes.items():
         true = read_grey(picture_path(masks_folder, file), image_wh=image_wh)
-        seen_path = picture_path(result_folder / "seen", file)
-        seen = read_grey(seen_path, image_wh=image_wh) > 0.5 if seen_path.is_file() else np.ones(true.shape, np.bool_)
-        errors[file] = mask_errors(found, true, seen)
+        errors[file] = mask_errors(found.coverage, true, found.seen)
     if not errors:
         return None
     middle = np.nanmedian(np.array(list(errors.values())), axis=0)

@@ -7,7 +7,7 @@ complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
 
-is solved for the shared quantities q: the index, and as company in doubt the focal length, the canister's seat in the strip, each
+is solved for the shared quantities q: the index, and together with it the focal length, the canister's pose in the strip, each
 station's camera and each view's table angle, which the markers know as well as their covariances say. Residuals along a root and within a
 view belong together, so that phi, the variance of a unit of evidence, comes from the scatter of whole roots and whole views (sandwich
 with two ways of clustering: Cameron, Gelbach and Miller 2011, equation 2.11), and not from the pixels, which would claim far too much.
@@ -15,6 +15,7 @@ with two ways of clustering: Cameron, Gelbach and Miller 2011, equation 2.11), a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty, RootCalibration
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
@@ -61,36 +62,6 @@ _SETTLED = 0.2
 
 
 @dataclass(frozen=True)
-class RigDoubt:
-    """How well markers and edges know the rig of some views."""
-
-    station: NDArray[np.int64]
-    """(V,) which standing of the camera a view belongs to."""
-    camera: Array
-    """(R, 6, 6) covariance of the left-hand twist of each station's camera, rad and mm."""
-    seat: Array
-    """(4,) standard deviations of the canister's tilt about x, y (rad) and offset x, y (mm) in the strip."""
-    focus: float
-    """Standard deviation of the focal scale."""
-
-    def of(self, views: list[int]) -> RigDoubt:
-        """Return the doubt of some of the views, in their order."""
-        return replace(self, station=self.station[views])
-
-
-@dataclass(frozen=True)
-class Sights:
-    """The cameras of some views, what they look through, and how sure both are."""
-
-    frames: list[int]
-    """Number of each view's frame."""
-    views: list[View]
-    optics: Optics
-    doubt: RigDoubt | None
-    """None: the cameras were given and count as exact."""
-
-
-@dataclass(frozen=True)
 class Found:
     """The rig as the roots would have it."""
 
@@ -106,25 +77,6 @@ class Found:
 
 
 @dataclass(frozen=True)
-class RootCalibration:
-    """What came of asking the roots."""
-
-    n_water: float
-    """As the roots would have it."""
-    n_water_sigma: float
-    n_water_given: float
-    focal_scale: float
-    """Focal lengths of ``sights`` over those that the markers told."""
-    believed: bool
-    """Whether index and cameras were taken as the roots would have them."""
-    nodes: int
-    before_px: float
-    after_px: float
-    sights: Sights
-    """Cameras and optics to go on with."""
-
-
-@dataclass(frozen=True)
 class _Columns:
     """Which unknown each quantity of each view is."""
 
@@ -136,81 +88,81 @@ class _Columns:
     """Unknowns before this one belong to several views."""
 
     @staticmethod
-    def to(views: int, doubt: RigDoubt | None) -> _Columns:
+    def to(order: Sequence[int], known: RigUncertainty | None) -> _Columns:
+        views = len(order)
         of = np.full((views, len(QUANTITIES)), -1)
         of[:, 0] = 0
-        if doubt is None:
+        if known is None:
             return _Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
-        stations = len(doubt.camera)
+        stations = len(known.camera)
         of[:, 1:6] = np.arange(1, 6)
-        of[:, 7:] = 6 + 6 * doubt.station[:, None] + np.arange(6)
+        of[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
         shared = 6 + 6 * stations
         of[:, 6] = shared + np.arange(views)
         precision = np.zeros((shared + views, shared + views))
-        known = np.concatenate([[INDEX_PRIOR, doubt.focus], doubt.seat, np.full(views, TURN_PRIOR_RAD)])
+        sigma = np.concatenate([[INDEX_PRIOR, known.focus], known.canister, np.full(views, TURN_PRIOR_RAD)])
         single = np.concatenate([np.arange(6), shared + np.arange(views)])
-        precision[single, single] = known**-2.0
+        precision[single, single] = sigma**-2.0
         for k in range(stations):
             own = slice(6 + 6 * k, 12 + 6 * k)
-            precision[own, own] = _inverse(doubt.camera[k] * MARKERS_SHARE**2)
+            precision[own, own] = _inverse(known.camera[k] * MARKERS_SHARE**2)
         return _Columns(of, precision, shared)
 
 
-def calibrate(
-    seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_px: float
-) -> tuple[Evidence, Tubes, RootCalibration | None]:
+def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float) -> tuple[Evidence, Tubes, Cameras]:
     """Ask fitted tubes for the index; where it is believed, change index and cameras and fit the tubes anew, until nothing changes.
 
     Parameters
     ----------
-    seen : evidence with the cameras of ``sights``.
-    fixed : (N,) nodes that were not fitted.
+    seen : Evidence
+        With the views of ``cameras``, in their order.
+    fixed : (N,) bool array
+        Nodes that were not fitted.
 
     Returns
     -------
-    seen : evidence with the cameras and optics to go on with.
-    tubes : fitted to it.
-    calibration : None where there are too few nodes to tell.
+    seen : Evidence
+        With the cameras and optics to go on with.
+    tubes : Tubes
+        Fitted to it.
+    cameras : Cameras
+        To go on with; their ``roots`` tell what came of it, None where there are too few nodes.
     """
-    first = estimate(seen, sights, tubes, fixed, blur_px=blur_px)
+    first = estimate(seen, cameras, tubes, fixed, blur_px=blur_px)
     if first is None:
-        return seen, tubes, None
-    found, now = first, sights
-    if sure := believed(first, sights.optics):
+        return seen, tubes, cameras
+    found, now = first, cameras
+    if sure := believed(first, cameras.optics):
         for _ in range(_ROUNDS):
-            now = changed(sights, found.change)
+            now = changed(cameras, found.change)
             seen = replace(seen, bank=ViewBank.of(now.views, now.optics))
             tubes, _ = tube_fit.fit(seen, tubes, fixed, blur_px=blur_px, steps=_STEPS)
             last = found
             found = estimate(seen, now, tubes, fixed, blur_px=blur_px, taken=last.change) or last
             if abs(found.change[0] - last.change[0]) < _SETTLED * found.sigma[0]:
                 break
-    return (
-        seen,
-        tubes,
-        RootCalibration(
-            n_water=now.optics.n_water if sure else sights.optics.n_water + float(found.change[0]),
-            n_water_sigma=float(found.sigma[0]),
-            n_water_given=sights.optics.n_water,
-            focal_scale=now.views[0].camera.focal_px[0] / sights.views[0].camera.focal_px[0],
-            believed=sure,
-            nodes=first.nodes,
-            before_px=first.before_px,
-            after_px=found.after_px,
-            sights=now,
-        ),
+    told = RootCalibration(
+        n_water=now.optics.n_water if sure else cameras.optics.n_water + float(found.change[0]),
+        n_water_sigma=float(found.sigma[0]),
+        n_water_given=cameras.optics.n_water,
+        focal_scale=now.lens.focal_px[0] / cameras.lens.focal_px[0],
+        believed=sure,
+        nodes=first.nodes,
+        before_px=first.before_px,
+        after_px=found.after_px,
     )
+    return seen, tubes, replace(now, roots=told)
 
 
-def estimate(seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_px: float, taken: Array | None = None) -> Found | None:
+def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float, taken: Array | None = None) -> Found | None:
     """Find from fitted tubes what of the rig is other than thought; None where there are too few nodes.
 
     Parameters
     ----------
     fixed : (N,) nodes that were not fitted.
-    taken : (K,) change that the sights hold already, beyond what markers and edges said.
+    taken : (K,) change that the cameras hold already, beyond what markers and edges said.
     """
-    views, doubt = sights.views, sights.doubt
+    views, known = cameras.views, cameras.uncertainty
     at = seen.project(tubes.centre_mm)
     depth = tube_picture.optical_depth(seen, tubes, at, blur_px)
     profiles = tube_profiles.profiles(seen, tubes, at, depth, tube_picture.unexplained(seen, depth), blur_px)
@@ -219,11 +171,11 @@ def estimate(seen: Evidence, sights: Sights, tubes: Tubes, fixed: Mask, *, blur_
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
-    columns = _Columns.to(len(views), doubt)
+    columns = _Columns.to(cameras.order, known)
     sums = profiles.host(chosen)
-    wanted = QUANTITIES if doubt is not None else QUANTITIES[:1]
+    wanted = QUANTITIES if known is not None else QUANTITIES[:1]
     points = tubes.centre_mm[chosen]
-    moves = [sight_change.moves(view, sights.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
+    moves = [sight_change.moves(view, cameras.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
     system = _System.of(sums, profiles.pull().of(chosen), by, columns, tubes.tangents[chosen])
     before = np.zeros(len(columns.precision)) if taken is None else taken
@@ -243,19 +195,20 @@ def believed(found: Found, optics: Optics) -> bool:
     return abs(float(found.change[0])) > SURE * float(found.sigma[0]) and INDEX_LIMITS[0] < asked < INDEX_LIMITS[1]
 
 
-def changed(sights: Sights, change: Array) -> Sights:
-    """Return sights with a change (K,) of their unknowns."""
-    optics = replace(sights.optics, n_water=sights.optics.n_water + float(change[0]))
-    if sights.doubt is None:
-        return replace(sights, optics=optics)
-    station, stations = sights.doubt.station, len(sights.doubt.camera)
+def changed(cameras: Cameras, change: Array) -> Cameras:
+    """Return cameras with a change (K,) of their unknowns."""
+    optics = replace(cameras.optics, n_water=cameras.optics.n_water + float(change[0]))
+    known = cameras.uncertainty
+    if known is None:
+        return replace(cameras, optics=optics)
+    stations = len(known.camera)
     camera, turn = change[6 : 6 + 6 * stations].reshape(-1, 6), change[6 + 6 * stations :]
     moved = []
-    for v, view in enumerate(sights.views):
-        seat = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
-        view = sight_change.displaced(sight_change.seated(view, seat), camera[station[v]])
+    for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
+        canister = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
+        view = sight_change.displaced(sight_change.seated(view, canister), camera[known.station[frame]])
         moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
-    return replace(sights, views=moved, optics=optics)
+    return cameras.moved(moved, optics)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,23 @@ class Term:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Volume:
+    """A volume with what is known of its error."""
+
+    mm3: float
+    interval_mm3: tuple[float, float]
+    """90 % interval."""
+    bounds_mm3: tuple[float, float]
+    """Smallest and largest volume that the silhouettes allow."""
+    trusted: bool
+    """Whether the scan can give a volume."""
+    verdict: str
+    """One sentence: what the volume is worth."""
+    terms: tuple[Term, ...]
+    """Causes of uncertainty."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Budget:
     """What is known of a volume's error."""
 
@@ -77,3 +94,14 @@ class Budget:
             return "this scan cannot give a volume: " + "; ".join(self.doubts)
         low, high = self.interval_mm3
         return f"the true volume lies between {low:.3g} and {high:.3g} mm3 with 90 % confidence"
+
+    def volume(self, bounds_mm3: tuple[float, float]) -> Volume:
+        """Return the volume, and how far it can be trusted."""
+        return Volume(
+            mm3=self.volume_mm3,
+            interval_mm3=self.interval_mm3,
+            bounds_mm3=bounds_mm3,
+            trusted=not self.doubts,
+            verdict=self.verdict,
+            terms=self.terms,
+        )

@@ -62,7 +62,7 @@ def test_what_decides_the_pictures_changes_their_key(our_sources, unchanged, app
         ("scenes/traits.py", CHANGED),
         ("sim/truth.py", CHANGED),
         ("sim/board.py", CHANGED),  # pictures of the lens's board
-        ("recon/pipeline.py", CHANGED),
+        ("recon/reconstruct.py", CHANGED),
         ("scenes/library/sphere_20mm.toml", "# another scene\n"),
         ("sim/solids.py", "# a comment\n"),
         ("sim/solids.py", '"""Words."""\n'),

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 
+from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import projection
@@ -23,11 +24,17 @@ def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
 
 
 @cache
-def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
+def standing(views: int = 12) -> Cameras:
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views),)))
     planned = plan.views(scene)
     found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
-    return projection.ViewBank.of(found, Optics.of(scene)), (400, 300)
+    return Cameras.given(found, Optics.of(scene))
+
+
+@cache
+def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
+    found = standing(views)
+    return projection.ViewBank.of(found.views, found.optics), (400, 300)
 
 
 def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:

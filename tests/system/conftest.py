@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 from rhizotwin import cli
-from rhizotwin.recon import pipeline
 from rhizotwin.recon.results import result
 
 VIEWS = 10
@@ -140,7 +139,7 @@ def found(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Reconstructed
     folder = tmp_path_factory.mktemp("found") / "result"
     kept: list[result.Result] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.result, "write", lambda made, folder, write=result.write: (kept.append(made), write(made, folder)))
+        patch.setattr(result.Result, "save", lambda made, folder, save=result.Result.save: (kept.append(made), save(made, folder)))
         assert cli.main(["reconstruct", str(made), "-o", str(folder), "--device", "cpu", "--voxel-mm", "2"]) == 0
     return Reconstructed(folder, kept[0])
 

@@ -17,8 +17,9 @@ import rhizotwin.importer
 import rhizotwin.scenes.atomic
 import rhizotwin.sim.simulate
 from rhizotwin import cli, commands
-from rhizotwin.recon import drawing, pipeline, run, shaping
-from rhizotwin.recon.calibration import poses
+from rhizotwin.recon import pictures, reconstruct, shaping
+from rhizotwin.recon.calibration import markers, poses
+from rhizotwin.recon.coverage import background
 from rhizotwin.recon.results import report, result
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,7 +65,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def quick_shape(found: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let `reconstruct` write the result that is known already, so that only what comes after the shape takes time."""
-    monkeypatch.setattr(pipeline, "reconstruct", lambda _, folder, **__: result.write(found.result, folder))
+    monkeypatch.setattr(reconstruct, "reconstruct", lambda _, **__: found.result)
 
 
 # Each file is flushed and then its folder: 2 calls a file; the progress file is the first, then specimen, then picture, mask, progress.
@@ -160,19 +161,19 @@ def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, com
 
 
 EARLY = [
-    Moment(run, "load_dataset"),
-    Moment(run, "read_image", 3),
-    Moment(pipeline.markers, "detect_markers", 2),
+    Moment(reconstruct, "load_dataset"),
+    Moment(pictures, "read_image", 3),
+    Moment(markers, "detect_markers", 2),
     Moment(poses, "find_poses"),
-    Moment(drawing.background, "estimate"),
+    Moment(background, "estimate"),
     Moment(shaping.silhouettes, "signed_distance", 4),
     Moment(shaping.carve, "carve"),
     Moment(shaping.surface, "surface"),
 ]
 LATE = [
     *writes(1, 2, 20, 45, 50),
-    Moment(pipeline.result.atomic, "write_image", 5),
-    Moment(pipeline.result.atomic, "write_json"),
+    Moment(result.atomic, "write_image", 5),
+    Moment(result.atomic, "write_json"),
     Moment(report, "write_pictures"),
     Moment(report, "_save", 2),
     Moment(Path, "mkdir"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.scoring.score_rig import compare_rig
@@ -66,14 +67,31 @@ def test_cameras_that_were_given_leave_no_table() -> None:
     assert calibrated.table({}) == []
 
 
+def markers_alone() -> Cameras:
+    found = MarkerCalibration(
+        rings=(),
+        table_from_canister=None,
+        table_sigma=None,
+        inset_px=0.0,
+        focal_scale=1.0,
+        focal_found=None,
+        focal_sigma=None,
+        before_px=None,
+        after_px=None,
+        table_correction_deg=None,
+        canister=None,
+    )
+    return Cameras(lens=Scene().camera, optics=Optics.of(Scene()), all=(), order=(), markers=found)
+
+
 def test_without_roots_the_index_is_said_to_be_as_given() -> None:
-    table = calibrated.table(calibrated.of_roots(None, Optics.of(Scene())))
+    table = calibrated.table(calibrated.of_cameras(markers_alone()))
     assert table[1:] == ["  index of the water: 1.333 as given: no thin roots tell it"]
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
-    views = [{"file": f"v{k}.png", "ring": 0, "used": True, "table_deg": 90.0 * k + 0.5 + (0.01 if k % 2 else -0.01)} for k in range(4)]
-    errors = {error.quantity: error for error in compare_rig({"rig": RIG, "views": views}, truth(focal_error=0.0))}
+    views = [Camera(file=f"v{k}.png", ring=0, used=True, table_deg=90.0 * k + 0.5 + (0.01 if k % 2 else -0.01)) for k in range(4)]
+    errors = {error.quantity: error for error in compare_rig(RIG, views, truth(focal_error=0.0))}
     assert errors["index of the water"].error == pytest.approx(1e-4)
     assert "0.5 standard deviations" in errors["index of the water"].text
     assert errors["canister in the strip: offset x"].error == pytest.approx(-0.004)
@@ -84,4 +102,4 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
 
 
 def test_what_the_truth_does_not_know_is_not_judged() -> None:
-    assert "focal length over the given" not in {error.quantity for error in compare_rig({"rig": RIG, "views": []}, truth())}
+    assert "focal length over the given" not in {error.quantity for error in compare_rig(RIG, [], truth())}

@@ -8,7 +8,7 @@ from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tube_law import TubeLaw
 from tests.recon.lines import line
-from tests.recon.strings import pictured, strung
+from tests.recon.strings import pictured, standing, strung
 
 
 def test_filled_volume_is_that_of_the_frustum():
@@ -37,11 +37,11 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
     nothing = np.zeros(len(system.radius_mm), bool)
-    found = rooting.RootSystem(system, nothing, core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), nothing)
+    found = rooting.RootSystem(system, nothing, core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), nothing, standing())
     united = tube_volume.unite(solid, found)
     assert united.thick_mm3 == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, nothing, core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, nothing)
+    far = rooting.RootSystem(system, nothing, core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, nothing, found.cameras)
     assert tube_volume.unite(solid, far).thick_mm3 == 0.0
 
 

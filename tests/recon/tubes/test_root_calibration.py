@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
-from rhizotwin.recon.tubes.root_calibration import RigDoubt, Sights
 from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -53,10 +53,10 @@ def evidence(views: list[View], optics: Optics) -> Evidence:
     return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(shape, bool)) for picture in coverage])
 
 
-def sure_rig(views: int) -> RigDoubt:
+def sure_rig(views: int) -> RigUncertainty:
     """Return doubt as two rings of good markers leave it."""
     camera = np.diag(np.array([2e-5, 2e-5, 1e-5, 5e-3, 5e-3, 5e-3]) ** 2)
-    return RigDoubt(np.repeat([0, 1], views // 2), np.stack([camera, camera]), np.array([5e-6, 5e-6, 1e-3, 1e-3]), 1e-4)
+    return RigUncertainty(np.repeat([0, 1], views // 2), np.stack([camera, camera]), np.array([5e-6, 5e-6, 1e-3, 1e-3]), 1e-4)
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.name)
@@ -83,24 +83,26 @@ def test_a_wrong_index_is_found_from_the_roots() -> None:
     seen = replace(evidence(views, true), bank=projection.ViewBank.of(views, optics))
     free = np.zeros(len(system().radius_mm), bool)
     start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
-    sights = Sights(list(range(12)), views, optics, sure_rig(12))
-    _, _, found = root_calibration.calibrate(seen, sights, start, free, blur_px=0.0)
+    given = Cameras.given(views, optics, sure_rig(12))
+    _, _, cameras = root_calibration.calibrate(seen, given, start, free, blur_px=0.0)
+    found = cameras.roots
     assert found is not None
     assert found.believed
     assert found.n_water == pytest.approx(true.n_water, abs=min(4.0 * found.n_water_sigma, 3e-4))
     assert found.after_px < found.before_px
-    assert found.sights.optics.n_water == found.n_water
+    assert cameras.optics.n_water == found.n_water
 
 
 def test_a_right_index_stays_as_it_was_given() -> None:
     views, optics = rig()
     seen, free = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
-    sights = Sights(list(range(12)), views, optics, sure_rig(12))
-    same, fitted, found = root_calibration.calibrate(seen, sights, system(), free, blur_px=0.0)
+    given = Cameras.given(views, optics, sure_rig(12))
+    same, fitted, cameras = root_calibration.calibrate(seen, given, system(), free, blur_px=0.0)
+    found = cameras.roots
     assert found is not None
     assert not found.believed
     assert abs(found.n_water - optics.n_water) < 3.0 * found.n_water_sigma
-    assert found.sights is sights
+    assert replace(cameras, roots=None) == given
     assert same is seen
     assert fitted is system()
 
@@ -110,7 +112,7 @@ def test_cameras_that_nobody_doubts_leave_only_the_index_to_be_found() -> None:
     seen, free = evidence(views, replace(optics, n_water=optics.n_water - 0.001)), np.zeros(len(system().radius_mm), bool)
     seen = replace(seen, bank=projection.ViewBank.of(views, optics))
     start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
-    found = root_calibration.estimate(seen, Sights(list(range(12)), views, optics, None), start, free, blur_px=0.0)
+    found = root_calibration.estimate(seen, Cameras.given(views, optics), start, free, blur_px=0.0)
     assert found is not None
     assert found.change.shape == (1,)
     assert -0.0015 < found.change[0] < -0.0005
@@ -120,5 +122,5 @@ def test_too_few_roots_tell_nothing() -> None:
     views, optics = rig()
     stub = tubes.string([np.linspace([0.0, 0.0, -20.0], [1.0, 1.0, -30.0], 30)], [np.full(30, 0.3)])
     seen = evidence(views, optics)
-    sights = Sights(list(range(12)), views, optics, None)
-    assert root_calibration.calibrate(seen, sights, stub, np.zeros(len(stub.radius_mm), bool), blur_px=0.0)[2] is None
+    given = Cameras.given(views, optics)
+    assert root_calibration.calibrate(seen, given, stub, np.zeros(len(stub.radius_mm), bool), blur_px=0.0)[2].roots is None

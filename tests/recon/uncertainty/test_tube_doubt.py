@@ -6,12 +6,12 @@ from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tube_law import TubeLaw
 from rhizotwin.recon.uncertainty import tube_doubt
-from tests.recon.strings import TRUNK, TWIG, pictured, strung
+from tests.recon.strings import TRUNK, TWIG, pictured, standing, strung
 
 
 def _system(found: tubes.Tubes, px_a_mm: float) -> rooting.RootSystem:
     no_nodes = np.zeros(len(found.radius_mm), bool)
-    return rooting.RootSystem(found, no_nodes, np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found), no_nodes)
+    return rooting.RootSystem(found, no_nodes, np.zeros((0, 3)), 0.6, px_a_mm, TubeLaw.opaque(0.0), pictured(found), no_nodes, standing())
 
 
 def test_doubt_about_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:

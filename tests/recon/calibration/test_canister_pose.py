@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin.recon.calibration.canister_seat import find_seat
+from rhizotwin.recon.calibration.canister_pose import find_canister
 from rhizotwin.recon.optics.cameras import View, matrix
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -45,7 +45,7 @@ def scan(*, seat: np.ndarray = TRUE, radius_mm: float = SCENE.canister.outer_rad
 @pytest.mark.parametrize(("noise", "radius_mm"), [(0.0, 76.2), (0.01, 76.2), (0.01, 76.45)], ids=["clean", "noisy", "another size"])
 def test_the_seat_is_found_within_its_own_uncertainty(noise, radius_mm):
     views, images = scan(noise=noise, radius_mm=radius_mm)
-    found = find_seat(views, images.__getitem__, SCENE)
+    found = find_canister(views, images.__getitem__, SCENE)
     error = frames.invert(TRUE) @ found.canister_from_strip
     tilt_deg, shift_mm = np.rad2deg(frames.to_rotvec(error))[:2], error[:2, 3]
     assert np.abs(shift_mm).max() < 0.01
@@ -57,15 +57,15 @@ def test_the_seat_is_found_within_its_own_uncertainty(noise, radius_mm):
 
 def test_a_canister_that_stands_true_stays_where_it_is():
     views, images = scan(seat=np.eye(4), noise=0.01)
-    found = find_seat(views, images.__getitem__, SCENE)
+    found = find_canister(views, images.__getitem__, SCENE)
     np.testing.assert_allclose(found.canister_from_strip, np.eye(4), atol=0.005)
 
 
 def test_no_edges_no_seat():
     views, images = scan()
     dark = [np.zeros_like(image) for image in images]
-    assert find_seat(views, dark.__getitem__, SCENE) is None
+    assert find_canister(views, dark.__getitem__, SCENE) is None
     even = [np.full_like(image, 40000) for image in images]
-    assert find_seat(views, even.__getitem__, SCENE) is None
+    assert find_canister(views, even.__getitem__, SCENE) is None
     narrow = replace(SCENE, canister=replace(SCENE.canister, outer_radius_mm=150.0))
-    assert find_seat(views, images.__getitem__, narrow) is None  # its edges are outside of the pictures
+    assert find_canister(views, images.__getitem__, narrow) is None  # its edges are outside of the pictures

@@ -38,7 +38,7 @@ PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanisterSeat:
+class CanisterPose:
     """Where the canister's axis is in the strip's frame."""
 
     canister_from_strip: Array
@@ -53,7 +53,7 @@ class CanisterSeat:
     after_mm: float
 
 
-def find_seat(views: Sequence[View], images: Callable[[int], Grey], scene: Scene) -> CanisterSeat | None:
+def find_canister(views: Sequence[View], images: Callable[[int], Grey], scene: Scene) -> CanisterPose | None:
     """Find how the canister stands in the strip.
 
     Parameters
@@ -64,7 +64,7 @@ def find_seat(views: Sequence[View], images: Callable[[int], Grey], scene: Scene
 
     Returns
     -------
-    CanisterSeat or None
+    CanisterPose or None
         None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark surroundings).
     """
     lines = [_edge_lines(view, images(k), scene) for k, view in enumerate(views)]
@@ -92,7 +92,7 @@ def find_seat(views: Sequence[View], images: Callable[[int], Grey], scene: Scene
     covariance = np.linalg.inv(jacobian.T @ jacobian) * spread_mm**2
     sigma = np.sqrt(np.diag(covariance))[:4]
     straight = distances(np.zeros(5))[near]
-    return CanisterSeat(
+    return CanisterPose(
         canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),
         sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         radius_excess_mm=float(fit.x[4]),

@@ -1,0 +1,173 @@
+"""The cameras of a scan: where each stood, through what it looks, how sure that is, and what told it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.calibration.canister_pose import CanisterPose
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes import model
+from rhizotwin.scenes.frames import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """The camera of one picture."""
+
+    file: str
+    """The picture's."""
+    ring: int
+    used: bool
+    reason: str | None = None
+    """Why the view is left out."""
+    cam_from_canister: Array | None = None
+    """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
+    reprojection_px: float | None = None
+    """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
+    single_view_px: float | None = None
+    """The same for the pose from this picture alone."""
+    markers: int = 0
+    outliers: int = 0
+    """Markers that count for nearly nothing, since they lie far off."""
+    table_deg: float | None = None
+    """Table angle as the pictures tell it."""
+    covariance: Array | None = None
+    """(6, 6) of the left-hand twist of cam_from_canister: rotation vector (rad), shift (mm), in the camera's frame."""
+    position_sigma_mm: float | None = None
+    """Standard deviation of the camera's centre, all axes together."""
+    rotation_sigma_deg: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ring:
+    """Where the camera stood for one turn of the table, or the part of it until it was placed anew."""
+
+    ring: int
+    placement: int
+    cam_from_rig: Array
+    """(4, 4)"""
+    covariance: Array
+    """(6, 6) as in `Camera`."""
+    own_deg: float
+    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still camera."""
+    own_mm: float
+
+
+@dataclass(frozen=True)
+class RigUncertainty:
+    """How well markers and edges know the rig."""
+
+    station: NDArray[np.int64]
+    """(F,) to which standing of the camera each frame belongs."""
+    camera: Array
+    """(R, 6, 6) covariance of the left-hand twist of each station's camera, rad and mm."""
+    canister: Array
+    """(4,) standard deviations of the canister's tilt about x, y (rad) and offset x, y (mm) in the strip."""
+    focus: float
+    """Standard deviation of the focal scale."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerCalibration:
+    """What the markers of all pictures together gave, and the canister's edges."""
+
+    rings: tuple[Ring, ...]
+    table_from_canister: Array | None
+    """(4, 4) how the canister stands on the table: tilt and offset."""
+    table_sigma: Array | None
+    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
+    inset_px: float
+    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
+    focal_scale: float
+    """Focal lengths over the given ones, as they were taken."""
+    focal_found: float | None
+    """The same, whether it is sure enough to be taken or not."""
+    focal_sigma: float | None
+    before_px: float | None
+    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
+    after_px: float | None
+    """Median reprojection error of the views at the end."""
+    table_correction_deg: float | None
+    """Spread of the table's angles about the commanded ones."""
+    canister: CanisterPose | None
+    """None where the canister's edges were not seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootCalibration:
+    """What the roots themselves told of the rig."""
+
+    n_water: float
+    """As the roots would have it."""
+    n_water_sigma: float
+    n_water_given: float
+    focal_scale: float
+    """Focal lengths over those that the markers told."""
+    believed: bool
+    """Whether index and cameras were taken as the roots would have them."""
+    nodes: int
+    before_px: float
+    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its best place."""
+    after_px: float
+    """The same when the rig is changed as found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cameras:
+    """The cameras of all pictures of the root."""
+
+    lens: model.Camera
+    """One for all views."""
+    optics: Optics
+    """What they look through."""
+    all: tuple[Camera, ...]
+    """(F,) of every frame, in the order of the frames."""
+    order: tuple[int, ...]
+    """(V,) numbers of the frames that are used, in the order in which they are looked at."""
+    uncertainty: RigUncertainty | None = None
+    """None: the cameras were given and count as exact."""
+    markers: MarkerCalibration | None = None
+    """None: the cameras were given."""
+    roots: RootCalibration | None = None
+    """None: no roots could be asked."""
+    warnings: tuple[str, ...] = ()
+
+    @staticmethod
+    def given(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
+        """Return cameras of views (V,) of one lens."""
+        every = tuple(Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister) for view in views)
+        return Cameras(lens=views[0].camera, optics=optics, all=every, order=tuple(range(len(views))), uncertainty=uncertainty)
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """Lens and pose (V,) of the views that are used, in their order."""
+        return tuple(View(camera=self.lens, cam_from_canister=self.pose(k)) for k in self.order)
+
+    @cached_property
+    def by_frame(self) -> dict[int, View]:
+        """The views that are used, by number of the frame."""
+        return dict(zip(self.order, self.views, strict=True))
+
+    def pose(self, frame: int) -> Array:
+        """Return ``cam_from_canister`` (4, 4) of a frame that has one."""
+        pose = self.all[frame].cam_from_canister
+        if pose is None:
+            raise ValueError(f"{self.all[frame].file} has no camera pose")
+        return pose
+
+    def ordered(self, order: Sequence[int]) -> Cameras:
+        """Return the same cameras, to be looked at in another order of frames (V,)."""
+        return replace(self, order=tuple(order))
+
+    def moved(self, views: Sequence[View], optics: Optics) -> Cameras:
+        """Return cameras whose used views (V,), all of one lens, stand elsewhere, or look through something else."""
+        every = list(self.all)
+        for k, view in zip(self.order, views, strict=True):
+            every[k] = replace(every[k], cam_from_canister=view.cam_from_canister)
+        return replace(self, lens=views[0].camera, optics=optics, all=tuple(every))

@@ -1,0 +1,143 @@
+"""The stage that gives every picture its camera: taken as given, or found from the markers and the canister's edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rhizotwin.recon.calibration import markers, poses
+from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, RigUncertainty
+from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.pictures import Pictures
+from rhizotwin.scenes import frames, model
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
+
+LEAST_VIEWS = 3
+"""Two silhouettes bound no shape."""
+CANISTER_UNSEEN = np.array([0.1, 0.1, 0.2, 0.2])
+"""How misaligned (degrees, mm) a canister may stand in the strip where its edges were not seen."""
+FOCUS_GIVEN = 1e-4
+"""How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
+
+
+def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, single_view: bool = False) -> Cameras:
+    """Take the given cameras, or find every camera from the markers.
+
+    Parameters
+    ----------
+    measure, single_view : bool
+        As in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also trusts the strip.
+
+    Returns
+    -------
+    Cameras
+        In the order of the frames.
+
+    Raises
+    ------
+    UserError
+        Where too few pictures have a camera.
+    """
+    scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
+    if all(frame.cam_from_canister is not None for frame in pictures.frames):
+        given = tuple(_as_given(frame) for frame in pictures.frames)
+        return _usable(pictures, Cameras(lens=scene.camera, optics=optics, all=given, order=_used(given)))
+    with monitor.stage("markers"):
+        detected = monitor.each(lambda image: markers.detect_markers(image, scene.strip, measure=measure), "markers", pictures.images)
+    with monitor.stage("poses"):
+        solved = poses.find_poses(detected, scene, pictures.frames, single_view=single_view)
+    lens = scene.camera.focused(solved.focal_scale)
+    left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
+    with monitor.stage("canister"):
+        canister = None if single_view else _canister(pictures, solved.views, lens)
+    strip_from_canister = np.eye(4) if canister is None else frames.invert(canister.canister_from_strip)
+    found = tuple(
+        view if view.cam_from_canister is None else replace(view, cam_from_canister=view.cam_from_canister @ strip_from_canister)
+        for view in solved.views
+    )
+    cameras = Cameras(
+        lens=lens,
+        optics=optics,
+        all=found,
+        order=_used(found),
+        uncertainty=_uncertainty(pictures.frames, solved, canister),
+        markers=_calibration(pictures.frames, solved, canister, strip_from_canister),
+        warnings=(*solved.warnings, *left_out),
+    )
+    return _usable(pictures, cameras)
+
+
+def _as_given(frame: Frame) -> Camera:
+    return Camera(
+        file=frame.file, ring=frame.ring, used=True, cam_from_canister=np.array(frame.cam_from_canister), table_deg=frame.table_deg
+    )
+
+
+def _used(found: Sequence[Camera]) -> tuple[int, ...]:
+    return tuple(k for k, view in enumerate(found) if view.used)
+
+
+def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
+    """Return cameras that are enough to go on with."""
+    if len(cameras.order) < LEAST_VIEWS:
+        reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
+        raise UserError(
+            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures have a camera pose and at least "
+            f"{LEAST_VIEWS} are needed ({reasons})."
+        )
+    return cameras
+
+
+def _canister(pictures: Pictures, found: Sequence[Camera], lens: model.Camera) -> CanisterPose | None:
+    """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
+    used = {k: view.cam_from_canister for k, view in enumerate(found) if view.used}
+    views = [View(camera=lens, cam_from_canister=pose) for pose in used.values() if pose is not None]
+    keys = list(used)
+    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene)
+
+
+def _uncertainty(captured: Sequence[Frame], solved: poses.Poses, canister: CanisterPose | None) -> RigUncertainty:
+    """Return how well markers and edges know the rig; a view of no station is a station of its own."""
+    stations = [(ring.ring, ring.placement) for ring in solved.rings]
+    camera = [ring.covariance for ring in solved.rings]
+    number = []
+    for frame, view in zip(captured, solved.views, strict=True):
+        if frame.station not in stations and view.covariance is not None:
+            number.append(len(camera))
+            camera.append(view.covariance)
+        else:
+            number.append(stations.index(frame.station) if frame.station in stations else 0)
+    sigma = CANISTER_UNSEEN if canister is None else canister.sigma
+    focus = solved.focal_sigma if solved.focal_scale != 1.0 and solved.focal_sigma is not None else FOCUS_GIVEN
+    return RigUncertainty(np.array(number), np.array(camera), np.concatenate([np.deg2rad(sigma[:2]), sigma[2:]]), focus)
+
+
+def _calibration(
+    captured: Sequence[Frame], solved: poses.Poses, canister: CanisterPose | None, strip_from_canister: frames.Array
+) -> MarkerCalibration:
+    """Gather what all views together gave."""
+    turned = [
+        view.table_deg - frame.table_deg
+        for frame, view in zip(captured, solved.views, strict=True)
+        if view.used and view.table_deg is not None and frame.table_deg is not None
+    ]
+    table_from_strip = solved.table_from_canister
+    return MarkerCalibration(
+        rings=solved.rings,
+        table_from_canister=None if table_from_strip is None else table_from_strip @ strip_from_canister,
+        table_sigma=solved.table_sigma,
+        inset_px=solved.inset_px,
+        focal_scale=solved.focal_scale,
+        focal_found=solved.focal_found,
+        focal_sigma=solved.focal_sigma,
+        before_px=solved.before_px,
+        after_px=solved.after_px,
+        table_correction_deg=float(np.std(turned)) if turned else None,
+        canister=canister,
+    )

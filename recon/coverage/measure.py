@@ -1,0 +1,198 @@
+"""The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.coverage import background, silhouettes, translucency, wall
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.coverage.translucency import Law
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.pictures import Pictures
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
+
+_RING_VIEWS = 8
+"""With fewer views of a still camera the turn does not show the empty backlight."""
+
+
+Outline = Callable[[Image, Image, Mask], Silhouette]
+"""From picture, empty backlight and seen pixels to a silhouette."""
+
+
+_LEARN_VIEWS = 16
+"""Views from which the law of the roots' translucency is learnt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """How much of each pixel roots cover, in every view that is used."""
+
+    silhouettes: Mapping[int, Silhouette]
+    """By number of the frame."""
+    attenuation: Law | None = None
+    """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
+
+    def fill(self, frame: int) -> float | None:
+        """Return the share of the seen water that roots cover in a frame; None where it is not used."""
+        silhouette = self.silhouettes.get(frame)
+        return None if silhouette is None else float((silhouette.coverage[silhouette.seen] > 0.5).mean())
+
+
+def measure_coverage(pictures: Pictures, cameras: Cameras, *, monitor: Monitor, outline: Outline | None = None) -> Coverage:
+    """Measure in every view how much of each pixel roots cover.
+
+    Parameters
+    ----------
+    outline : callable, optional
+        How a silhouette comes from a picture, if not by measuring coverage.
+
+    Raises
+    ------
+    UserError
+        Where a picture shows nothing of the water, or no root.
+    """
+    if pictures.dataset.masks:
+        found = _given(pictures, cameras, monitor)
+    elif outline is None:
+        found = _measured(pictures, cameras, monitor)
+    else:
+        found = _outlined(pictures, cameras, outline, monitor)
+    drawn = found.silhouettes
+    blank = [k for k in cameras.order if not drawn[k].seen.any()]
+    if blank:
+        name = pictures.frames[blank[0]].file
+        raise UserError(f"{name} shows nothing of the water below the net pot: check the camera, the backlight and the scene file.")
+    empty = [k for k in cameras.order if not (drawn[k].coverage > 0.25).any()]
+    if empty:
+        raise UserError(
+            f"{pictures.frames[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is seen in it, "
+            "so nothing can be carved; take it out of the dataset or check light and focus."
+        )
+    return found
+
+
+def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
+    """Take pictures that are silhouettes already: white is root."""
+    optics = cameras.optics
+    in_air = optics.n_wall == 1.0 and optics.n_water == 1.0
+    drawn = {}
+    with monitor.stage("silhouettes"):
+        for k, view in cameras.by_frame.items():
+            picture = pictures.images[k].astype(np.float32) / np.iinfo(pictures.images[k].dtype).max
+            seen = np.ones(picture.shape, bool) if in_air else background.water_mask(view, optics, pictures.dataset.scene)
+            drawn[k] = Silhouette(np.where(seen, picture, 0.0).astype(np.float32), seen)
+    return Coverage(silhouettes=drawn)
+
+
+@dataclass(frozen=True)
+class _Backlight:
+    """The empty backlight of each view, by number of the frame."""
+
+    empty: dict[int, Image]
+    seen: dict[int, Mask]
+    """Where it tells root from none."""
+
+
+def _backlight(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> _Backlight:
+    """Estimate the empty backlight of every view."""
+    with monitor.stage("background"):
+        views = cameras.by_frame
+        inside = {k: background.water_mask(view, cameras.optics, pictures.dataset.scene) for k, view in views.items()}
+        empty, glare = _backgrounds(pictures, cameras, inside, monitor)
+        return _Backlight(empty, {k: background.bright_enough(empty[k], inside[k]) & ~glare[k] for k in views})
+
+
+def _outlined(pictures: Pictures, cameras: Cameras, outline: Outline, monitor: Monitor) -> Coverage:
+    """Draw silhouettes in another way."""
+    light = _backlight(pictures, cameras, monitor)
+    with monitor.stage("silhouettes"):
+        return Coverage(
+            silhouettes={k: outline(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in cameras.order}
+        )
+
+
+def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
+    """Measure coverage against the empty backlight."""
+    keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, monitor)
+    opacity = {k: silhouettes.opacity(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in keys}
+    with monitor.stage("wall"):
+        opacity, seen = _without_wall(cameras, opacity, light.seen, monitor)
+    with monitor.stage("silhouettes"):
+        some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
+        px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
+        law = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+
+        def one(k: int) -> Silhouette:
+            clear = opacity[k] / np.float32(1.0 - law.own)  # noise and all, so that no faint root loses its flanks
+            if law.mu_per_mm is None:
+                drawn = silhouettes.measure(opacity[k], seen[k], own=law.own)
+            else:
+                covered = translucency.covered(opacity[k], law, px_a_mm)
+                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
+            return replace(drawn, opacity=clear)
+
+        return Coverage(silhouettes=dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True)), attenuation=law)
+
+
+def _without_wall(
+    cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], monitor: Monitor
+) -> tuple[dict[int, Image], dict[int, Mask]]:
+    """Take off what clings to the wall; in air nothing does."""
+    keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
+    if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
+        return opacity, seen
+    where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
+    found = wall.study(opacity, seen, where, optics, monitor)
+    cleared = monitor.each(lambda k: wall.cleared(opacity[k], seen[k], where[k], found), "clear", keys)
+    return {k: part for k, (part, _) in zip(keys, cleared, strict=True)}, {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
+
+
+def _scale(view: View, optics: Optics) -> float:
+    """Return px/mm across the canister's axis at half the water's depth."""
+    middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
+    x, y, _ = view.centre_mm / view.rho_mm
+    px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
+    return float(np.linalg.norm(px[0, 0] - px[1, 0]))
+
+
+def _backgrounds(
+    pictures: Pictures, cameras: Cameras, inside: dict[int, Mask], monitor: Monitor
+) -> tuple[dict[int, Image], dict[int, Mask | np.bool_]]:
+    """Estimate the empty backlight of each view, and where glare lies on it, which only a turn tells.
+
+    Ring by ring where the camera stood still, else picture by picture.
+    """
+    views, images, captured = cameras.by_frame, pictures.images, pictures.frames
+    empty: dict[int, Image] = {}
+    glare: dict[int, Mask | np.bool_] = dict.fromkeys(views, np.False_)
+    walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
+    for ring in sorted({captured[k].ring for k in views}):
+        members = [k for k in views if captured[k].ring == ring]
+        if len(members) >= _RING_VIEWS and _still([views[k] for k in members], pictures.dataset.scene.camera.focal_px[0]):
+            stack = np.stack([images[k] / walls[k] for k in members]).astype(np.float32)
+            panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]))
+            empty.update({k: panel * walls[k] for k in members})
+            glare.update(dict.fromkeys(members, spots))
+        else:
+
+            def from_itself(k: int) -> Image:
+                return np.asarray(walls[k] * background.estimate_single((images[k] / walls[k]).astype(np.float32), inside[k]))
+
+            single = monitor.each(from_itself, "background", members)
+            empty.update(dict(zip(members, single, strict=True)))
+    return empty, glare
+
+
+def _still(views: list[View], focal: float) -> bool:
+    """Tell whether a ring's camera stood still: the canister, a few millimetres off the table's axis, hardly moves in the picture."""
+    heights = [float(view.centre_mm[2]) for view in views]
+    axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])
+    column, row = focal * axis[:, 0] / axis[:, 2], focal * axis[:, 1] / axis[:, 2]
+    few_mm_px = 4.0 * focal / float(np.median(axis[:, 2]))
+    return bool(np.ptp(column) < 2.0 * few_mm_px and np.ptp(row) < 2.0 * few_mm_px and np.ptp(axis[:, 2]) < 8.0)

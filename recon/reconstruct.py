@@ -1,0 +1,99 @@
+"""The whole way from a dataset to a result, in memory: Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.recon import shaping
+from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.calibration.find_cameras import find_cameras
+from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
+from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.results import calibrated
+from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.settings import Settings
+from rhizotwin.scenes.dataset import Dataset, load_dataset, sha256_of
+from rhizotwin.scenes.monitor import Listener, Monitor
+from rhizotwin.scenes.provenance import peak_memory_mib, versions
+from rhizotwin.scenes.schema import to_plain
+
+_VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
+
+
+def reconstruct(
+    dataset: Dataset | Path | str,
+    *,
+    settings: Settings | None = None,
+    mass_g: float | None = None,
+    monitor: Monitor | type[Any] | Listener | None = None,
+) -> Result:
+    """Reconstruct a dataset, in memory; `Result.save` writes it.
+
+    Parameters
+    ----------
+    dataset : Dataset or path
+        As `scenes.dataset.load_dataset` gives it, or its folder.
+    settings : Settings, optional
+        What may be set, a group for each stage.
+    mass_g : float, optional
+        Mass of the roots, if they were weighed; for the traits only.
+    monitor : Monitor, type of tqdm, callable or None
+        Hears how far the work is, and may stop it.
+
+    Returns
+    -------
+    Result
+        Shape, volume with its interval, roots, cameras and what is to be said of them.
+
+    Raises
+    ------
+    UserError
+        Where the pictures cannot be used; the message names the file and what to do.
+    Cancelled
+        After `Monitor.cancel`.
+    """
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+    settings, monitor = settings or Settings(), Monitor.of(monitor)
+    pictures = read_pictures(dataset, monitor=monitor)
+    cameras = find_cameras(pictures, monitor=monitor)
+    coverage = measure_coverage(pictures, cameras, monitor=monitor)
+    hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+    roots = shaping.find_roots(hull, coverage, settings, monitor=monitor)
+    solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
+    cameras = cameras if roots is None else roots.cameras
+    warnings = (*cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings)
+    recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
+    return gather(dataset, cameras, coverage, solid, warnings=warnings, settings=recorded, mass_g=mass_g, monitor=monitor)
+
+
+def gather(
+    dataset: Dataset,
+    cameras: Cameras,
+    coverage: Coverage,
+    solid: Solid,
+    *,
+    warnings: tuple[str, ...],
+    settings: dict[str, Any],
+    monitor: Monitor,
+    mass_g: float | None = None,
+) -> Result:
+    """Put a result together."""
+    files = [camera.file for camera in cameras.all]
+    fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
+    return Result(
+        dataset=str(dataset.folder),
+        dataset_sha256=sha256_of(dataset.folder / "dataset.json"),
+        scene=dataset.scene.name,
+        solid=solid,
+        mass_g=mass_g,
+        cameras=cameras.all,
+        fill=fill,
+        rig=calibrated.of_cameras(cameras),
+        warnings=warnings,
+        timings_s=dict(monitor.timings_s),
+        peak_memory_mib=peak_memory_mib(),
+        settings=settings,
+        versions=versions(_VERSIONED),
+        silhouettes={files[k]: silhouette for k, silhouette in coverage.silhouettes.items()},
+    )

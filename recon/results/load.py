@@ -1,0 +1,122 @@
+"""A result folder read back as the value that was saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from rhizotwin.recon.calibration.cameras import Camera
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.uncertainty.budget import Term, Volume
+from rhizotwin.scenes import rsml
+
+
+def load_result(folder: Path | str) -> Result:
+    """Read a result folder; its silhouettes are read when they are looked at.
+
+    Raises
+    ------
+    UserError
+        Where a file is missing or damaged.
+    """
+    folder = Path(folder)
+    summary = result_files.read_summary(folder)
+    views = summary["views"]
+    files = tuple(view["file"] for view in views if view["used"]) if (folder / "silhouettes").is_dir() else ()
+    return Result(
+        dataset=str(summary.get("dataset", "")),
+        dataset_sha256=summary["dataset_sha256"],
+        scene=summary["scene"],
+        solid=_solid(folder, summary),
+        mass_g=summary.get("mass_g"),
+        cameras=tuple(_camera(view) for view in views),
+        fill={view["file"]: view["fill"] for view in views if view.get("fill") is not None},
+        rig=summary.get("rig") or {},
+        warnings=tuple(summary["warnings"]),
+        timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
+        peak_memory_mib=float(summary.get("peak_memory_mib") or 0.0),
+        settings=summary.get("settings", {}),
+        versions=summary.get("versions", {}),
+        silhouettes=_Stored(folder, files),
+    )
+
+
+def _solid(folder: Path, summary: Mapping[str, Any]) -> Solid:
+    """Read the shape."""
+    mesh = result_files.read_mesh(folder / "shape.ply")
+    roots = folder / "roots.rsml"
+    low, high = summary["volume_interval_mm3"]
+    least, most = summary["volume_bounds_mm3"]
+    return Solid(
+        voxels=result_files.read_leaves(folder),
+        hull=result_files.read_leaves(folder, hull=True),
+        finest_mm=float(summary.get("settings", {}).get("finest_mm", summary["voxel_mm"])),
+        mesh=trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False),
+        volume=Volume(
+            mm3=float(summary["volume_mm3"]),
+            interval_mm3=(float(low), float(high)),
+            bounds_mm3=(float(least), float(most)),
+            trusted=summary["volume_trusted"],
+            verdict=summary["volume_verdict"],
+            terms=tuple(_term(term) for term in summary["volume_budget"]),
+        ),
+        hull_mm3=float(summary["hull_mm3"]),
+        untrimmed_mm3=float(summary["untrimmed_mm3"]),
+        blind_mm3=float(summary["blind_mm3"]),
+        extents_min_mm=tuple(summary["extents_min_mm"]),
+        extents_max_mm=tuple(summary["extents_max_mm"]),
+        mu_per_mm=summary.get("root_mu_per_mm"),
+        mu_sigma_per_mm=summary.get("root_mu_sigma_per_mm"),
+        roots=rsml.read_rsml(roots) if roots.is_file() else (),
+    )
+
+
+def _camera(view: Mapping[str, Any]) -> Camera:
+    """Return the camera of a view of ``result.json``."""
+    pose = view.get("cam_from_canister")
+    return Camera(
+        file=view["file"],
+        ring=view.get("ring", 0),
+        used=view["used"],
+        reason=view.get("reason"),
+        cam_from_canister=None if pose is None else np.array(pose, np.float64),
+        reprojection_px=view.get("reprojection_px"),
+        markers=view.get("markers", 0),
+        table_deg=view.get("table_deg"),
+        position_sigma_mm=view.get("position_sigma_mm"),
+        rotation_sigma_deg=view.get("rotation_sigma_deg"),
+    )
+
+
+def _term(term: Mapping[str, Any]) -> Term:
+    """Return a cause of uncertainty of ``result.json``."""
+    return Term(name=term.get("name", ""), less_mm3=term["less_mm3"], more_mm3=term["more_mm3"], why=term["why"])
+
+
+@dataclass(frozen=True)
+class _Stored(Mapping[str, Silhouette]):
+    """Silhouettes in a result folder, by the frame's file."""
+
+    folder: Path
+    files: tuple[str, ...]
+
+    def __getitem__(self, file: str) -> Silhouette:
+        if file not in self.files:
+            raise KeyError(file)
+        coverage = result_files.read_grey(result_files.picture_path(self.folder / "silhouettes", file))
+        seen = result_files.picture_path(self.folder / "seen", file)
+        known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
+        return Silhouette(coverage, known)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
