@@ -12,6 +12,7 @@ from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.pictures import read_pictures
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings
 from rhizotwin.scenes.dataset import Dataset, load_dataset, sha256_of
 from rhizotwin.scenes.monitor import Listener, Monitor
@@ -59,9 +60,12 @@ def reconstruct(
     cameras = find_cameras(pictures, monitor=monitor)
     coverage = measure_coverage(pictures, cameras, monitor=monitor)
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-    roots = shaping.find_roots(hull, coverage, settings, monitor=monitor)
+    tree = shaping.find_roots(hull, coverage, settings, monitor=monitor)
+    roots = None
+    if tree is not None:
+        tree = rooting.calibrate(tree, monitor=monitor)
+        cameras, roots = tree.cameras, rooting.settle(tree, monitor=monitor)
     solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
-    cameras = cameras if roots is None else roots.cameras
     warnings = (*cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
     return gather(dataset, cameras, coverage, solid, warnings=warnings, settings=recorded, mass_g=mass_g, monitor=monitor)

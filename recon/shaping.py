@@ -18,7 +18,7 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.results.result import Solid, Triple
 from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
-from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import solid_doubt, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
@@ -74,7 +74,8 @@ def carve_hull(
     UserError
         Where the silhouettes have no volume in common.
     """
-    order = [cameras.order[place] for place in _spread(len(cameras.order))]
+    numbers = sorted(cameras.order)
+    order = [numbers[place] for place in _spread(len(numbers))]
     cameras = cameras.ordered(order)
     with monitor.stage("outlines"):
         window = Window.around([coverage.silhouettes[k] for k in order])
@@ -125,7 +126,7 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
         return TrimmedHull(carved=carved, trimmed=parsimony.trim(carved.bank, carved.maps, carved.hull.leaves))
 
 
-def find_roots(found: TrimmedHull, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> RootSystem | None:
+def find_roots(found: TrimmedHull, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> RootTree | None:
     """Fit tubes to the roots that are too thin for a hull; None where there are none."""
     carved, trimmed = found.carved, found.trimmed
     if not _is_thin(trimmed, settings) and _misses(carved, trimmed.leaves) <= settings.roots.least_missed:

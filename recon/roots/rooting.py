@@ -53,13 +53,15 @@ _LAST_STEPS = 4
 _AFTER_STEPS = 2
 
 
-@dataclass(frozen=True)
-class RootSystem:
-    """Roots found as tubes."""
+@dataclass(frozen=True, kw_only=True)
+class RootTree:
+    """Roots found as tubes, with what they were fitted to."""
 
     tubes: Tubes
     buried: Mask
     """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
+    organ: Mask
+    """(N,) nodes that are thick organs: they are not fitted."""
     core_mm: Array
     """(M, 3) points deep inside thick organs."""
     margin_mm: float
@@ -68,16 +70,22 @@ class RootSystem:
     law: TubeLaw
     """How much light roots let through, and how blurred the pictures are."""
     seen: Evidence
-    """What it was fitted to, with cameras and water as the roots corrected them."""
-    doubtful: Mask
-    """(N,) nodes of ends whose tips are likely none."""
+    """What it was fitted to."""
     cameras: Cameras
-    """Those of ``seen``; their ``roots`` tell how the roots corrected them."""
+    """Those of ``seen``."""
 
     @property
     def blur_px(self) -> float:
         """Return the standard deviation of the pictures' blur."""
         return self.law.blur_px
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootSystem(RootTree):
+    """Roots at rest."""
+
+    doubtful: Mask
+    """(N,) nodes of ends whose tips are likely none."""
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children."""
@@ -91,7 +99,7 @@ class RootSystem:
         return hierarchy.arrange(roots)
 
 
-def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuation: Law | None, *, monitor: Monitor) -> RootSystem | None:
+def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuation: Law | None, *, monitor: Monitor) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
@@ -99,7 +107,7 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
     seen : Evidence
         Measured coverage.
     cameras : Cameras
-        Of its views, in their order; the roots themselves may correct them.
+        Of its views, in their order.
     balls : Balls
         Inside the hull, as `parsimony.trim` grew them.
     attenuation : Law or None
@@ -160,12 +168,49 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
             law, fitted = tube_law.refine(seen, fitted, organ, law)
             blur_px, seen = law.blur_px, replace(seen, mu_per_mm=law.mu_per_mm)
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-    with monitor.stage("index"):
-        seen, fitted, cameras = root_calibration.calibrate(seen, cameras, fitted, organ, blur_px=blur_px)
+    return RootTree(
+        tubes=fitted,
+        buried=buried,
+        organ=organ,
+        core_mm=core.centre_mm,
+        margin_mm=margin_mm,
+        px_a_mm=px_a_mm,
+        law=law,
+        seen=seen,
+        cameras=cameras,
+    )
+
+
+def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
+    """Ask the roots for the water's index and the cameras, and fit the tubes with what they told.
+
+    Returns
+    -------
+    RootTree
+        With cameras to go on with; ``cameras.roots`` tells what came of it, None where there are too few roots to tell.
+    """
+    with monitor.stage("calibration"):
+        seen, fitted, cameras = root_calibration.calibrate(tree.seen, tree.cameras, tree.tubes, tree.organ, blur_px=tree.blur_px)
+        return replace(tree, seen=seen, tubes=fitted, cameras=cameras)
+
+
+def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
+    """Bring the tubes to rest, and tell which ends are likely none."""
     with monitor.stage("last tubes"):
-        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-        doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(seen, fitted, blur_px), organ)
-    return RootSystem(fitted, buried, core.centre_mm, margin_mm, px_a_mm, law, seen, doubtful, cameras)
+        fitted, pull = tube_fit.fit(tree.seen, tree.tubes, tree.organ, blur_px=tree.blur_px, steps=_AFTER_STEPS)
+        doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(tree.seen, fitted, tree.blur_px), tree.organ)
+    return RootSystem(
+        tubes=fitted,
+        buried=tree.buried,
+        organ=tree.organ,
+        core_mm=tree.core_mm,
+        margin_mm=tree.margin_mm,
+        px_a_mm=tree.px_a_mm,
+        law=tree.law,
+        seen=tree.seen,
+        cameras=tree.cameras,
+        doubtful=doubtful,
+    )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,9 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.roots.rooting import RootSystem
 from rhizotwin.recon.tubes import tube_picture, tubes
+from rhizotwin.recon.tubes.tube_law import TubeLaw
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.lines import line
@@ -46,3 +48,20 @@ def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
     coverage = 1.0 - np.exp(-np.array(depth)).reshape(bank.count, height, width)
     coverage += np.random.default_rng(0).normal(0.0, noise, coverage.shape)
     return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(picture.shape, bool)) for picture in coverage])
+
+
+def at_rest(found: tubes.Tubes, *, px_a_mm: float, core_mm: np.ndarray | None = None, blur_px: float = 0.0) -> RootSystem:
+    """Return tubes as roots without thick organs; ``core_mm`` (M, 3) puts one beside them."""
+    no_nodes = np.zeros(len(found.radius_mm), bool)
+    return RootSystem(
+        tubes=found,
+        buried=no_nodes,
+        organ=no_nodes,
+        core_mm=np.zeros((0, 3)) if core_mm is None else core_mm,
+        margin_mm=0.6,
+        px_a_mm=px_a_mm,
+        law=TubeLaw.opaque(blur_px),
+        seen=pictured(found),
+        cameras=standing(),
+        doubtful=no_nodes,
+    )

@@ -1,14 +1,15 @@
 """The volume of tubes, against closed forms, and their union with thick organs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rhizotwin.recon.hull.carve import Grid, Leaves
-from rhizotwin.recon.roots import rooting, tube_volume
+from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import tubes
-from rhizotwin.recon.tubes.tube_law import TubeLaw
 from tests.recon.lines import line
-from tests.recon.strings import pictured, standing, strung
+from tests.recon.strings import at_rest, strung
 
 
 def test_filled_volume_is_that_of_the_frustum():
@@ -36,12 +37,11 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
-    nothing = np.zeros(len(system.radius_mm), bool)
-    found = rooting.RootSystem(system, nothing, core, 0.6, 4.0, TubeLaw.opaque(0.3), pictured(system), nothing, standing())
+    found = at_rest(system, px_a_mm=4.0, core_mm=core, blur_px=0.3)
     united = tube_volume.unite(solid, found)
     assert united.thick_mm3 == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
-    far = rooting.RootSystem(system, nothing, core + 5.0, 0.6, 4.0, TubeLaw.opaque(0.3), found.seen, nothing, found.cameras)
+    far = replace(found, core_mm=core + 5.0)
     assert tube_volume.unite(solid, far).thick_mm3 == 0.0
 
 
