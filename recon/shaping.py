@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
-from rhizotwin.recon.uncertainty import solid_doubt, tube_doubt
+from rhizotwin.recon.uncertainty import sight, solid_doubt, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
@@ -174,7 +174,7 @@ def _budget(
     terms = (
         *(() if told is None else told.terms),
         *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=slack_px, half_excess=half),
-        solid_doubt.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
+        sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)

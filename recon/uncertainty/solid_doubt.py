@@ -1,4 +1,4 @@
-"""What the silhouettes leave open about thick organs and solid bodies, and about what lies where too few views see."""
+"""What the silhouettes leave open about thick organs and solid bodies."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from rhizotwin.recon.hull import carve, parsimony
-from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Hull, Leaves, Water
+from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Hull, Water
 from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
-
-Array = NDArray[np.float64]
 
 _OUTLINE_PX = 0.1
 """An outline may be this far off (90 %): strips of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their direction."""
@@ -29,12 +25,6 @@ _MUCH_KEPT = 0.05
 """With less untrimmed hull than this share of the volume its excess is no concern."""
 _INDEX = 0.002
 """An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
-_EDGE_MM = 0.5
-"""A shape ends by up to this much below where sight ends: outlines are drawn at half a coverage."""
-_ANYWHERE = 0.9
-"""What goes on out of sight ends anywhere below the top of the water, nine times of ten within this part of the way."""
-_REACH_MM = 12.0
-"""A root's hidden end is looked for this far below the top of the water."""
 
 
 def doubt(hull: Hull, trimmed: Trimmed, *, share: float, slack_px: float, half_excess: float) -> tuple[Term, ...]:
@@ -111,41 +101,7 @@ def every_second(frames: Sequence[int]) -> list[int]:
     return sorted(np.argsort(frames)[::2].tolist())
 
 
-def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Return what the shape may have above its top, where too few views see: its columns go on, at most to the top of the water."""
-    size_mm, origin = leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
-    tops_mm = origin[2] + (leaves.index[:, 2] + leaves.size) * size_mm
-    high = np.flatnonzero((tops_mm > water.top_mm - _REACH_MM) & (leaves.occupancy > 0))
-    hidden = 0.0
-    if len(high):
-        part = replace(leaves, index=leaves.index[high], size=leaves.size[high], occupancy=leaves.occupancy[high])
-        cells = parsimony.even(part.index, part.size).astype(np.int64)
-        full = np.concatenate([np.repeat(part.occupancy[part.size == edge], edge**3) for edge in np.unique(part.size)])
-        column = (cells[:, 0] - cells[:, 0].min()) * (np.ptp(cells[:, 1]) + 1) + cells[:, 1] - cells[:, 1].min()
-        order = np.lexsort((cells[:, 2], column))
-        last = np.append(np.flatnonzero(np.diff(column[order])), len(order) - 1)
-        top = order[last]
-        ends_mm = origin + (cells[top] + np.array([0.5, 0.5, 1.0])) * size_mm
-        above = ends_mm + np.array([0.0, 0.0, _EDGE_MM])
-        gap_mm = _ANYWHERE * np.maximum(water.top_mm - ends_mm[:, 2], 0.0)
-        unseen = _votes(bank, maps, above) < max(3, math.ceil(parsimony.VOTES * bank.count))
-        hidden = float((gap_mm * full[top])[unseen].sum() * size_mm**2)
-    return Term(
-        name="beyond sight", less_mm3=0.0, more_mm3=hidden, why="the roots go on where too few views see, below the net pot or behind it"
-    )
-
-
 def water(volume_mm3: float) -> Term:
     """Return what the water's index leaves open: what a thermometer or the pictures do not tell."""
     half = _INDEX * volume_mm3
     return Term(name="water", less_mm3=half, more_mm3=half, why="the water's index may differ from the one that was used")
-
-
-def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
-    """Return how many views see points (N, 3)."""
-    point = mi.Point3f(points_mm.T.astype(np.float32))
-    votes = np.zeros(len(points_mm), np.int64)
-    for view in range(bank.count):
-        _, _, seen = carve.look(bank, maps, dr.opaque(mi.UInt32, view, len(points_mm)), point, mi.Bool(True))
-        votes += np.array(seen, np.int64)
-    return votes

@@ -1,15 +1,17 @@
 """The volume's error budget: how terms add up, what the verdict says, and what tubes and silhouettes leave open."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rhizotwin.recon import shaping
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Leaves, Water
 from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.uncertainty import solid_doubt
+from rhizotwin.recon.uncertainty import sight, solid_doubt
 from rhizotwin.recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
 
 
@@ -59,8 +61,30 @@ def test_a_root_that_ends_where_sight_ends_may_go_on(monkeypatch: pytest.MonkeyP
     grid = Grid(np.array([-2.0, -2.0, top_mm - 4.0]), size, 1, (10, 10, 10))
     index = np.stack(np.meshgrid(np.arange(8, 12), np.arange(8, 12), np.arange(20), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     column = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
-    monkeypatch.setattr(solid_doubt, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
+    monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
     bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)  # only `_votes` looks into them
-    term = solid_doubt.beyond_sight(bank, maps, column, Water(70.0, -8.0, -150.0))
+    term = sight.beyond_sight(bank, maps, column, Water(70.0, -8.0, -150.0))
     assert term.less_mm3 == 0.0
     assert term.more_mm3 == pytest.approx(0.9 * (-8.0 - top_mm) * 0.8 * 0.8 if goes_on else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("seen", "hidden_mm3"),
+    [
+        (lambda p: p[:, 2] > -20.2, 0.9 * 130.0 * 0.64),
+        (lambda p: (p[:, 2] > -20.2) | (p[:, 2] < -85.0), 0.9 * 65.0 * 0.64),
+        (lambda p: p[:, 0] < 0.5, 0.9 * (np.sqrt(70.0**2 - 0.2**2) - 0.4) * 0.8 * 4.0),
+        (lambda p: p[:, 2] > -40.0, 0.0),
+    ],
+    ids=["below", "blind for a while", "beside", "ends in sight"],
+)
+def test_a_shape_goes_on_wherever_sight_ends(
+    monkeypatch: pytest.MonkeyPatch, seen: Callable[[NDArray[np.float64]], NDArray[np.bool_]], hidden_mm3: float
+) -> None:
+    """A block of 0.8 x 0.8 x 4 mm on the axis, whose lower end is at -20 mm, in water down to -150 mm."""
+    grid = Grid(np.array([-2.0, -2.0, -20.0]), 0.2, 1, (10, 10, 10))
+    index = np.stack(np.meshgrid(np.arange(8, 12), np.arange(8, 12), np.arange(20), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
+    block = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
+    monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
+    bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)
+    assert sight.beyond_sight(bank, maps, block, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)

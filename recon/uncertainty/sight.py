@@ -1,0 +1,114 @@
+"""What a shape may have where too few views see: it goes on there, until it is seen to end or the water does."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull.carve import DistanceMaps, Leaves, Water
+from rhizotwin.recon.hull.surface import to_voxels
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.uncertainty.budget import Term
+
+Array = NDArray[np.float64]
+
+_COLUMN_MM = 0.4
+"""A shape is looked at in columns at least this wide."""
+_EDGE_MM = 0.5
+"""A shape ends by up to this much before sight does: outlines are drawn at half a coverage."""
+_ANYWHERE = 0.9
+"""What goes on out of sight ends anywhere on its way, nine times of ten within this part of it."""
+_LOOKS = 16
+"""Places on the way out of sight where somebody may see the water empty again."""
+_WHERE = {
+    (0, -1): "towards the wall, where the water bends light away from the cameras",
+    (2, -1): "below the pictures' lower edge or the reach of the light: hang it higher, or add a ring that looks lower",
+    (2, 1): "below the net pot or behind it",
+}
+
+
+def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
+    """Return what a shape may have beyond where sight ends, above as below and to all sides.
+
+    Its columns along each axis that end where too few views see go on, at most to where enough of them see again or to the water's end.
+    Of the axes the one counts along which most may be hidden.
+    """
+    units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
+    index, size, occupancy = to_voxels(leaves, units)
+    cells = parsimony.even(index, size).astype(np.int64)
+    full = np.concatenate([np.repeat(occupancy[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else occupancy
+    edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
+    hidden = {}
+    for axis in range(3):
+        for side in (-1, 1):
+            last = _ends(cells, full, axis, side)
+            direction = np.zeros(3)
+            direction[axis] = side
+            end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
+            hidden[axis, side] = float((_gaps(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
+    axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
+    side = max((-1, 1), key=lambda s: hidden[axis, s])
+    where = _WHERE[(2, side) if axis == 2 else (0, -1)]
+    return Term(
+        name="beyond sight",
+        less_mm3=0.0,
+        more_mm3=hidden[axis, -1] + hidden[axis, 1],
+        why=f"the shape goes on where too few views see, {where}",
+    )
+
+
+def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: int) -> NDArray[np.int64]:
+    """Return which cells (N, 3) are the last of their columns along an axis, on one side."""
+    some = np.flatnonzero(full > 0)
+    if not len(some):
+        return some
+    one, other = (cells[some, a] for a in range(3) if a != axis)
+    column = one * (np.ptp(other) + 1) + other
+    order = np.lexsort((side * cells[some, axis], column))
+    return some[order[np.append(np.flatnonzero(np.diff(column[order])), len(order) - 1)]]
+
+
+def _gaps(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, water: Water) -> Array:
+    """Return how far (N,) columns may go on from where they end (N, 3); 0 where enough views see that they end."""
+    gap = np.zeros(len(end_mm))
+    way = _way(end_mm, direction, water)
+    ahead = end_mm + np.minimum(_EDGE_MM, way)[:, None] * direction
+    open_ = np.flatnonzero((way > 0) & ~_seen(bank, maps, ahead))
+    if len(open_):
+        share = (np.arange(_LOOKS) + 1.0) / _LOOKS
+        on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
+        seen = _seen(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
+        first = np.where(seen.any(axis=1), share[seen.argmax(axis=1)], 1.0)
+        gap[open_] = _ANYWHERE * first * way[open_]
+    return gap
+
+
+def _way(from_mm: Array, direction: Array, water: Water) -> Array:
+    """Return how far (N,) the water reaches from points (N, 3) in a direction along an axis; 0 outside."""
+    if direction[2]:
+        end = water.top_mm if direction[2] > 0 else water.bottom_mm
+        return np.maximum((end - from_mm[:, 2]) * direction[2], 0.0)
+    along, across = from_mm @ direction, from_mm[:, 1 if direction[0] else 0]
+    return np.maximum(np.sqrt(np.maximum(water.radius_mm**2 - across**2, 0.0)) - along, 0.0)
+
+
+def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) enough views see."""
+    return _votes(bank, maps, points_mm) >= max(3, math.ceil(parsimony.VOTES * bank.count))
+
+
+def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
+    """Return how many views see points (N, 3)."""
+    votes = np.zeros(len(points_mm), np.int64)
+    if not len(points_mm):
+        return votes
+    point = mi.Point3f(points_mm.T.astype(np.float32))
+    for view in range(bank.count):
+        _, _, seen = carve.look(bank, maps, dr.opaque(mi.UInt32, view, len(points_mm)), point, mi.Bool(True))
+        votes += np.array(seen, np.int64)
+    return votes
