@@ -1,11 +1,14 @@
-"""What the modules of the command line share: the parser whose complaints are sentences, and readers of values with their limits."""
+"""What commands share: the types of their arguments, each with the limits that it keeps and the sentence that says so.
 
-import argparse
+A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the typed text and raises ValueError with the limits.
+"""
+
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
-from rhizotwin.scenes.errors import UserError
+from cyclopts import Parameter
 
 T = TypeVar("T")
 
@@ -14,39 +17,37 @@ DIAMETER_LIMITS_MM = (0.01, 50.0)
 MASS_LIMITS_G = (1e-6, 1e6)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
+MAX_SAMPLES = 1 << 16
+MAX_SEEDS = 1000
+DEFAULT_VOXEL_MM = 0.27
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are one sentence."""
+def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
+    """Return what makes an argument of one typed word, read by a function that raises ValueError with a sentence."""
 
-    def error(self, message: str) -> NoReturn:
-        """Raise the complaint for `main` to print."""
-        raise UserError(f"{message}; see {self.prog} --help")
+    def convert(_: Any, tokens: Any) -> object:
+        return read(tokens[0].value)
 
-
-Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
+    return Parameter(name=name, converter=convert, n_tokens=1, metavar=metavar)
 
 
-def add_command(commands: Commands, name: str, short: str, *, description: str, epilog: str) -> Parser:
-    """Add a command whose description and examples keep their line breaks."""
-    return commands.add_parser(
-        name, help=short, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def options(read: Callable[[str], object], metavar: str) -> Parameter:
+    """Return the same for an argument that may be given several times; it becomes a tuple."""
+
+    def convert(_: Any, tokens: Any) -> object:
+        return tuple(read(token.value) for token in tokens)
+
+    return Parameter(converter=convert, n_tokens=1, metavar=metavar, show_default=False)
 
 
-def add_output(parser: Parser, name: str, text: str) -> None:
-    """Add the required option ``-o``."""
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=name, help=text)
+def named(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
+    """Return what makes an argument shown by a word of its own."""
+    return Parameter(name=name, metavar=metavar)
 
 
-def add_device(parser: Parser) -> None:
-    """Add the option that chooses what computes."""
-    parser.add_argument(
-        "--device",
-        choices=("auto", "cpu", "cuda"),
-        default="auto",
-        help="what computes: cpu, cuda (an NVIDIA card), auto (the card if there is one); default: %(default)s",
-    )
+def output(metavar: str) -> Parameter:
+    """Return what makes the option ``-o``."""
+    return Parameter(name=("--output", "-o"), metavar=metavar)
 
 
 def whole(text: str, low: int, high: int, what: str) -> int:
@@ -54,36 +55,27 @@ def whole(text: str, low: int, high: int, what: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        raise ValueError(f"{text!r} is not a whole number") from None
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is out of range, {what}")
+        raise ValueError(f"{text} is out of range, {what}")
     return value
 
 
-def views(text: str) -> int:
-    """Read a number of views."""
-    return whole(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
+def between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
+    """Read a number within limits; ``unit`` and its plural name it in complaints."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a number{f' of {units or unit}' if unit else ''}") from None
+    low, high = limits
+    if not low <= value <= high:
+        raise ValueError(f"{text} is out of range, give {low:g} to {high:g} {unit}".rstrip())
+    return value
 
 
-def samples(text: str) -> int:
-    """Read a number of light paths."""
-    return whole(text, 1, 1 << 16, f"give 1 to {1 << 16}")
-
-
-def seeds(text: str) -> int:
-    """Read a number of runs."""
-    return whole(text, 1, 1000, "give 1 to 1000")
-
-
-def height(text: str) -> tuple[float, float | None]:
-    """Read a camera's height in mm, and its tilt in degrees where there is one behind a colon."""
-    height_mm, colon, tilt_deg = text.partition(":")
-    return between(height_mm, (-2000.0, 2000.0), "mm"), between(tilt_deg, (-89.0, 89.0), "degrees") if colon else None
-
-
-def percent(text: str) -> float:
-    """Read a percentage."""
-    return between(text, (0.01, 1000.0), "%")
+def millimetres(text: str, limits: tuple[float, float]) -> float:
+    """Read a length within limits."""
+    return between(text, limits, "mm", "millimetres")
 
 
 def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tuple[T, ...]]:
@@ -96,49 +88,62 @@ def list_of(one: Callable[[str], T], *, once: bool = True) -> Callable[[str], tu
     return read
 
 
-def seed(text: str) -> int:
-    """Read a seed."""
-    return whole(text, 0, 2**63 - 1, "give 0 or a positive whole number")
+def read_views(text: str) -> int:
+    """Read a number of views."""
+    return whole(text, 1, MAX_VIEWS, f"give 1 to {MAX_VIEWS}")
 
 
-def image_wh(text: str) -> tuple[int, int]:
-    """Read a picture size such as 800x600."""
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a picture size, write it as 800x600")
-    low, high = PIXEL_LIMITS
-    if not all(low <= side <= high for side in (int(width), int(height))):
-        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low} to {high} pixels a side")
-    return int(width), int(height)
-
-
-def voxel_mm(text: str) -> float:
-    """Read a voxel's edge."""
-    return millimetres(text, VOXEL_LIMITS_MM)
-
-
-def diameter_mm(text: str) -> float:
-    """Read a diameter."""
-    return millimetres(text, DIAMETER_LIMITS_MM)
-
-
-def mass_g(text: str) -> float:
+def read_mass_g(text: str) -> float:
     """Read a mass."""
     return between(text, MASS_LIMITS_G, "g", "grams")
 
 
-def millimetres(text: str, limits: tuple[float, float]) -> float:
-    """Read a length within limits."""
-    return between(text, limits, "mm", "millimetres")
+def read_image_wh(text: str) -> tuple[int, int]:
+    """Read a picture size such as 800x600."""
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"{text!r} is not a picture size, write it as 800x600")
+    low, high = PIXEL_LIMITS
+    if not all(low <= side <= high for side in (int(width), int(height))):
+        raise ValueError(f"{text} is out of range, give {low} to {high} pixels a side")
+    return int(width), int(height)
 
 
-def between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
-    """Read a number within limits; ``unit`` and its plural name it in complaints."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of {units or unit}") from None
-    low, high = limits
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is out of range, give {low:g} to {high:g} {unit}")
-    return value
+Device: TypeAlias = Literal["auto", "cpu", "cuda"]
+Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
+SceneName: TypeAlias = Annotated[str, named("SCENE")]
+Profile: TypeAlias = Annotated[str, named("clean|bench|harsh")]
+ResultFolder: TypeAlias = Annotated[Path, named("RESULT")]
+DatasetFolder: TypeAlias = Annotated[Path, named("DATASET")]
+OutputDataset: TypeAlias = Annotated[Path, output("DATASET")]
+OutputResult: TypeAlias = Annotated[Path, output("RESULT")]
+OutputFile: TypeAlias = Annotated[Path, output("FILE")]
+OutputFolder: TypeAlias = Annotated[Path, output("FOLDER")]
+Views: TypeAlias = Annotated[int, option(read_views, "N")]
+ImageWh: TypeAlias = Annotated[tuple[int, int], option(read_image_wh, "WxH")]
+Samples: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, MAX_SAMPLES, f"give 1 to {MAX_SAMPLES}"), "N")]
+Seed: TypeAlias = Annotated[int, option(lambda text: whole(text, 0, 2**63 - 1, "give 0 or a positive whole number"), "S")]
+Port: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, 65535, "give 1 to 65535"), "N")]
+VoxelMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, VOXEL_LIMITS_MM), "MM")]
+DiameterMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, DIAMETER_LIMITS_MM), "D")]
+MassG: TypeAlias = Annotated[float, option(read_mass_g, "G")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SceneChanges:
+    """What the command line changes in a scene."""
+
+    profile: Profile | None = None
+    """What the rig gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file; default: the scene's own."""
+    specimen: Annotated[Path | None, named("FILE")] = None
+    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) or traced roots (RSML), in millimetres in the canister frame: \
+origin on the axis in the plane of the rim, z up, roots below 0."""
+    specimen_unit: Annotated[str | None, named("UNIT")] = None
+    """Unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such as '0.1 mm'."""
+    specimen_diameter_mm: DiameterMm | None = None
+    """Diameter of the roots for which an RSML file gives none."""
+    views: Views | None = None
+    """Pictures in every ring; default: the scene's."""
+    image_wh: ImageWh | None = None
+    """Picture size in pixels, such as 800x600; default: the scene's."""

@@ -1,6 +1,5 @@
 """Steps that several commands take: the engine started, a scene as the command line changes it, a dataset reconstructed and drawn."""
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +18,9 @@ _RESULT_NAMES = (
 """What a result folder may hold and still be replaced by a new result."""
 
 
-def start_engine(options: argparse.Namespace) -> None:
+def start_engine(device: str) -> None:
     """Choose what computes, and say what it is."""
-    print(engine.start(options.device))
+    print(engine.start(device))
 
 
 def change_scene(

@@ -1,23 +1,27 @@
 """The command line: what it accepts, and how every failure ends: one sentence, an exit code, no traceback."""
 
 import errno
+import inspect
+import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli, commands, steps
+from rhizotwin import cli, command_line, steps
+from rhizotwin.arguments import SceneChanges
+from rhizotwin.commands import COMMANDS, GROUPS, place
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("scenes", "simulate", "reconstruct", "import", "score", "demo")
 
 
 def run_and_fail(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
@@ -32,22 +36,51 @@ def run_and_fail(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -
     return code, lines[0]
 
 
-@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)], ids=lambda words: " ".join(words) or "rhizotwin")
-def test_help_teaches(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.main([*command, "--help"])
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    assert cli.main([*command.split(), "--help"]) == 0
     said = capsys.readouterr().out
-    assert stopped.value.code == 0
-    assert "rhizotwin demo" in said if not command or command == ("demo",) else f"rhizotwin {command[0]}" in said
+    assert f"Usage: rhizotwin {command}".rstrip() in said
+    assert f"  rhizotwin {command or 'demo'}" in said, "no example"
     assert "None" not in said
+    for option in re.findall(r"^│ [* ] +(--[a-z-]+.*?)│$", said, re.MULTILINE):
+        assert re.search(r"  \w", option), f"{option.strip()} is not explained"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_table_of_commands_has_the_first_line_of_each_help(name: str) -> None:
+    module, _, function = place(name).partition(":")
+    source = import_module(module) if name in GROUPS else getattr(import_module(module), function)
+    assert inspect.getdoc(source).splitlines()[0] == COMMANDS[name]
+
+
+def test_help_loads_nothing_heavy() -> None:
+    heavy = ("numpy", "scipy", "mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d", "cv2")
+    program = f"import sys; from rhizotwin import cli; cli.main(['--help']); print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_can_complete_commands_and_options(shell: str) -> None:
+    script = command_line.build().generate_completion(shell=shell)
+    for word in ("reconstruct", "voxel-mm", "calibrate", "printed-ruler-mm", "backlit"):
+        assert word in script
+
+
+def arguments_of(words: str) -> inspect.BoundArguments:
+    """Return what a command line gives to its function."""
+    bound = command_line.bind(words.split())[1]
+    bound.apply_defaults()
+    return bound
 
 
 def test_defaults_of_the_options() -> None:
-    parser = cli.build_parser()
-    options = parser.parse_args(["simulate", "sphere_20mm", "-o", "d"])
-    assert (options.profile, options.seed, options.fidelity, options.device) == (None, 0, "backlit", "auto")
-    assert parser.parse_args(["reconstruct", "d", "-o", "r"]).voxel_mm == 0.27
-    assert parser.parse_args(["simulate", "s", "-o", "d", "--image-wh", "800X600"]).image_wh == (800, 600)
+    given = arguments_of("simulate sphere_20mm -o d").arguments
+    assert (given["changes"], given["seed"], given["fidelity"], given["device"]) == (SceneChanges(), 0, "backlit", "auto")
+    assert arguments_of("reconstruct d -o r").arguments["voxel_mm"] == 0.27
+    assert arguments_of("simulate s -o d --image-wh 800X600").arguments["changes"].image_wh == (800, 600)
 
 
 @dataclass(frozen=True)
@@ -122,10 +155,10 @@ STOPS = [
 def test_failure_inside_a_command(stop: Stop, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv(cli.DEBUG_VARIABLE, raising=False)
 
-    def fail(_: object) -> None:
+    def fail() -> None:
         raise stop.error
 
-    monkeypatch.setattr(commands, "run", fail)
+    monkeypatch.setattr("rhizotwin.commands.scenes.scenes", fail)
     code, said = run_and_fail(["scenes"], capsys)
     assert code == stop.code
     assert stop.said in said
@@ -134,13 +167,13 @@ def test_failure_inside_a_command(stop: Stop, monkeypatch: pytest.MonkeyPatch, c
 def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C while an extension loads comes out of it as an ImportError."""
 
-    def load(_: object) -> None:
+    def load() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
             raise ImportError("the extension could not be initialised") from None
 
-    monkeypatch.setattr(commands, "run", load)
+    monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load)
     before = signal.getsignal(signal.SIGINT)
     code, said = run_and_fail(["scenes"], capsys)
     assert code == cli.EXIT_STOPPED
@@ -168,10 +201,10 @@ def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
 def test_debug_variable_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv(cli.DEBUG_VARIABLE, "1")
 
-    def fail(_: object) -> None:
+    def fail() -> None:
         raise ValueError("inside")
 
-    monkeypatch.setattr(commands, "run", fail)
+    monkeypatch.setattr("rhizotwin.commands.scenes.scenes", fail)
     assert cli.main(["scenes"]) == cli.EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import cases
-from rhizotwin import cli, plan_report, planning, plans
+from rhizotwin import cli, command_line, plan_report, planning, plans
 from rhizotwin.plans import Height
 from rhizotwin.scenes import files, frames
 from rhizotwin.scenes.model import Ring
@@ -51,7 +51,7 @@ def test_every_ring_of_a_variant_looks_at_the_same_point():
 
 def test_the_second_ring_of_the_ladder_can_be_asked_for():
     words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42", "--heights=-42,10:8"]
-    asked = cli.build_parser().parse_args(words).heights[1]
+    asked = command_line.bind(words)[1].arguments["grid"].heights[1]
     variant = plans.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(800, 600))
     scene = files.load_scene("radish_day05a")
     assert variant.of(scene).plan == cases.Pictures(scene="radish_day05a", rings=2).scene_to_render().plan

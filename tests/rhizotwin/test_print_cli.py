@@ -1,14 +1,15 @@
 """The commands that print and calibrate: what they accept, how they fail in one sentence, and the way from twin pictures to a scene."""
 
-import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from rhizotwin import cli
+from rhizotwin import cli, command_line
+from rhizotwin.pages import PageOptions
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.board import CharucoBoard, load_board
 from rhizotwin.scenes.files import load_scene
@@ -28,29 +29,26 @@ def run_and_fail(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, s
     return code, lines[0]
 
 
-@pytest.mark.parametrize("words", ["markers", "calibrate", "calibrate board", "calibrate camera", "calibrate simulate"])
-def test_help_teaches(words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.main([*words.split(), "--help"])
-    said = capsys.readouterr().out
-    assert stopped.value.code == 0
-    assert f"rhizotwin {words} " in said
-    assert "None" not in said
-
-
-def parsed(words: str) -> argparse.Namespace:
+def parsed(words: str) -> dict[str, Any]:
     """Return what a command line means."""
-    return cli.build_parser().parse_args(words.split())
+    bound = command_line.bind(words.split())[1]
+    bound.apply_defaults()
+    return bound.arguments
 
 
 def test_defaults_and_forms_of_the_options() -> None:
     options = parsed("markers printed_8ml -o strip.pdf")
-    assert (options.page, options.turn, options.printed_ruler_mm, options.paper_mm) == ("a4", None, (100.0, 100.0), 0.1)
-    options = parsed("markers s -o f.svg --page 520X210 --portrait --printed-ruler-mm 99.6")
-    assert (options.page, options.turn, options.printed_ruler_mm) == ((520.0, 210.0), "portrait", (99.6, 99.6))
-    assert parsed("calibrate board -o f.svg --printed-ruler-mm 99.6x100.2").printed_ruler_mm == (99.6, 100.2)
+    assert (options["page"], options["paper_mm"]) == (PageOptions(), 0.1)
+    page = PageOptions()
+    assert (page.page, page.landscape, page.portrait, page.printed_ruler_mm) == ("a4", False, False, (100.0, 100.0))
+    page = parsed("markers s -o f.svg --page 520X210 --portrait --printed-ruler-mm 99.6")["page"]
+    assert (page.page, page.portrait, page.printed_ruler_mm) == ((520.0, 210.0), True, (99.6, 99.6))
+    assert (page.paper().size_mm, page.paper().turn) == ((520.0, 210.0), "portrait")
+    assert PageOptions().paper().turn == "either"
+    assert PageOptions(page=(520.0, 210.0)).paper().turn == "as given"
+    assert parsed("calibrate board -o f.svg --printed-ruler-mm 99.6x100.2")["page"].printed_ruler_mm == (99.6, 100.2)
     options = parsed("calibrate simulate s -o p --squares 9x6 --pictures 12")
-    assert (options.squares, options.pictures, options.seed, options.square_mm) == ((9, 6), 12, 0, None)
+    assert (options["drawn"].squares, options["pictures"], options["seed"], options["drawn"].square_mm) == ((9, 6), 12, 0, None)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import pytest
 import rhizotwin.importer
 import rhizotwin.scenes.atomic
 import rhizotwin.sim.simulate
-from rhizotwin import cli, commands
+from rhizotwin import cli
 from rhizotwin.recon import pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background
@@ -295,12 +295,12 @@ def test_ctrl_c_swallowed_by_a_library_that_loads(tmp_path: Path, command: Any, 
     (tmp_path / "careless_library.py").write_text(LOADING)
     monkeypatch.syspath_prepend(tmp_path)
 
-    def load_and_work(_: object) -> None:
+    def load_and_work() -> None:
         importlib.import_module("careless_library")
         for _ in range(200):
             time.sleep(0.02)
 
-    monkeypatch.setattr(commands, "run", load_and_work)
+    monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load_and_work)
     command.fails("scenes", named=["stopped"], code=130)
 
 

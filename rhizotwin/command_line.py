@@ -1,0 +1,152 @@
+"""The command line: the table of commands as a cyclopts application, their help, and each mistake in typing as one sentence."""
+
+import difflib
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any, get_args
+
+from cyclopts import App, CycloptsError, Parameter
+from cyclopts.exceptions import (
+    CoercionError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
+
+from rhizotwin.commands import COMMANDS, GROUPS, place
+from rhizotwin.scenes.errors import UserError
+
+ABOUT = (
+    "A digital twin of a hydroponic root-imaging rig: render roots in a refracting water canister, reconstruct them "
+    "from the pictures alone, and score the result against the truth."
+)
+MORE = (
+    "Start with: rhizotwin demo\n"
+    "Then the three steps by themselves:\n"
+    "  rhizotwin simulate printed_8ml -o my_dataset\n"
+    "  rhizotwin reconstruct my_dataset -o my_result\n"
+    "  rhizotwin score my_result my_dataset\n"
+    "Each command has a --help of its own. Lengths are millimetres, angles degrees."
+)
+_SECTION = re.compile(r"\n\n(?=\w+\n-+\n)")
+
+
+def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
+    """Return the function that a command line asks for, and its arguments.
+
+    Raises
+    ------
+    UserError
+        For a mistake in typing.
+    """
+    if list(words) in ([], *([group] for group in GROUPS)):
+        raise UserError(f"{'STEP' if words else 'COMMAND'} is missing; see {' '.join(['rhizotwin', *words])} --help")
+    app = build(words)
+    try:
+        function, bound, _ = app.parse_args(list(words), exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        command = " ".join(["rhizotwin", *(error.command_chain or ())])
+        raise UserError(f"{_sentence(error, words)}; see {command} --help") from None
+    return function, bound
+
+
+def build(words: Sequence[str] = ()) -> App:
+    """Return the application. Of the commands only the one that the words name is loaded, whose help is its docstring."""
+    asked = [" ".join(words[:count]) for count in (1, 2)]
+    app = App(
+        name="rhizotwin",
+        help=ABOUT,
+        help_epilogue=MORE,
+        help_format="plaintext",
+        version=lambda: version("rhizotwin"),
+        default_parameter=Parameter(negative=()),
+    )
+    groups: dict[str, App] = {}
+    for order, (name, short) in enumerate(COMMANDS.items()):
+        group, _, step = name.rpartition(" ")
+        above = groups[group] if group else app
+        if name in GROUPS:
+            help_, examples = _help(import_module(place(name).partition(":")[0])) if name in asked else (short, "")
+            groups[name] = App(name=name, help=help_, help_epilogue=examples, sort_key=order)
+            app.command(groups[name])
+        elif name in asked:
+            module, _, function = place(name).partition(":")
+            command = getattr(import_module(module), function)
+            help_, examples = _help(command)
+            above.command(command, name=step, help=help_, help_epilogue=examples, sort_key=order)
+        else:
+            above.command(place(name), name=step, help=short, sort_key=order)
+    app.register_install_completion_command(help="Let the shell complete commands, options and names: bash, zsh, fish.")
+    return app
+
+
+def _help(source: Any) -> tuple[str, str]:
+    """Return what the docstring of a module or function tells, and its examples as they are typed.
+
+    Lines of a paragraph are joined, so that the terminal's width breaks them, and indented ones stay; so are those of the parameters, which
+    cyclopts reads from the docstring itself.
+    """
+    about, *sections = _SECTION.split(inspect.getdoc(source) or "")
+    typed = [section.splitlines()[2:] for section in sections if section.startswith("Examples\n")]
+    if inspect.isfunction(source):
+        source.__doc__ = "\n\n".join([about, *(_joined(section) for section in sections)])
+    examples = "\n".join(["examples:", *(f"  {line}" for line in typed[0])]) if typed else ""
+    return re.sub(r"(?<=\S)\n(?=\S)", " ", about), examples
+
+
+def _joined(section: str) -> str:
+    """Join the indented lines below each parameter of a docstring's section."""
+    lines: list[str] = []
+    for line in section.splitlines():
+        if line.startswith("    ") and lines[-1].startswith("    "):
+            lines[-1] += f" {line.strip()}"
+        else:
+            lines.append(line)
+    return "\n".join(lines)
+
+
+def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
+    """Return a mistake in typing as a sentence that names the argument and the value."""
+    argument = error.argument
+    name = "" if argument is None else _name(argument)
+    if isinstance(error, MissingArgumentError) and argument is not None:
+        if not any(word.partition("=")[0] in argument.names for word in words):
+            return f"{name} is missing"
+        return f"{name} needs a value; one that begins with - is written as {argument.names[0]}=VALUE"
+    if isinstance(error, CoercionError) and error.token is not None:
+        name, value = error.token.keyword or name, error.token.value
+        if error.msg is not None:
+            return f"{name}: {error.msg}"
+        choices = get_args(error.target_type)
+        return f"{name}: {value!r} is unknown, choose one of {', '.join(choices)}" if choices else f"{name}: {value!r} cannot be read"
+    if isinstance(error, UnknownOptionError):
+        word = error.token.keyword or error.token.value
+        known = [other for one in error.argument_collection for other in one.names]
+        return f"{word} is no option of this command{_meant(word, known)}"
+    if isinstance(error, UnknownCommandError | UnusedCliTokensError) and error.unused_tokens:
+        word, chain = error.unused_tokens[0], " ".join(error.command_chain or ())
+        if chain and chain not in GROUPS:
+            return f"{word!r} is one word too many"
+        names = [step for group, _, step in (command.rpartition(" ") for command in COMMANDS) if group == chain]
+        return f"{word!r} is no command{_meant(word, names)}"
+    if isinstance(error, RepeatArgumentError):
+        return f"{name or error.token.keyword} is given twice"
+    return str(error)
+
+
+def _name(argument: Any) -> str:
+    """Return what a person calls an argument: its option, ``--output (-o)``, or the word that stands for its place."""
+    options = [name for name in argument.names if name.startswith("-")]
+    if not options:
+        return str(argument.parameter.metavar or argument.names[0].upper())
+    return options[0] + "".join(f" ({other})" for other in options[1:])
+
+
+def _meant(word: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

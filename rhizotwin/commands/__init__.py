@@ -1,0 +1,40 @@
+"""The commands: a module each, with a plain typed function of its name whose numpydoc docstring is its ``--help``.
+
+To add one, write the function in a module of its name and add a line to `COMMANDS`. The module is loaded only when its command is
+typed; what takes time to load (Mitsuba, SciPy, ...) is imported inside the function, so that ``--help`` stays quick.
+"""
+
+COMMANDS = {
+    "scenes": "List the scenes and profiles that come with the program, or write a copy of one.",
+    "simulate": "Render a scene to a dataset, with its truth.",
+    "reconstruct": "Find the root's shape and volume in a dataset's pictures.",
+    "import": "Make a dataset of a folder of pictures taken elsewhere.",
+    "score": "Compare a result with the truth of a simulated dataset.",
+    "traits": "Print the traits of results, or write them to a table for spreadsheets.",
+    "export": "Write a result in the files of other programs.",
+    "plan": "Try capture plans on the twin before building or scanning.",
+    "demo": "Take all three steps on a small printed root: a few minutes.",
+    "markers": "Write the marker strip of a scene for the printer, at true scale.",
+    "calibrate": "Print a calibration board, and find the camera's lens from pictures of it.",
+    "calibrate board": "Write the calibration board for the printer, at true scale.",
+    "calibrate camera": "Fit the lens to pictures of the calibration board.",
+    "calibrate simulate": "Render pictures of the calibration board with a scene's camera.",
+    "scan": "Take the pictures of a plan on a rig, or on its emulated twin.",
+    "twin": "Run the emulated rig alone, on ports that any serial program can open.",
+    "rig": "Look at every device, move them by hand, write a rig file.",
+    "rig check": "Look at every device: one line each, what is well or what is wrong.",
+    "rig jog": "Move every device by typed lines.",
+    "rig example": "Write a complete rig file with comments, to be changed.",
+    "camera": "Serve this computer's camera to another one.",
+}
+"""Each command and the first line of its help. ``a b`` is the function ``b`` of the module ``a``; ``a`` alone is ``a`` of ``a``."""
+
+GROUPS = frozenset(name.partition(" ")[0] for name in COMMANDS if " " in name)
+"""Commands that hold others; their help is their module's docstring."""
+
+
+def place(name: str) -> str:
+    """Return where a command's function is, as ``module:function``; a word of Python gets an underscore: ``import_``."""
+    module, _, function = name.partition(" ")
+    module, function = (f"{word}_" if word == "import" else word for word in (module, function or module))
+    return f"{__name__}.{module}:{function}"

@@ -1,0 +1,31 @@
+"""`rhizotwin demo`."""
+
+from pathlib import Path
+
+from rhizotwin import steps
+from rhizotwin.arguments import Device, OutputFolder, Profile
+
+
+def demo(*, output: OutputFolder = Path("demo"), profile: Profile = "clean", device: Device = "auto") -> None:
+    """Take all three steps on a small printed root: a few minutes.
+
+    Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was found.
+
+    Parameters
+    ----------
+    output : Path
+        Folder for everything; a finished demo in it is replaced, a stopped one taken up.
+    profile : str
+        What the rig gets wrong.
+    device : str
+        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+
+    Examples
+    --------
+    rhizotwin demo
+    rhizotwin demo -o my_demo --profile bench
+    """
+    from rhizotwin.demo import demo as run_demo
+
+    steps.start_engine(device)
+    run_demo(output, profile=profile, say=print)

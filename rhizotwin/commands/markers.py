@@ -1,0 +1,54 @@
+"""`rhizotwin markers`."""
+
+from typing import Annotated
+
+from rhizotwin.arguments import OutputFile, SceneName, millimetres, option
+from rhizotwin.pages import PageOptions
+from rhizotwin.scenes import files
+
+PAPER_LIMITS_MM = (0.0, 2.0)
+
+
+def read_paper_mm(text: str) -> float:
+    """Read how thick paper is."""
+    return millimetres(text, PAPER_LIMITS_MM)
+
+
+def markers(
+    scene: SceneName,
+    /,
+    *,
+    output: OutputFile,
+    page: PageOptions = PageOptions(),
+    paper_mm: Annotated[float, option(read_paper_mm, "MM")] = 0.1,
+) -> None:
+    """Write the marker strip of a scene for the printer, at true scale.
+
+    The strip is written as PDF or SVG pages, with cut marks, glue tabs and a ruler to check the printer by. Several SVG pages become
+    strip-1.svg, strip-2.svg, ...
+
+    Parameters
+    ----------
+    scene : str
+        A name from 'rhizotwin scenes', or a scene file (TOML).
+    output : Path
+        File to write, .pdf or .svg; must not exist yet.
+    page : PageOptions
+        What it is printed on.
+    paper_mm : float
+        Thickness of what is printed on: net_pot.outer_radius_mm is the radius over it.
+
+    Examples
+    --------
+    rhizotwin markers printed_8ml -o strip.pdf
+    rhizotwin markers my_scene.toml -o strip.svg --page a3 --landscape
+    rhizotwin markers my_scene.toml -o strip.pdf --printed-ruler-mm 99.6x99.8
+    """
+    from rhizotwin.rig.printing.print_files import write_pages
+    from rhizotwin.rig.printing.print_strip import strip_pages
+
+    drawn = files.load_scene(scene)
+    written = write_pages(strip_pages(drawn, paper=page.paper(), paper_mm=paper_mm), output, title=f"marker strip of {drawn.name}")
+    across_mm = 2.0 * drawn.net_pot.outer_radius_mm
+    print(f"the strip of {drawn.name} in {', '.join(str(path) for path in written)}")
+    print(f"print at 100 %, measure the ruler, cut, glue; over the paper it must measure {across_mm:.1f} mm across the pot")

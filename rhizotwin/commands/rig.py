@@ -1,0 +1,137 @@
+"""Look at every device, move them by hand, write a rig file.
+
+For a person on the bench, before the first scan and when something is wrong.
+
+Examples
+--------
+rhizotwin rig example -o my_rig.toml
+rhizotwin rig check my_rig.toml --scene my_scene.toml
+rhizotwin rig jog my_rig.toml --scene my_scene.toml
+rhizotwin rig jog twin
+"""
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+from rhizotwin import rigs
+from rhizotwin.arguments import OutputFile, SceneName, named
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.errors import UserError
+
+
+def check(
+    rig: rigs.RigName,
+    /,
+    *,
+    scene: SceneName | None = None,
+    record: Annotated[Path | None, named("FILE")] = None,
+    twin: rigs.TwinErrors = rigs.TwinErrors(),
+) -> None:
+    """Look at every device: one line each, what is well or what is wrong.
+
+    Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when anything is wrong.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+    scene : str, optional
+        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+    record : Path, optional
+        Keep every byte on the wire in this file (JSON lines); it grows.
+    twin : TwinErrors
+        What the emulated rig gets wrong.
+
+    Examples
+    --------
+    rhizotwin rig check my_rig.toml --scene my_scene.toml
+    rhizotwin rig check twin
+    """
+    from rhizotwin.rig.bench import check as look
+
+    bench = rigs.open_bench(rig, scene, errors=twin)
+    with ExitStack() as stack:
+        recorder = rigs.recorder(record, stack)
+        wrong = look(
+            bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=print, folder=Path.cwd(), recorder=recorder
+        )
+    if wrong:
+        raise UserError(f"{wrong} {'thing is' if wrong == 1 else 'things are'} wrong with {bench.rig.name}; see the lines above")
+
+
+def jog(
+    rig: rigs.RigName,
+    /,
+    *,
+    scene: SceneName | None = None,
+    record: Annotated[Path | None, named("FILE")] = None,
+    twin: rigs.TwinErrors = rigs.TwinErrors(),
+) -> None:
+    """Move every device by typed lines.
+
+    Type help for the commands. The arm's ways are checked first, and unsafe ones refused. At the end the lights go off and the arm is
+    parked and let go. Lines can come from a pipe as well; then the first mistake ends it.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file (TOML; 'rhizotwin rig example' writes one), or the word twin: emulated devices in this program.
+    scene : str, optional
+        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+    record : Path, optional
+        Keep every byte on the wire in this file (JSON lines); it grows.
+    twin : TwinErrors
+        What the emulated rig gets wrong.
+
+    Examples
+    --------
+    rhizotwin rig jog my_rig.toml --scene my_scene.toml
+    rhizotwin rig jog twin
+    """
+    from rhizotwin.rig.jog import Jog
+    from rhizotwin.rig.open import open_devices
+
+    bench = rigs.open_bench(rig, scene, errors=twin)
+    typed = sys.stdin.isatty()
+    with ExitStack() as stack:
+        stack.enter_context(rigs.hang_up_stops())
+        recorder = rigs.recorder(record, stack)
+        devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
+        stack.callback(devices.close)
+        if typed:
+            print("type help for the commands, quit to end")
+        Jog(devices, bench.scene, say=print).run(_typed_lines() if typed else sys.stdin, stop_at_mistake=not typed)
+
+
+def example(*, output: OutputFile) -> None:
+    """Write a complete rig file with comments, to be changed.
+
+    It has every key, its default and what it means.
+
+    Parameters
+    ----------
+    output : Path
+        File to write (TOML); must not exist yet.
+
+    Examples
+    --------
+    rhizotwin rig example -o my_rig.toml
+    """
+    from rhizotwin.rig.example import EXAMPLE
+
+    if output.exists():
+        raise UserError(f"{output} exists already; choose another name")
+    write_text(output, EXAMPLE)
+    print(f"wrote {output}; change it, then try: rhizotwin rig check {output}")
+
+
+def _typed_lines() -> Iterator[str]:
+    """Yield what a person types until the end of the input."""
+    while True:
+        try:
+            yield input("rig> ")
+        except EOFError:
+            return

@@ -1,0 +1,36 @@
+"""`rhizotwin score`."""
+
+import json
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from rhizotwin.arguments import DatasetFolder, ResultFolder
+
+
+def score(
+    result: ResultFolder, dataset: DatasetFolder, /, *, as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False
+) -> None:
+    """Compare a result with the truth of a simulated dataset.
+
+    Compare volume, extents, voxels, surface distances, and poses and silhouettes stage by stage, and every trait. Errors are signed
+    fractions: found / true - 1; of angles, differences in degrees.
+
+    Parameters
+    ----------
+    result : Path
+        Folder made by 'rhizotwin reconstruct'.
+    dataset : Path
+        The simulated dataset that the result was made from.
+    as_json : bool
+        Print every number as JSON instead of a table.
+
+    Examples
+    --------
+    rhizotwin score my_result my_dataset
+    rhizotwin score my_result my_dataset --json > score.json
+    """
+    from rhizotwin.recon.scoring.score import score as compare
+
+    found = compare(result, dataset)
+    print(json.dumps(found.to_dict(), indent=1) if as_json else found.table())

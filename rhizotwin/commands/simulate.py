@@ -1,0 +1,59 @@
+"""`rhizotwin simulate`."""
+
+from typing import Literal
+
+from rhizotwin import steps
+from rhizotwin.arguments import Device, OutputDataset, Samples, SceneChanges, SceneName, Seed
+from rhizotwin.scenes import files
+from rhizotwin.scenes.truth import load_truth
+
+
+def simulate(
+    scene: SceneName,
+    /,
+    *,
+    output: OutputDataset,
+    changes: SceneChanges = SceneChanges(),
+    fidelity: Literal["backlit", "path"] = "backlit",
+    samples: Samples | None = None,
+    seed: Seed = 0,
+    device: Device = "auto",
+) -> None:
+    """Render a scene to a dataset, with its truth.
+
+    Render every view of a scene's capture plan to a dataset folder: pictures as the camera would take them, and the truth beside them.
+    Stopped half-way, the same command goes on where it stopped.
+
+    Parameters
+    ----------
+    scene : str
+        A name from 'rhizotwin scenes', or a scene file (TOML).
+    output : Path
+        Folder to make the dataset in: new, empty, or left by the same command when it was stopped.
+    changes : SceneChanges
+        What is changed in the scene.
+    fidelity : str
+        backlit: fast, without noise of its own; path: full path tracing with all reflections, slower.
+    samples : int, optional
+        Light paths a pixel: more is slower and smoother; default: as the fidelity needs.
+    seed : int
+        Of every error and noise that is drawn: 0, 1, 2, ...
+    device : str
+        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+
+    Examples
+    --------
+    rhizotwin simulate printed_8ml -o my_dataset
+    rhizotwin simulate printed_8ml -o my_dataset --profile bench --views 24 --image-wh 400x300
+    rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl
+    rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
+    """
+    changed = steps.change_scene(files.load_scene(scene), **vars(changes))
+    steps.start_engine(device)
+    from rhizotwin.sim.simulate import simulate as render
+
+    dataset = render(changed, output, profile_name=changes.profile or "scene", seed=seed, fidelity=fidelity, samples=samples)
+    for note in load_truth(output).drawn["notes"]:
+        print(f"note: {note}")
+    print(f"{len(dataset.frames)} pictures in {output / 'images'}, the truth in {output / 'truth'}")
+    print(f"next: rhizotwin reconstruct {output} -o my_result")

@@ -1,0 +1,75 @@
+"""`rhizotwin traits`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from rhizotwin.arguments import list_of, named, option, output, read_mass_g
+from rhizotwin.scenes import atomic, trait_table
+from rhizotwin.scenes.errors import UserError
+
+
+def traits(
+    results: Annotated[list[Path], named("RESULT")],
+    /,
+    *,
+    mass_g: Annotated[tuple[float, ...] | None, option(list_of(read_mass_g, once=False), "G,G,...")] = None,
+    table: Annotated[Path | None, output("FILE")] = None,
+) -> None:
+    """Print the traits of results, or write them to a table for spreadsheets.
+
+    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file: .csv has one row a
+    result and one column a trait, its unit in the head; .json has every number, histograms too. What needs centre lines is empty for shapes
+    without roots found, such as prints.
+
+    Parameters
+    ----------
+    results : list of Path
+        Folders made by 'rhizotwin reconstruct'.
+    mass_g : tuple of float, optional
+        Mass of the roots, one a result in their order; default: as given to 'rhizotwin reconstruct'.
+    table : Path, optional
+        Table to write, .csv or .json; must not exist yet.
+
+    Examples
+    --------
+    rhizotwin traits my_result
+    rhizotwin traits my_result --mass-g 1.18
+    rhizotwin traits my_result my_other_result -o traits.csv
+    rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
+    """
+    if mass_g is not None and len(mass_g) != len(results):
+        raise UserError(f"--mass-g has {len(mass_g)} masses for {len(results)} results; give one for each, in their order")
+    if table is not None and table.suffix.lower() not in (".csv", ".json"):
+        raise UserError(f"{table} must end in .csv or .json")
+    if table is not None and table.exists():
+        raise UserError(f"{table} exists already; choose another name")
+    from rhizotwin.recon.results import result_files, result_traits
+
+    summaries = [result_files.read_summary(folder) for folder in results]
+    given = mass_g or (None,) * len(results)
+    masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]
+    found = [result_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
+    if table is None:
+        for folder, summary, one in zip(results, summaries, found, strict=True):
+            low, high = summary["volume_interval_mm3"]
+            print(f"{folder} ({summary['scene']}), volume between {low:.1f} and {high:.1f} mm3")
+            print("\n".join(f"  {line}" for line in trait_table.lines(one)))
+            if one.total_length_mm is None:
+                print("  no roots were found as centre lines: what needs them is a dash")
+        return
+    if table.suffix.lower() == ".csv":
+        rows = [(_name(folder), summary, one) for folder, summary, one in zip(results, summaries, found, strict=True)]
+        atomic.write_text(table, result_traits.spreadsheet(rows))
+    else:
+        contents = [
+            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass)}
+            for folder, summary, one, mass in zip(results, summaries, found, masses, strict=True)
+        ]
+        atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
+    print(f"wrote the traits of {len(found)} result{'s' if len(found) > 1 else ''} to {table}")
+
+
+def _name(folder: Path) -> str:
+    """Return a result's name for a table: its folder's, also of ``.``."""
+    return folder.resolve().name

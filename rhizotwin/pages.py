@@ -1,0 +1,140 @@
+"""What is printed, as commands name it: the paper, what the printer makes of 100 mm, and the calibration board."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from rhizotwin.arguments import Flag, millimetres, named, option
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:
+    from rhizotwin.rig.printing.print_page import Paper
+    from rhizotwin.scenes.board import CharucoBoard
+
+PAGES = ("a4", "a3", "letter")
+PAGE_LIMITS_MM = (50.0, 5000.0)
+RULER_LIMITS_MM = (90.0, 110.0)
+SQUARE_LIMITS_MM = (1.0, 1000.0)
+SQUARES_LIMITS = (3, 60)
+
+
+def read_page(text: str) -> str | tuple[float, float]:
+    """Read a page by its name, or by its width and height in mm."""
+    if text.lower() in PAGES:
+        return text.lower()
+    pair = _pair(text)
+    if pair is None:
+        raise ValueError(f"{text!r} is no page, give one of {', '.join(PAGES)}, or width and height in mm as 297x210")
+    return millimetres(pair[0], PAGE_LIMITS_MM), millimetres(pair[1], PAGE_LIMITS_MM)
+
+
+def read_printed_ruler(text: str) -> tuple[float, float]:
+    """Read what 100 mm became across and down the page."""
+    pair = _pair(text if "x" in text.lower() else f"{text}x{text}")
+    if pair is None:
+        raise ValueError(f"{text!r} is not what 100 mm became, write it as 99.6, or 99.6x99.8 across and down")
+    return millimetres(pair[0], RULER_LIMITS_MM), millimetres(pair[1], RULER_LIMITS_MM)
+
+
+def read_squares(text: str) -> tuple[int, int]:
+    """Read the squares of a board across and down."""
+    columns, cross, rows = text.lower().partition("x")
+    if not (cross and columns.isdecimal() and rows.isdecimal()):
+        raise ValueError(f"{text!r} is no number of squares, write it as 7x5")
+    low, high = SQUARES_LIMITS
+    if not all(low <= side <= high for side in (int(columns), int(rows))):
+        raise ValueError(f"{text} is out of range, give {low} to {high} squares a side")
+    return int(columns), int(rows)
+
+
+def read_square_mm(text: str) -> float:
+    """Read the side of a square."""
+    return millimetres(text, SQUARE_LIMITS_MM)
+
+
+def _pair(text: str) -> tuple[str, str] | None:
+    """Return two numbers written as 297x210; None where it is not that."""
+    first, cross, second = text.lower().partition("x")
+    try:
+        float(first), float(second)
+    except ValueError:
+        return None
+    return (first, second) if cross else None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """What is printed on."""
+
+    page: Annotated[str | tuple[float, float], option(read_page, "a4|a3|letter|WxH")] = "a4"
+    """Paper, or its width and height in mm."""
+    landscape: Flag = False
+    """Lay the page across; default: what fits better."""
+    portrait: Flag = False
+    """Stand the page upright."""
+    printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM|MMxMM")] = (100.0, 100.0)
+    """What 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8; put right in the drawing."""
+
+    def paper(self) -> "Paper":
+        """Return the paper.
+
+        Raises
+        ------
+        UserError
+            If it is to lie and to stand.
+        """
+        from rhizotwin.rig.printing.print_page import PAGES_MM, Paper
+
+        if self.landscape and self.portrait:
+            raise UserError("--landscape and --portrait exclude each other; give one of them")
+        free: Literal["either", "as given"] = "either" if isinstance(self.page, str) else "as given"
+        size_mm = PAGES_MM[self.page] if isinstance(self.page, str) else self.page
+        turn: Literal["either", "as given", "landscape", "portrait"]
+        turn = "landscape" if self.landscape else "portrait" if self.portrait else free
+        return Paper(size_mm=size_mm, turn=turn, printed_ruler_mm=self.printed_ruler_mm)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class BoardOptions:
+    """A calibration board."""
+
+    squares: Annotated[tuple[int, int] | None, option(read_squares, "CxR")] = None
+    """Squares of the board across and down; default: 7x5."""
+    square_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
+    """Side of the squares; default: 30."""
+    marker_mm: Annotated[float | None, option(read_square_mm, "MM")] = None
+    """Side of the markers; default: 11/15 of the squares'."""
+    dictionary: Annotated[str | None, named("NAME")] = None
+    """The markers' ArUco dictionary; default: 5X5_100."""
+
+    def given(self) -> list[str]:
+        """Return the options that were given."""
+        return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value is not None]
+
+    def board(self) -> "CharucoBoard":
+        """Return the board, checked."""
+        from rhizotwin.scenes.board import MARKER_SHARE, CharucoBoard, check_board
+
+        default = CharucoBoard()
+        square_mm = self.square_mm or default.square_mm
+        made = CharucoBoard(
+            squares_xy=self.squares or default.squares_xy,
+            square_mm=square_mm,
+            marker_mm=self.marker_mm or round(square_mm * MARKER_SHARE, 3),
+            dictionary=self.dictionary or default.dictionary,
+        )
+        return check_board(made, where="the board")
+
+    def board_of(self, file: Path | None) -> "CharucoBoard":
+        """Return the board that a file describes, or that the options do."""
+        from rhizotwin.scenes.board import load_board
+
+        if file is None:
+            return self.board()
+        if self.given():
+            raise UserError(f"--board {file} describes the whole board; leave {self.given()[0]} out, or --board")
+        return load_board(file)

@@ -1,0 +1,143 @@
+"""A rig with what belongs to it, real or emulated, as the commands of the bench name it; and what they share."""
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from cyclopts import Parameter
+
+from rhizotwin import steps
+from rhizotwin.arguments import Device, Profile, Seed, named
+from rhizotwin.rig.devices import Camera
+from rhizotwin.rig.rig_file import RigFile, load_rig
+from rhizotwin.scenes import files
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Scene
+
+TWIN = "twin"
+TWIN_SCENE = "printed_8ml"
+
+RigName: TypeAlias = Annotated[str, named("RIG|twin")]
+Fidelity: TypeAlias = Literal["render", "sketch"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class TwinErrors:
+    """What the emulated rig gets wrong."""
+
+    profile: Profile = "bench"
+    """Twin only: what it gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file."""
+    seed: Seed = 0
+    """Twin only: of every error that is drawn."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class TwinPictures(TwinErrors):
+    """The same, and how its pictures are made."""
+
+    fidelity: Fidelity = "render"
+    """Of the twin's pictures: render: as 'simulate' makes them; sketch: strip and panel only, at once."""
+    device: Device = "auto"
+    """What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """A rig with what belongs to it, real or emulated."""
+
+    rig: RigFile
+    scene: Scene
+    """As a laboratory knows it."""
+    clock: Any
+    twin: Any = None
+    """None: the rig is real."""
+
+    def open_camera(self) -> Camera:
+        """Open the camera."""
+        from rhizotwin.rig.cameras import open_camera
+
+        if self.twin is not None:
+            camera: Camera = self.twin.open_camera()
+            return camera
+        lens = self.scene.camera
+        return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
+
+
+def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:
+    """Return the rig that a command names, with its scene; the twin's pictures are sketches unless the errors say how they are rendered."""
+    if rig != TWIN:
+        from rhizotwin.rig.clock import SystemClock
+
+        real = load_rig(rig)
+        known = files.load_scene(scene) if scene else Scene()
+        return Bench(rig=real, scene=_with_plan(known, plan), clock=SystemClock())
+    known = _with_plan(files.load_scene(scene or TWIN_SCENE), plan)
+    known = replace(known, disturbances=files.load_profile(errors.profile))
+    pictures: Fidelity = "sketch"
+    if isinstance(errors, TwinPictures) and errors.fidelity == "render":
+        pictures = "render"
+        steps.start_engine(errors.device)
+    from rhizotwin.rig.twin.twin import Twin
+
+    emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures)
+    return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
+
+
+def _with_plan(scene: Scene, plan: str | None) -> Scene:
+    """Put the rings of another file or scene into a scene."""
+    if plan is None:
+        return scene
+    path = Path(plan)
+    if path.suffix == ".toml" and "plan" not in files.read_toml(path)[0]:
+        raise UserError(f"{path}: has no [[plan.rings]]; give a file that has, or the name of a scene")
+    changed = replace(scene, plan=CapturePlan(rings=files.load_scene(plan).plan.rings))
+    check_scene(changed, where=f"scene {scene.name} with the plan of {plan}")
+    return changed
+
+
+def recorder(path: Path | None, stack: ExitStack) -> Any:
+    """Open what keeps the bytes on the wire, if it is asked for."""
+    if path is None:
+        return None
+    from rhizotwin.rig.serial_line.recording import Recorder
+
+    if path.is_file() and path.stat().st_size and not path.read_bytes().startswith(b'{"recording"'):
+        raise UserError(f"{path} exists already and holds no record; choose another name")
+    opened = Recorder(path)
+    stack.callback(opened.close)
+    return opened
+
+
+def asker() -> Callable[[str], str] | None:
+    """Return what asks the person at the terminal; None when nobody is there."""
+    if not sys.stdin.isatty():
+        return None
+
+    def ask(question: str) -> str:
+        try:
+            return input(question)
+        except EOFError:
+            raise UserError("the question was not answered; run it again and answer, or see --help for how to say it beforehand") from None
+
+    return ask
+
+
+@contextmanager
+def hang_up_stops() -> Iterator[None]:
+    """Let a closed terminal stop the program as Ctrl-C does: the lamps must go off, and the arm must be parked."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.getsignal(signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
