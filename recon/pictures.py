@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.transfer import Curve
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveFound:
+    """The curve that pictures are read by, and what the edges in them say of it."""
+
+    curve: Curve
+    stated: Curve
+    bend: float | None
+    """By how much half-way greys of the markers' edges are too bright, over the contrast, read by ``curve``; None: too few measured."""
+    stated_bend: float | None
+    """The same read by ``stated``."""
+    markers: int
+
+    @property
+    def is_known(self) -> bool:
+        """Tell whether the curve that is used was stated, or is one of the known ones."""
+        return self.curve.same(self.stated) or any(self.curve.same(known) for known in (transfer.LINEAR, transfer.SRGB))
+
+    @property
+    def warning(self) -> str | None:
+        """Say that the curve which is used is not the one that was stated; None where it is."""
+        if self.curve.same(self.stated):
+            return None
+        off = 100.0 * (self.stated_bend or 0.0)
+        return (
+            f"the markers' edges contradict the stated curve, {self.stated.name} (their greys are off by {off:.0f} % of the contrast): "
+            f"the pictures are read by {self.curve.name}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +50,10 @@ class Pictures:
     frames: tuple[Frame, ...]
     """(F,) of the root; those of the shoot are left out."""
     images: tuple[Grey, ...] = field(repr=False)
-    """(F,) pictures (H, W) as stored."""
+    """(F,) pictures (H, W), linear in light."""
+    curve: CurveFound | None = None
+    """By what curve they were read; None: no edges were asked."""
+    warnings: tuple[str, ...] = ()
 
 
 def read_pictures(dataset: Dataset, *, monitor: Monitor) -> Pictures:
@@ -34,4 +69,22 @@ def read_pictures(dataset: Dataset, *, monitor: Monitor) -> Pictures:
         raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the root; take or import some.")
     with monitor.stage("read"):
         images = monitor.each(lambda frame: read_image(dataset, frame), "read", frames)
-    return Pictures(dataset=dataset, frames=frames, images=tuple(images))
+    said = () if dataset.masks else _contradictions(dataset, frames)
+    return Pictures(dataset=dataset, frames=frames, images=tuple(images), warnings=said)
+
+
+def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:
+    """Return the curve that the first picture's file states, or else the scene."""
+    return transfer.stated_in(dataset.folder / frames[0].file) or transfer.of_camera(dataset.scene.camera)
+
+
+def _contradictions(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, ...]:
+    """Say where the files' own words contradict each other or the scene."""
+    scene = transfer.of_camera(dataset.scene.camera)
+    words = [transfer.stated_in(dataset.folder / frame.file) or scene for frame in frames]
+    if not all(word.same(words[0]) for word in words):
+        names = ", ".join(sorted({word.name for word in words}))
+        return (f"the pictures' files state different curves ({names}): each is read by its own",)
+    if words[0].same(scene):
+        return ()
+    return (f"the pictures' files say that their curve is {words[0].name}, the scene's camera says {scene.name}: the files' word is taken",)

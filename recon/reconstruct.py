@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rhizotwin.recon import shaping
 from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
-from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.pictures import Pictures, read_pictures
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
+from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset, load_dataset, sha256_of
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import peak_memory_mib, versions
@@ -56,7 +62,7 @@ def reconstruct(
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     settings, monitor = settings or Settings(), Monitor.of(monitor)
-    pictures = read_pictures(dataset, monitor=monitor)
+    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor)
     coverage = measure_coverage(pictures, cameras, monitor=monitor)
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
@@ -66,9 +72,31 @@ def reconstruct(
         tree = rooting.calibrate(tree, monitor=monitor)
         cameras, roots = tree.cameras, rooting.settle(tree, monitor=monitor)
     solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
-    warnings = (*cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings)
+    checked = (*_checks(pictures, cameras, coverage), *solid.checks)
+    failed = checks.failed(checked)
+    if failed:
+        solid = replace(solid, volume=solid.volume.doubted(failed))
+    said = (solid.volume.verdict,) if failed and solid.volume.verdict not in solid.warnings else ()
+    warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
-    return gather(dataset, cameras, coverage, solid, warnings=warnings, settings=recorded, mass_g=mass_g, monitor=monitor)
+    return gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, mass_g=mass_g, monitor=monitor)
+
+
+def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> tuple[Check, ...]:
+    """Check the pictures themselves; silhouettes, and pictures with given cameras, tell only some of it."""
+    dataset, found = pictures.dataset, cameras.markers
+    azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
+    made = [picture_checks.of_scan(dataset.origin, pictures.frames), picture_checks.of_views(azimuth_deg, len(pictures.frames))]
+    if not dataset.masks:
+        made += [picture_checks.of_exposure(coverage.exposures), shape_checks.of_dirt(coverage.dirt)]
+    if found is not None:
+        made += [
+            picture_checks.of_curve(pictures.curve),
+            picture_checks.of_sharpness(found.blur_px),
+            picture_checks.of_markers(found.inset_px, found.after_px),
+            picture_checks.of_canister(found.canister, dataset.scene.canister),
+        ]
+    return tuple(made)
 
 
 def gather(
@@ -78,6 +106,7 @@ def gather(
     solid: Solid,
     *,
     warnings: tuple[str, ...],
+    checked: tuple[Check, ...] = (),
     settings: dict[str, Any],
     monitor: Monitor,
     mass_g: float | None = None,
@@ -95,6 +124,7 @@ def gather(
         fill=fill,
         rig=calibrated.of_cameras(cameras),
         warnings=warnings,
+        checks=checked,
         timings_s=dict(monitor.timings_s),
         peak_memory_mib=peak_memory_mib(),
         settings=settings,

@@ -20,8 +20,9 @@ from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
-from rhizotwin.recon.uncertainty import sight, solid_doubt, tube_doubt
+from rhizotwin.recon.uncertainty import shape_checks, sight, solid_doubt, structure, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
+from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
@@ -152,8 +153,9 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
         bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
     with monitor.stage("uncertainty"):
         budget = _budget(found, leaves, system, share=share, volume_mm3=volume, slack_px=settings.hull.slack_px)
+        checks = _checks(found, system, budget)
     solid = measure(hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3, monitor=monitor)
-    solid = replace(solid, warnings=(*_warnings(budget, kept_mm3), *solid.warnings))
+    solid = replace(solid, warnings=(*_warnings(budget, kept_mm3), *solid.warnings), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     law = system.law
@@ -179,6 +181,19 @@ def _budget(
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill)
+
+
+def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:
+    """Check what views and shape say of each other."""
+    asked = None if system is None else system.cameras.roots
+    sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
+    agreed = shape_checks.of_sight(
+        missed=_misses(found.carved, found.carved.hull.leaves),
+        unexplained=budget.unexplained,
+        fill=budget.fill,
+        structure=None if system is None else structure.left_by(system.seen, system),
+    )
+    return shape_checks.of_motion(sway_mm), agreed
 
 
 def _is_thin(trimmed: parsimony.Trimmed, settings: Settings) -> bool:

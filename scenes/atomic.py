@@ -65,7 +65,7 @@ def write_json(path: Path | str, value: Any) -> None:
     write_text(path, json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-def write_image(path: Path | str, image: NDArray[Any]) -> None:
+def write_image(path: Path | str, image: NDArray[Any], *, jpeg_quality: int | None = None) -> None:
     """Write a picture atomically; the name's suffix gives the format (PNG, JPG, TIFF); see `write_bytes`.
 
     Parameters
@@ -74,12 +74,15 @@ def write_image(path: Path | str, image: NDArray[Any]) -> None:
         Where to.
     image
         uint8 or uint16 array (H, W) grey or (H, W, 3) RGB.
+    jpeg_quality
+        From 1 to 100, for JPG; None: OpenCV's own (95).
     """
     path = Path(path)
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
         raise ValueError(f"{image.shape=} {image.dtype=} but expected uint8 or uint16 (H, W) or (H, W, 3)")
     ordered = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    encoded, data = cv2.imencode(path.suffix or ".png", np.ascontiguousarray(ordered))
+    settings = [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    encoded, data = cv2.imencode(path.suffix or ".png", np.ascontiguousarray(ordered), settings)
     if not encoded:
         raise ValueError(f"OpenCV cannot encode {image.shape=} {image.dtype=} as {path.suffix!r}")
     write_bytes(path, data.tobytes())

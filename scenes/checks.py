@@ -1,6 +1,7 @@
 """What must hold between the values of a scene: the parts fit into each other and into the camera's model."""
 
 import math
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -102,6 +103,13 @@ def _check_strip(scene: Scene, place: Place) -> None:
 
 
 def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
+    table = camera.transfer_table
+    if (camera.transfer == "table") != bool(table):
+        raise place.at("camera", "transfer").error(
+            'and transfer_table belong together: "table" needs one, and no other has one', camera.transfer
+        )
+    if table and (len(table) < 2 or any(b < a for a, b in pairwise(table)) or not table[0] < table[-1]):
+        raise place.at("camera", "transfer_table").error("must have two numbers or more that rise from dark to bright")
     for axis, (centre, size) in enumerate(zip(camera.principal_px, camera.image_wh, strict=True)):
         if not -size <= centre <= 2 * size:
             must = f"must lie within one picture size ({size} px) of the picture"

@@ -1,7 +1,7 @@
 """The dataset folder: the only contract between what makes pictures (sim, rig, import) and what reads them (recon).
 
 DATASET/  dataset.json   this module's `Dataset`
-          images/*.png   one a frame, named by the frame
+          images/*       PNG, JPEG or TIFF as they came, one a frame, named by the frame
           truth/         only from sim and the rendered twin; see `scenes.truth`
 """
 
@@ -19,8 +19,9 @@ from rhizotwin.scenes.atomic import write_json
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.pictures import Grey, decode_light
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.transfer import LINEAR, Curve, of_camera, stated_in
 
 SCHEMA_VERSION = 1
 
@@ -133,13 +134,18 @@ def save_dataset(dataset: Dataset) -> None:
     write_json(dataset.folder / "dataset.json", to_plain(manifest))
 
 
-def read_image(dataset: Dataset, frame: Frame) -> Grey:
-    """Read a frame's picture as grey levels.
+def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) -> Grey:
+    """Read a frame's picture as grey levels, linear in light.
+
+    Parameters
+    ----------
+    curve
+        From numbers to light; None: the file's own word, or where it says none what the scene's camera states.
 
     Returns
     -------
     ndarray
-        (H, W), uint8 or uint16 as in the file; colours by luminance (Rec. 601), transparency dropped.
+        (H, W), uint8 or uint16 as in the file where its numbers are linear in light, else uint16; see `scenes.pictures.decode_light`.
 
     Raises
     ------
@@ -153,7 +159,9 @@ def read_image(dataset: Dataset, frame: Frame) -> Grey:
         raise UserError(f"{path}: the picture is missing; restore it or take it out of dataset.json") from error
     except OSError as error:
         raise UserError(f"{path}: the picture cannot be read ({error.strerror})") from error
-    image = decode_grey(data, where=str(path))
+    if dataset.masks:
+        curve = LINEAR
+    image = decode_light(data, curve or stated_in(data) or of_camera(dataset.scene.camera), where=str(path))
     width, height = dataset.scene.camera.image_wh
     if image.shape != (height, width):
         raise UserError(

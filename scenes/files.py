@@ -91,7 +91,7 @@ def library() -> list[tuple[str, str]]:
 
 def profiles() -> list[tuple[str, str]]:
     """Return name and description of every disturbance profile that comes with the program, mildest first."""
-    order = {"clean": 0, "bench": 1, "harsh": 2}
+    order = {"clean": 0, "bench": 1, "camera": 2, "harsh": 3, "real": 4}
     return sorted(_listed(_PROFILES), key=lambda row: (order.get(row[0], len(order)), row[0]))
 
 

@@ -81,7 +81,11 @@ class Camera:
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
     """k1, k2, p1, p2, k3 of the OpenCV model."""
     bits: int = bounded(12, 8, 16)
-    """Depth of the converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG, linear in light."""
+    """Depth of the converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG."""
+    transfer: Literal["linear", "srgb", "table"] = "linear"
+    """How light becomes a picture's numbers where the file does not say it: in proportion, by sRGB's curve, or by ``transfer_table``."""
+    transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
+    """Light, of full scale, at equal steps of the number from 0 to full scale (`rhizotwin calibrate transfer` writes it)."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
         """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
@@ -183,6 +187,18 @@ class Disturbances:
     """Peak-to-peak relative change of the backlight over the panel (smooth, drawn)."""
     n_water_error: float = bounded(0.0, -0.1, 0.1)
     """True minus nominal index of the water."""
+    transfer: Literal["linear", "srgb"] = "linear"
+    """The camera's curve from light to numbers, known to the reconstruction (a camera whose settings are known)."""
+    stored_bits: int | None = field(default=None, metadata={"limits": (8, 16)})
+    """Depth of the stored pictures; None: the camera's ``bits``."""
+    jpeg_quality: int | None = field(default=None, metadata={"limits": (1, 100)})
+    """Quality of the JPEG files that pictures are stored in; None: PNG."""
+    exposure_wander: float = bounded(0.0, 0.0, 0.9)
+    """Each picture's exposure is drawn evenly from 1 - this to 1 + this; unknown to the reconstruction."""
+    white_balance_wander: float = bounded(0.0, 0.0, 0.9)
+    """The same for the gains of red and blue, each by itself; above 0 the pictures are in colour."""
+    vignetting: float = bounded(0.0, 0.0, 0.95)
+    """Share of the light that the lens loses in the picture's corners, growing with the square of the distance from the middle."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
     """Attenuation of root tissue per mm of chord. None: opaque roots."""
     algae_patches: int = bounded(0, 0, 1000)

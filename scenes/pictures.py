@@ -6,8 +6,10 @@ import zlib
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.transfer import LINEAR, Curve
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -46,6 +48,44 @@ def decode_grey(data: bytes, *, where: str) -> Grey:
     UserError
         When the data are empty, truncated, damaged, or no picture of 8 or 16 bits.
     """
+    image = _decoded(data, where)
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def decode_light(data: bytes, curve: Curve, *, where: str) -> Grey:
+    """Decode a picture to light.
+
+    Parameters
+    ----------
+    data, where
+        As in `decode_grey`.
+    curve
+        What its numbers stand for.
+
+    Returns
+    -------
+    ndarray
+        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours weigh as in `decode_grey`, each as light; where one is
+        at full scale, the pixel is, as its light is not known.
+
+    Raises
+    ------
+    UserError
+        As `decode_grey`.
+    """
+    image = _decoded(data, where)
+    light = image if curve == LINEAR else curve.decode(image)
+    if light.ndim == 2:
+        return light
+    grey = cv2.cvtColor(light, cv2.COLOR_BGR2GRAY)
+    grey[(image >= np.iinfo(image.dtype).max).any(axis=2)] = np.iinfo(grey.dtype).max
+    return np.asarray(grey)
+
+
+def _decoded(data: bytes, where: str) -> NDArray[np.uint8 | np.uint16]:
+    """Decode a picture to (H, W) grey or (H, W, 3) blue, green, red."""
     damage = _damage(data)
     if damage:
         raise UserError(f"{where}: the picture is {damage}; copy or take it again, or leave it out")
@@ -63,7 +103,7 @@ def decode_grey(data: bytes, *, where: str) -> Grey:
         return np.asarray(image[:, :, 0])
     if image.shape[2] == 2:  # grey and alpha
         return np.ascontiguousarray(image[:, :, 0])
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_BGR2GRAY))
+    return np.ascontiguousarray(image[:, :, :3])
 
 
 def _damage(data: bytes) -> str:

@@ -1,10 +1,12 @@
-"""From linear light to the camera's numbers: photons, electrons, noise, clipping, converter."""
+"""From linear light to the camera's numbers: lens, photons, electrons, noise, clipping, converter, the camera's curve and colours."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
@@ -21,25 +23,47 @@ def expose(
     light : (H, W) float32
         1 is full scale.
     camera : Camera
-        Its ``bits`` are the converter's depth.
+        Its ``bits`` are the converter's depth, its ``transfer`` its curve.
     disturbances : Disturbances
-        ``full_well_e`` for photon noise (Poisson; None: none) and ``read_noise_e`` (normal, electrons).
+        What the camera does besides: noise, exposure, white balance, vignetting, the depth of the stored picture, another curve.
     rng : Generator
         The picture's own.
 
     Returns
     -------
-    (H, W) uint8, or uint16 with the converter's numbers left-aligned where it has more than 8 bits.
+    (H, W), or (H, W, 3) RGB where the white balance wanders; uint8, or uint16 with the numbers left-aligned where they have over 8 bits.
     """
+    wrong = disturbances
     signal = np.maximum(light.astype(np.float64), 0.0)
-    full_well_e = disturbances.full_well_e or DEFAULT_FULL_WELL_E
-    if disturbances.full_well_e is not None:
+    if wrong.vignetting > 0.0:
+        signal = signal * _falloff(light.shape, wrong.vignetting)
+    if wrong.exposure_wander > 0.0:
+        signal = signal * rng.uniform(1.0 - wrong.exposure_wander, 1.0 + wrong.exposure_wander)
+    full_well_e = wrong.full_well_e or DEFAULT_FULL_WELL_E
+    if wrong.full_well_e is not None:
         signal = rng.poisson(signal * full_well_e) / full_well_e
-    if disturbances.read_noise_e > 0.0:
-        signal = signal + rng.normal(0.0, disturbances.read_noise_e / full_well_e, signal.shape)
-    numbers = np.rint(np.clip(signal, 0.0, 1.0) * (2**camera.bits - 1))
-    stored = numbers.astype(np.uint8) if camera.bits <= 8 else numbers.astype(np.uint16) << np.uint16(16 - camera.bits)
-    return np.asarray(stored)
+    if wrong.read_noise_e > 0.0:
+        signal = signal + rng.normal(0.0, wrong.read_noise_e / full_well_e, signal.shape)
+    if wrong.white_balance_wander > 0.0:
+        red, blue = rng.uniform(1.0 - wrong.white_balance_wander, 1.0 + wrong.white_balance_wander, 2)
+        signal = signal[..., None] * np.array([red, 1.0, blue])
+    shown = as_taken(camera, wrong)
+    number = np.rint(np.clip(signal, 0.0, 1.0) * (2**camera.bits - 1)) / (2**camera.bits - 1)
+    number = transfer.of_camera(shown).number(number) if shown.transfer != "linear" else number
+    stored = np.rint(number * (2**shown.bits - 1))
+    return np.asarray(stored.astype(np.uint8) if shown.bits <= 8 else stored.astype(np.uint16) << np.uint16(16 - shown.bits))
+
+
+def as_taken(camera: Camera, disturbances: Disturbances) -> Camera:
+    """Return the camera with the curve and the depth of the pictures that it stores."""
+    curve = camera.transfer if disturbances.transfer == "linear" else disturbances.transfer
+    return replace(camera, transfer=curve, bits=disturbances.stored_bits or camera.bits)
+
+
+def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
+    """Return what the lens leaves of the light (H, W): all in the middle, 1 - ``share`` in the corners."""
+    y, x = (np.linspace(-1.0, 1.0, size) for size in shape[:2])
+    return np.asarray(1.0 - 0.5 * share * (x[None, :] ** 2 + y[:, None] ** 2))
 
 
 def mask_picture(coverage: NDArray[Any]) -> NDArray[np.uint16]:

@@ -105,14 +105,15 @@ def _render_frames(
     renderer: Renderer | None = None
     frames: list[Frame] = []
     for view in tqdm(plan.views(scene, seed=world.seed), desc="render", unit="view", disable=not progress, dynamic_ncols=True):
-        name = f"view_{view.index:03d}.png"
-        image_path, mask_path = folder / "images" / name, folder / "truth" / "masks" / name
+        stem, quality = f"view_{view.index:03d}", scene.disturbances.jpeg_quality
+        name = f"{stem}.png" if quality is None else f"{stem}.jpg"
+        image_path, mask_path = folder / "images" / name, folder / "truth" / "masks" / f"{stem}.png"
         hashes = done.get(name)
         if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
             renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
             light, coverage = renderer.view(view.index)
             rng = np.random.default_rng([world.seed, _NOISE, view.index])
-            write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng))
+            write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng), jpeg_quality=quality)
             write_image(mask_path, mask_picture(coverage))
             hashes = _hashes(image_path, mask_path)
             done[name] = hashes

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
+from rhizotwin.sim.exposure import as_taken
 
 # One number an effect: the second key of its random stream.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
@@ -107,7 +108,7 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
 
 def as_given(scene: Scene) -> Scene:
     """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
-    camera = replace(scene.camera, distortion=lens_distortion(scene))
+    camera = replace(as_taken(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     return replace(scene, description="", camera=camera, specimen=None, disturbances=Disturbances())
 
 

@@ -67,7 +67,7 @@ def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, 
         all=found,
         order=_used(found),
         uncertainty=_uncertainty(pictures.frames, solved, canister),
-        markers=_calibration(pictures.frames, solved, canister, strip_from_canister),
+        markers=_calibration(pictures.frames, detected, solved, canister, strip_from_canister),
         warnings=(*solved.warnings, *left_out),
     )
     return _usable(pictures, cameras)
@@ -119,7 +119,11 @@ def _uncertainty(captured: Sequence[Frame], solved: poses.Poses, canister: Canis
 
 
 def _calibration(
-    captured: Sequence[Frame], solved: poses.Poses, canister: CanisterPose | None, strip_from_canister: frames.Array
+    captured: Sequence[Frame],
+    detected: Sequence[markers.Markers],
+    solved: poses.Poses,
+    canister: CanisterPose | None,
+    strip_from_canister: frames.Array,
 ) -> MarkerCalibration:
     """Gather what all views together gave."""
     turned = [
@@ -127,6 +131,7 @@ def _calibration(
         for frame, view in zip(captured, solved.views, strict=True)
         if view.used and view.table_deg is not None and frame.table_deg is not None
     ]
+    blurs = [found.blur_px for found in detected if found.blur_px is not None]
     table_from_strip = solved.table_from_canister
     return MarkerCalibration(
         rings=solved.rings,
@@ -139,5 +144,6 @@ def _calibration(
         before_px=solved.before_px,
         after_px=solved.after_px,
         table_correction_deg=float(np.std(turned)) if turned else None,
+        blur_px=float(np.median(np.concatenate(blurs))) if blurs else None,
         canister=canister,
     )

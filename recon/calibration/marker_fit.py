@@ -45,6 +45,11 @@ class MarkerFit:
     """Standard deviation of the blur, the pixel's own (0.29) included."""
     correlation: float
     """Between the picture and the fitted pattern."""
+    bend: float = 0.0
+    """By how much greys half-way between the marker's black and white are brighter than half-way, as a share of the contrast.
+
+    Blur makes every grey between the two, as many on either side of an edge, whatever its shape is, as long as it is even: in pictures that
+    are linear in light there is no bend (`recon.calibration.curve`)."""
 
 
 def fit_marker(
@@ -74,7 +79,7 @@ def fit_marker(
     fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px)
     if window is None or fitted is None:
         return None
-    warp, blur, covariance, correlation = fitted
+    warp, blur, covariance, correlation, bend = fitted
     corners = _project(_matrix(warp), CORNERS)
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
     if shift_px > max(2.5, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > 0.5:
@@ -85,6 +90,7 @@ def fit_marker(
         covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
         blur_px=blur * window.scale_px,
         correlation=correlation,
+        bend=bend,
     )
 
 
@@ -126,8 +132,8 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
     return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
-def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float] | None:
-    """Return H and b (11,), blur, covariance of them all (18, 18) and the correlation, or None where the fit runs away.
+def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float, float] | None:
+    """Return H and b (11,), blur, covariance of them all (18, 18), the correlation and the bend, or None where the fit runs away.
 
     Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other pictures.
     """
@@ -178,7 +184,12 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
             break
     variance, spread = float(left @ products @ left) / (len(light) - 18), float(np.var(light))
     correlation = float(np.sqrt(max(0.0, 1.0 - variance / spread))) if spread > 0.0 else 0.0
-    return warp, blur, np.asarray(np.linalg.pinv(normal) * variance, np.float64), correlation
+    between = 4.0 * contrast * pattern * (1.0 - pattern)
+    common = rows @ between  # with the model's own columns, which share some of it, and with the picture
+    inverse = np.linalg.pinv(normal)
+    alone = float(between @ between - common[:18] @ inverse @ common[:18])
+    bend = float(left @ np.append(common[:18], common[18])) / alone if alone > 0.0 else 0.0
+    return warp, blur, np.asarray(inverse * variance, np.float64), correlation, bend
 
 
 def _products(rows: Array) -> Array:

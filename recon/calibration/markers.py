@@ -34,6 +34,10 @@ class Markers:
     """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from outside."""
     covariance_px2: Array | None = None
     """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
+    bend: Array | None = None
+    """(M,) as in `MarkerFit`; None where corners were not measured."""
+    blur_px: Array | None = None
+    """(M,) blur of the markers, the pixel's own included."""
     blurred: int = 0
     """Markers that were named, but whose corners could not be measured, and which are left out."""
     foreign: tuple[int, ...] = ()
@@ -86,6 +90,8 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     found: list[int] = []
     corners: list[Array] = []
     covariances: list[Array] = []
+    bends: list[float] = []
+    blurs: list[float] = []
     side, blur_px = dictionary.markerSize + 2, 1.2
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
@@ -95,6 +101,8 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
             found.append(int(marker_id))
             corners.append(fit.corners_px)
             covariances.append(fit.covariance_px2)
+            bends.append(fit.bend)
+            blurs.append(fit.blur_px)
     if not found:
         return Markers(
             ids=np.zeros(0, np.int64),
@@ -106,6 +114,8 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         ids=np.array(found),
         corners_px=np.stack(corners),
         covariance_px2=np.stack(covariances),
+        bend=np.array(bends),
+        blur_px=np.array(blurs),
         blurred=len(ids) - len(found),
         foreign=tuple(foreign),
     )

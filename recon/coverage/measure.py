@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rhizotwin.recon.calibration import exposure
 from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.coverage import background, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.coverage.translucency import Law
@@ -37,6 +39,10 @@ class Coverage:
     """By number of the frame."""
     attenuation: Law | None = None
     """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
+    exposures: Exposures | None = None
+    """How the pictures were exposed, in the order of the cameras; None: not asked."""
+    dirt: float | None = None
+    """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no wall."""
 
     def fill(self, frame: int) -> float | None:
         """Return the share of the seen water that roots cover in a frame; None where it is not used."""
@@ -97,6 +103,9 @@ class _Backlight:
     empty: dict[int, Image]
     seen: dict[int, Mask]
     """Where it tells root from none."""
+    lit: dict[int, Mask]
+    """The same without regard to glare."""
+    exposures: Exposures
 
 
 def _backlight(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> _Backlight:
@@ -104,8 +113,13 @@ def _backlight(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> _Backl
     with monitor.stage("background"):
         views = cameras.by_frame
         inside = {k: background.water_mask(view, cameras.optics, pictures.dataset.scene) for k, view in views.items()}
-        empty, glare = _backgrounds(pictures, cameras, inside, monitor)
-        return _Backlight(empty, {k: background.bright_enough(empty[k], inside[k]) & ~glare[k] for k in views})
+        order = cameras.order
+        stations = [pictures.frames[k].station for k in order]
+        exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
+        gain = dict(zip(order, exposures.gain.astype(np.float32), strict=True))
+        empty, glare = _backgrounds(pictures, cameras, inside, gain, monitor)
+        lit = {k: background.bright_enough(empty[k], inside[k]) for k in views}
+        return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures)
 
 
 def _outlined(pictures: Pictures, cameras: Cameras, outline: Outline, monitor: Monitor) -> Coverage:
@@ -122,7 +136,7 @@ def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverag
     keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, monitor)
     opacity = {k: silhouettes.opacity(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in keys}
     with monitor.stage("wall"):
-        opacity, seen = _without_wall(cameras, opacity, light.seen, monitor)
+        opacity, seen, film = _without_wall(cameras, opacity, light.seen, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
@@ -137,20 +151,25 @@ def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverag
                 drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
             return replace(drawn, opacity=clear)
 
-        return Coverage(silhouettes=dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True)), attenuation=law)
+        drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
+    clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(light.lit[k].sum()) for k in keys))
+    dirt = None if film is None else 1.0 - (1.0 - film) * clear
+    return Coverage(silhouettes=drawn, attenuation=law, exposures=light.exposures, dirt=dirt)
 
 
 def _without_wall(
     cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], monitor: Monitor
-) -> tuple[dict[int, Image], dict[int, Mask]]:
-    """Take off what clings to the wall; in air nothing does."""
+) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
+    """Take off what clings to the wall, and tell the share of it that films cover; in air nothing does, and few views do not tell."""
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
-        return opacity, seen
+        return opacity, seen, None
     where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
     found = wall.study(opacity, seen, where, optics, monitor)
     cleared = monitor.each(lambda k: wall.cleared(opacity[k], seen[k], where[k], found), "clear", keys)
-    return {k: part for k, (part, _) in zip(keys, cleared, strict=True)}, {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
+    free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
+    clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
+    return free, clear, float((found.film > 0.0).mean())
 
 
 def _scale(view: View, optics: Optics) -> float:
@@ -162,11 +181,11 @@ def _scale(view: View, optics: Optics) -> float:
 
 
 def _backgrounds(
-    pictures: Pictures, cameras: Cameras, inside: dict[int, Mask], monitor: Monitor
+    pictures: Pictures, cameras: Cameras, inside: dict[int, Mask], gain: Mapping[int, np.float32], monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_]]:
     """Estimate the empty backlight of each view, and where glare lies on it, which only a turn tells.
 
-    Ring by ring where the camera stood still, else picture by picture.
+    Ring by ring where the camera stood still, exposures (``gain``) divided out; else picture by picture.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
     empty: dict[int, Image] = {}
@@ -175,9 +194,9 @@ def _backgrounds(
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still([views[k] for k in members], pictures.dataset.scene.camera.focal_px[0]):
-            stack = np.stack([images[k] / walls[k] for k in members]).astype(np.float32)
+            stack = np.stack([images[k] / (gain[k] * walls[k]) for k in members]).astype(np.float32)
             panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]))
-            empty.update({k: panel * walls[k] for k in members})
+            empty.update({k: panel * (gain[k] * walls[k]) for k in members})
             glare.update(dict.fromkeys(members, spots))
         else:
 

@@ -15,6 +15,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.uncertainty.budget import Term, Volume
+from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import rsml
 
 
@@ -40,6 +41,7 @@ def load_result(folder: Path | str) -> Result:
         fill={view["file"]: view["fill"] for view in views if view.get("fill") is not None},
         rig=summary.get("rig") or {},
         warnings=tuple(summary["warnings"]),
+        checks=tuple(Check(**check) for check in summary.get("checks", ())),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
         peak_memory_mib=float(summary.get("peak_memory_mib") or 0.0),
         settings=summary.get("settings", {}),

@@ -28,6 +28,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Leaves, picture_path
 from rhizotwin.recon.uncertainty.budget import Volume
+from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -66,6 +67,8 @@ class Solid:
     roots: tuple[Root, ...] = ()
     """Centre lines and diameters, parents before children; empty where there are none."""
     warnings: tuple[str, ...] = ()
+    checks: tuple[Check, ...] = ()
+    """What views and shape say of each other."""
 
     @property
     def voxel_mm(self) -> float:
@@ -97,6 +100,8 @@ class Result:
     rig: dict[str, Any]
     """Cameras, canister and errors that all views together gave; empty where the poses were given."""
     warnings: tuple[str, ...]
+    checks: tuple[Check, ...] = ()
+    """What the scan passed or failed before its volume is trusted."""
     timings_s: dict[str, float]
     """Seconds that each stage took."""
     peak_memory_mib: float
@@ -158,6 +163,7 @@ class Result:
             "volume_bounds_mm3": volume.bounds_mm3,
             "volume_trusted": volume.trusted,
             "volume_verdict": volume.verdict,
+            "checks": [asdict(check) for check in self.checks],
             "volume_budget": [asdict(term) for term in volume.terms],
             "hull_mm3": solid.hull_mm3,
             "untrimmed_mm3": solid.untrimmed_mm3,

@@ -7,7 +7,10 @@ so they add up in quadrature, each side by itself (a root that nobody saw makes 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from rhizotwin.recon.uncertainty import checks
 
 NINETY = 1.645
 """90 % of a normal distribution lies within this many standard deviations."""
@@ -48,6 +51,11 @@ class Volume:
     """One sentence: what the volume is worth."""
     terms: tuple[Term, ...]
     """Causes of uncertainty."""
+
+    def doubted(self, reasons: Sequence[str]) -> Volume:
+        """Return the same volume, not trusted for more reasons."""
+        before = "" if self.trusted else self.verdict.removeprefix(checks.NO_VOLUME)
+        return replace(self, trusted=False, verdict=checks.verdict([*([before] if before else []), *reasons]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +99,7 @@ class Budget:
     def verdict(self) -> str:
         """Return one sentence: what the volume is worth."""
         if self.doubts:
-            return "this scan cannot give a volume: " + "; ".join(self.doubts)
+            return checks.verdict(self.doubts)
         low, high = self.interval_mm3
         return f"the true volume lies between {low:.3g} and {high:.3g} mm3 with 90 % confidence"
 

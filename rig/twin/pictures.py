@@ -80,6 +80,7 @@ class Rendered:
 
     def __init__(self, scene: Scene, *, seed: int, samples: int | None = None) -> None:
         self._scene = scene
+        self._grey = replace(scene.disturbances, white_balance_wander=0.0)  # a rig's camera gives grey
         self._seed = seed
         self._samples = samples
         self._world: World | None = None
@@ -96,7 +97,7 @@ class Rendered:
         if key not in self._pictures:
             rng = np.random.default_rng([self._seed, _NOISE, int.from_bytes(key, "little")])
             light = self.light(sight) * np.float32(sight.exposure)
-            self._pictures[key] = np.asarray(expose(light, self._scene.camera, self._scene.disturbances, rng=rng))
+            self._pictures[key] = np.asarray(expose(light, self._scene.camera, self._grey, rng=rng))
             if len(self._pictures) > _KEPT:
                 self._pictures.popitem(last=False)
         self._pictures.move_to_end(key)

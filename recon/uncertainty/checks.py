@@ -1,0 +1,52 @@
+"""What a scan must pass before its volume is trusted: checks of the pictures themselves, that do not lean on what was made of them.
+
+Each check compares one measured number with limits that come from what it would do to a volume, and says in one sentence what was found,
+and in another what to do about it. One that fails takes the trust away; one that is only so-so is said.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+NO_VOLUME = "this scan cannot give a volume: "
+"""How every such verdict begins."""
+
+State = Literal["good", "fair", "bad", "untold"]
+Name = Literal["scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One light of the traffic light."""
+
+    name: Name
+    state: State
+    """``bad``: the volume is not to be trusted; ``untold``: the pictures do not show it."""
+    value: float | None
+    """What was measured; None where nothing was."""
+    unit: str
+    fair: float | None
+    """Beyond this the state is fair (below it for numbers that should be large)."""
+    bad: float | None
+    """Beyond this it is bad."""
+    found: str
+    """What was found, by how much: one sentence."""
+    advice: str
+    """What to do: one sentence; empty where all is well."""
+
+
+def failed(checks: Sequence[Check]) -> tuple[str, ...]:
+    """Return a sentence for each check that takes the trust away."""
+    return tuple(f"{check.found} ({check.advice})" if check.advice else check.found for check in checks if check.state == "bad")
+
+
+def verdict(lost: Sequence[str]) -> str:
+    """Say that a scan gives no volume, and why."""
+    return NO_VOLUME + "; ".join(lost)
+
+
+def state_of(value: float, fair: float, bad: float) -> State:
+    """Compare a number that should be small with its limits; with ``fair`` above ``bad``, one that should be large."""
+    if fair > bad:
+        value, fair, bad = -value, -fair, -bad
+    return "bad" if value > bad else "fair" if value > fair else "good"

@@ -1,0 +1,143 @@
+"""From a picture's numbers to light: the curve that its file states, or else the scene's camera.
+
+Cameras bend light into numbers (sRGB, a gamma, a curve of their own); the reconstruction needs light itself. A file's own word is an ICC
+profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or gamma.
+"""
+
+import io
+import struct
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from rhizotwin.scenes.model import Camera
+
+Array = NDArray[np.float64]
+
+_STEPS = 4097
+"""Places of a curve that is given by a formula: between them it is straight to 1e-7."""
+_SAME = 0.004
+"""Two curves that nowhere differ by more than this (a step of 8 bits) are one."""
+_EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
+
+
+@dataclass(frozen=True)
+class Curve:
+    """How much light a stored number stands for."""
+
+    name: str
+    light: tuple[float, ...]
+    """Light, of full scale, at equal steps of the number from 0 to full scale; rises."""
+
+    def decode(self, numbers: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint16]:
+        """Return light, 65535 at full scale, for numbers of any shape."""
+        return _table(self, int(np.iinfo(numbers.dtype).max))[numbers]
+
+    def of(self, share: Array) -> Array:
+        """Return the light for numbers given as shares of full scale."""
+        return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(self.light)), self.light))
+
+    def number(self, light: Array) -> Array:
+        """Return the number, of full scale, that stands for some light: `of` undone."""
+        return np.asarray(np.interp(light, self.light, np.linspace(0.0, 1.0, len(self.light))))
+
+    def same(self, other: "Curve") -> bool:
+        """Tell whether another curve is this one, but for rounding."""
+        share = np.linspace(0.0, 1.0, 257)
+        return bool(np.abs(self.of(share) - other.of(share)).max() < _SAME)
+
+
+@lru_cache(maxsize=8)
+def _table(curve: Curve, full: int) -> NDArray[np.uint16]:
+    return np.rint(65535.0 * curve.of(np.arange(full + 1) / full)).astype(np.uint16)
+
+
+def _formula(name: str, light: Array) -> Curve:
+    return Curve(name, tuple(light.tolist()))
+
+
+def _srgb() -> Array:
+    """Return sRGB's curve: IEC 61966-2-1, equations 5 and 6."""
+    v = np.linspace(0.0, 1.0, _STEPS)
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+LINEAR = Curve("linear", (0.0, 1.0))
+SRGB = _formula("sRGB", _srgb())
+
+
+def power(exponent: float) -> Curve:
+    """Return the curve ``light = number ** exponent``."""
+    return _formula(f"a gamma of {exponent:.3g}", np.linspace(0.0, 1.0, _STEPS) ** exponent)
+
+
+def of_camera(camera: Camera) -> Curve:
+    """Return the curve that a scene states."""
+    if camera.transfer == "table":
+        return Curve("the scene's table", camera.transfer_table)
+    return SRGB if camera.transfer == "srgb" else LINEAR
+
+
+def stated_in(picture: bytes | Path) -> Curve | None:
+    """Return the curve that a picture file states; None where it states none that can be read."""
+    try:
+        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
+            info = opened.info
+            if profile := info.get("icc_profile"):
+                return _of_profile(profile)
+            if info.get("srgb") is not None:
+                return SRGB
+            if gamma := info.get("gamma"):
+                return _of_gamma(1.0 / gamma)
+            exif = opened.getexif().get_ifd(_EXIF)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None  # whether the picture itself can be read is said elsewhere
+    if gamma := exif.get(_GAMMA):
+        return _of_gamma(float(gamma))
+    return SRGB if exif.get(_COLOUR_SPACE) == 1 else None
+
+
+def _of_gamma(exponent: float) -> Curve:
+    if abs(exponent - 1.0) < 0.01:
+        return LINEAR
+    return power(exponent)
+
+
+def _of_profile(profile: bytes) -> Curve | None:
+    """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18); None for profiles of tables."""
+    try:
+        (count,) = struct.unpack_from(">I", profile, 128)
+        tags = {profile[at : at + 4]: struct.unpack_from(">II", profile, at + 4) for at in range(132, 132 + 12 * min(count, 200), 12)}
+        start, size = tags.get(b"gTRC") or tags[b"kTRC"]
+        return _of_trc(profile[start : start + size])
+    except (struct.error, KeyError):
+        return None
+
+
+def _of_trc(data: bytes) -> Curve | None:
+    """Read a ``curveType`` or a ``parametricCurveType``."""
+    v = np.linspace(0.0, 1.0, _STEPS)
+    if data[:4] == b"curv":
+        (count,) = struct.unpack_from(">I", data, 8)
+        if count == 0:
+            return LINEAR
+        numbers = np.array(struct.unpack_from(f">{count}H", data, 12), np.float64)
+        light = v ** (numbers[0] / 256.0) if count == 1 else np.maximum.accumulate(numbers) / 65535.0
+    elif data[:4] == b"para":
+        (kind,) = struct.unpack_from(">H", data, 8)
+        if kind > 4:
+            return None
+        g, a, b, c, d, e, f = np.pad(np.array(struct.unpack_from(f">{(1, 3, 4, 5, 7)[kind]}i", data, 12)) / 65536.0, (0, 6))[:7]
+        if kind == 0:
+            a, d = 1.0, -1.0
+        elif kind in (1, 2):
+            c, d, e, f = 0.0, -b / a, c, c
+        light = np.clip(np.where(v >= d, np.maximum(a * v + b, 0.0) ** g + e, c * v + f), 0.0, 1.0)
+    else:
+        return None
+    found = _formula("the ICC profile's", np.asarray(light))
+    return next((known for known in (LINEAR, SRGB) if known.same(found)), found)

@@ -1,0 +1,123 @@
+"""What picture files say of their curve, and the curves themselves, against published values and Pillow's colour management."""
+
+import io
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
+
+from rhizotwin.scenes import transfer
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.pictures import decode_light
+from rhizotwin.scenes.transfer import LINEAR, SRGB
+
+GREY = Image.fromarray(np.arange(256, dtype=np.uint8).reshape(16, 16))
+
+
+def saved(kind: str, **options: object) -> bytes:
+    out = io.BytesIO()
+    GREY.convert("RGB").save(out, kind, **options)
+    return out.getvalue()
+
+
+def png_with(chunk: bytes, data: bytes) -> bytes:
+    said = PngInfo()
+    said.add(chunk, data)
+    return saved("PNG", pnginfo=said)
+
+
+def exif(tag: int, value: object) -> Image.Exif:
+    made = Image.Exif()
+    made.get_ifd(0x8769)[tag] = value
+    return made
+
+
+def test_srgb_has_the_published_values() -> None:
+    # IEC 61966-2-1: 8-bit 10, 118, 188 are 0.003035, 0.181164, 0.502886 of full light
+    np.testing.assert_allclose(SRGB.of(np.array([10, 118, 188]) / 255.0), [0.003035, 0.181164, 0.502886], atol=2e-6)
+    np.testing.assert_allclose(SRGB.number(SRGB.of(np.linspace(0, 1, 57))), np.linspace(0, 1, 57), atol=1e-6)
+
+
+def test_numbers_become_light_at_full_depth() -> None:
+    np.testing.assert_array_equal(SRGB.decode(np.array([0, 118, 255], np.uint8)), [0, round(0.181164 * 65535), 65535])
+    np.testing.assert_array_equal(LINEAR.decode(np.array([0, 51, 255], np.uint8)), [0, 13107, 65535])
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (saved("PNG"), None),
+        (saved("JPEG"), None),
+        (png_with(b"sRGB", b"\x00"), SRGB),
+        (png_with(b"gAMA", (100000).to_bytes(4, "big")), LINEAR),
+        (png_with(b"gAMA", (45455).to_bytes(4, "big")), transfer.power(2.2)),
+        (saved("JPEG", exif=exif(0xA001, 1)), SRGB),
+        (saved("JPEG", exif=exif(0xA001, 0xFFFF)), None),
+        (saved("JPEG", icc_profile=ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()), SRGB),
+        (saved("TIFF", icc_profile=ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()), SRGB),
+        (saved("JPEG", icc_profile=b"no profile at all" * 20), None),
+        (b"no picture", None),
+    ],
+    ids=[
+        "png",
+        "jpeg",
+        "srgb",
+        "gama 1",
+        "gama 1/2.2",
+        "exif srgb",
+        "exif uncalibrated",
+        "icc jpeg",
+        "icc tiff",
+        "icc damaged",
+        "no picture",
+    ],
+)
+def test_a_file_says_its_curve(data: bytes, expected: transfer.Curve | None) -> None:
+    found = transfer.stated_in(data)
+    assert (found is None) == (expected is None)
+    assert found is None or expected is None or found.same(expected)
+
+
+def test_a_profile_with_a_plain_gamma_is_read() -> None:
+    body = b"curv\x00\x00\x00\x00\x00\x00\x00\x01" + round(1.8 * 256).to_bytes(2, "big") + b"\x00\x00"
+    profile = bytes(128) + (1).to_bytes(4, "big") + b"kTRC" + (144).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body
+    found = transfer.stated_in(saved("PNG", icc_profile=profile))
+    assert found is not None
+    assert found.same(transfer.power(1.8))
+
+
+def test_colours_are_decoded_each_before_they_are_mixed() -> None:
+    colour = np.zeros((16, 16, 3), np.uint8)
+    colour[..., :] = (188, 118, 10)  # blue, green, red
+    data = cv2.imencode(".png", colour)[1].tobytes()
+    light = decode_light(data, SRGB, where="a")
+    expected = 0.114 * 0.502886 + 0.587 * 0.181164 + 0.299 * 0.003035
+    np.testing.assert_allclose(light / 65535.0, expected, atol=2e-5)
+
+
+def test_a_pixel_with_one_full_colour_is_full() -> None:
+    colour = np.full((16, 16, 3), 100, np.uint8)
+    colour[3, 4, 2] = 255
+    light = decode_light(cv2.imencode(".png", colour)[1].tobytes(), SRGB, where="a")
+    assert light[3, 4] == 65535
+    assert (light == 65535).sum() == 1
+
+
+def test_a_scene_states_a_table() -> None:
+    camera = Camera(transfer="table", transfer_table=(0.0, 0.1, 1.0))
+    np.testing.assert_allclose(transfer.of_camera(camera).of(np.array([0.25, 0.5, 0.75])), [0.05, 0.1, 0.55])
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [Camera(transfer="table"), Camera(transfer_table=(0.0, 1.0)), Camera(transfer="table", transfer_table=(0.0, 0.7, 0.5))],
+    ids=["no table", "table of none", "falls"],
+)
+def test_a_table_that_cannot_be_is_refused(camera: Camera) -> None:
+    with pytest.raises(UserError, match="transfer"):
+        check_scene(replace(Scene(), camera=camera))
