@@ -95,10 +95,10 @@ class MarkerCalibration:
     """Median reprojection error of the views at the end."""
     table_correction_deg: float | None
     """Spread of the table's angles about the commanded ones."""
-    blur_px: float | None
-    """Median blur of the markers, the pixel's own (0.29) included; None where it was not measured."""
     canister: CanisterPose | None
     """None where the canister's edges were not seen."""
+    blur_px: float | None = None
+    """Median blur of the markers, the pixel's own (0.29) included; None where it was not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
