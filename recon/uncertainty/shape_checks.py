@@ -7,9 +7,9 @@ SWAY_MM = 0.08, 0.2
 volume."""
 DIRT = 0.1, 0.35
 """Share of the wall before the roots that films, bubbles and glare cover."""
-MISSED = 0.05, 0.15
+MISSED = 0.05, 0.3
 """Share of what the pictures show that the hull of all views leaves out: views that disagree about where things are carve them away."""
-STRUCTURE = 0.15, 0.3
+STRUCTURE = 0.25, 0.5
 """What is left beside the tubes over what they cover: roots that are no plain absorbers."""
 UNEXPLAINED, FILL = (0.1, 0.2), (0.35, 0.5)
 """Shares of `Budget`: what the shape does not explain, and what thin roots cover of the root zone's picture."""
