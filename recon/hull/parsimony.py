@@ -33,15 +33,16 @@ _SKELETON_MM = 0.5
 _SPACING_MM = 0.16
 _BIN_MM = 4.0
 _DEEP_PX = 0.75
-"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there."""
-_AGREEING_VIEWS = 2
+"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts not at all, a third
+more in full."""
 VOTES = 0.3
 """Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
 _TIGHT_PX = 0.4
-"""A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off."""
-_HELD = 1.0 / 3.0
-"""Least share of the seeing views that bound a root's ball.
+"""A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off. Half
+of this bounds it in full, half as much again not at all."""
+_HELD = 0.25, 5.0 / 12.0
+"""A ball that a smaller share of the seeing views bounds is none, one that a larger share bounds is whole; between them it shrinks.
 
 Every view that shows a root alone bounds its ball. A ball in a web between roots is bounded by the few views that graze the web."""
 _LEAST_CURVE = 12
@@ -83,10 +84,8 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     kept = np.minimum(hull, inside)
     missing = hull - kept > 0.02
     if missing.any():
-        trimmed = replace(leaves, index=index, size=size, occupancy=kept)
-        needed = np.zeros(len(kept), bool)
-        needed[missing] = _needed(bank, maps, trimmed, index[missing])
-        kept[needed] = hull[needed]
+        needed = _needed(bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing])
+        kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
     return Trimmed(trimmed, balls, trimmed.volume_mm3() - trimmed.volume_mm3(np.minimum(hull, inside)[some]))
@@ -112,12 +111,17 @@ def centre_lines(leaves: Leaves) -> Array:
 
 
 def _across(points: Array) -> Array:
-    """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves."""
+    """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves.
+
+    They are turned from the axis that the direction is least along: a straight row of points has no directions across of its own.
+    """
     near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", cloud, cloud))
+    along = np.linalg.eigh(np.einsum("nki,nkj->nij", cloud, cloud))[1][:, :, 2]
+    first = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
     angle = (np.arange(8) * np.pi / 4)[None, :, None]
-    across: Array = np.cos(angle) * vectors[:, None, :, 0] + np.sin(angle) * vectors[:, None, :, 1]
+    across: Array = np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(along, first)[:, None]
     return across
 
 
@@ -136,7 +140,9 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
     blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = radius > 0
     if good.any():
-        good[good] = _held(bank, maps, points[good], blunt[good]) > _HELD
+        none, whole = _HELD
+        radius[good] *= np.clip((_held(bank, maps, points[good], blunt[good]) - none) / (whole - none), 0.0, 1.0)
+        good = radius > 0
     return Balls(points[good], radius[good])
 
 
@@ -164,8 +170,8 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
 
     def body(view: Any, tight: Any, votes: Any) -> tuple[Any, Any, Any]:
         allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
-        bounds = seen & ((allowed - reach) * px_a_mm < _TIGHT_PX)
-        return view + 1, tight + dr.select(bounds, 1.0, 0.0), votes + dr.select(seen, 1.0, 0.0)
+        bounds = dr.clip(1.5 - (allowed - reach) * px_a_mm / _TIGHT_PX, 0.0, 1.0)
+        return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
 
     point, reach = mi.Point3f(points.T.astype(np.float32)), mi.Float(radius.astype(np.float32))
     state = (mi.UInt32(0), dr.zeros(mi.Float, len(points)), dr.zeros(mi.Float, len(points)))
@@ -266,27 +272,39 @@ class _Listed:
         return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
 
 
-def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> Mask:
-    """Tell which of the doubted finest nodes (N, 3) silhouettes need that the trimmed shape does not explain: (N,)."""
+def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Tell how much (N,), 0 to 1, silhouettes need of the doubted finest nodes (N, 3) that the trimmed shape does not explain.
+
+    One view that lacks a node may be wrong: what the second most lacking one lacks is needed.
+    """
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
-    solid = _points(trimmed, 2 * even(voxel[filled >= 0.5], size[filled >= 0.5]), 2)
+    some = filled > 0.25
+    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
+    share = mi.Float(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
     doubtful = _points(trimmed, doubted, 1)
-    votes = dr.zeros(mi.UInt32, dr.width(doubtful))
+    most, second = dr.zeros(mi.Float, dr.width(doubtful)), dr.zeros(mi.Float, dr.width(doubtful))
     values = np.array(maps.values).reshape(bank.count, height, width)
     for view in range(bank.count):
-        covered = dr.zeros(mi.UInt8, width * height)
-        u, v, seen = _sample(bank, maps, view, solid)
-        dr.scatter(covered, mi.UInt8(1), v * width + u, seen)
-        picture = cv2.dilate(np.array(covered).reshape(height, width), np.ones((3, 3), np.uint8))
-        unexplained = (values[view] > _DEEP_PX) & (values[view] < carve.TELLS_PX) & (picture == 0)
-        if not unexplained.any():
+        p, seen = _seen(bank, maps, view, solid)
+        place = maps.sample(p.px) + 0.5
+        covered = dr.zeros(mi.Float, width * height)
+        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * width + mi.UInt32(place.x), seen)
+        explained = _spread(np.array(covered).reshape(height, width), 3)
+        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < carve.TELLS_PX)
+        lacking = (deep * (1.0 - explained)).astype(np.float32)
+        if not lacking.any():
             continue
-        lacking = mi.UInt8(cv2.dilate(unexplained.astype(np.uint8), np.ones((5, 5), np.uint8)).ravel())
-        u, v, seen = _sample(bank, maps, view, doubtful)
-        votes += mi.UInt32(dr.gather(mi.UInt8, lacking, v * width + u, seen))
-        dr.eval(votes)
-    return np.array(votes) >= _AGREEING_VIEWS
+        p, seen = _seen(bank, maps, view, doubtful)
+        lacks = dr.select(seen, replace(maps, values=mi.Float(_spread(lacking, 5).ravel())).at(0, p.px, seen), 0.0)
+        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
+        dr.eval(most, second)
+    return np.array(second)
+
+
+def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
+    """Widen a picture (H, W) by a square of an odd edge, and smooth its steps."""
+    return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
 
 def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -298,16 +316,20 @@ def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]
     return np.concatenate(parts) if parts else index
 
 
+def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return the values (M,) of the unit cubes that `even` cuts cubes with values (N,) into."""
+    return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values
+
+
 def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Any:
     """Return the centres of nodes of an edge on the device."""
     centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
     return mi.Point3f(centres.T.astype(np.float32))
 
 
-def _sample(bank: ViewBank, maps: DistanceMaps, view: int, points: Any) -> tuple[Any, Any, Any]:
-    """Return the column and row of points on a view's distance map, and whether the view sees them."""
+def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Any) -> tuple[projection.Projected, Any]:
+    """Project points into a view: (projection, whether the view sees them on its distance map)."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = maps.samples_wh, maps.sample(p.px)
-    u, v = place.x + 0.5, place.y + 0.5
-    seen = p.seen & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    return mi.UInt32(dr.select(seen, u, 0)), mi.UInt32(dr.select(seen, v, 0)), seen
+    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    return p, seen

@@ -41,7 +41,7 @@ def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wate
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)
     cells = parsimony.even(index, size).astype(np.int64)
-    full = np.concatenate([np.repeat(occupancy[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else occupancy
+    full = parsimony.evenly(occupancy, size)
     edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
     hidden = {}
     for axis in range(3):

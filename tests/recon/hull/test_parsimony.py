@@ -123,6 +123,6 @@ def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
     at = np.array([[0.0, 0.0, -75.0], [0.0, 3.0, -75.0]])
     share = parsimony._held(bank, maps, at, parsimony._radius(bank, maps, at))
     assert share[0] > 0.8
-    assert share[1] < parsimony._HELD
+    assert share[1] < parsimony._HELD[0]
     lines = at + np.linspace(-1.0, 1.0, 15)[:, None, None] * np.array([0.0, 0.0, 1.0])
     assert len(parsimony.grow_balls(bank, maps, lines[:, 0]).radius_mm) > 10
