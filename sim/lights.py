@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,76 @@ def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
     parameters["panel.to_world"] = mi.Transform4f(canister_from_rig @ rig_from_panel(lights))
     parameters["front.to_world"] = mi.Transform4f(canister_from_rig @ rig_from_front(lights))
     parameters.update()
+
+
+class Lamps:
+    """The two lights as formulas, for `sim.backlit`: placing them builds nothing anew.
+
+    Parameters
+    ----------
+    scene, world
+        The nominal rig and its drawn disturbances.
+    """
+
+    SAMPLES = 2
+    """Points of each light from which what it shines on is lit."""
+
+    def __init__(self, scene: Scene, world: World) -> None:
+        level = scene.lights.backlight_level
+        self.rig_from_lamp = (rig_from_panel(scene.lights), rig_from_front(scene.lights))
+        self.levels = [level, front_radiance(scene)]
+        self.picture = None
+        if world.backlight is not None:
+            self.picture = mi.load_dict(bitmap((level * world.backlight).astype(np.float32), wrap="clamp"))
+        dr.make_opaque(self.levels)
+        self.lamp_from_canister: list[Any] = []
+        self.canister_from_lamp: list[Any] = []
+
+    def place(self, camera: TrueCamera) -> None:
+        """Move the lights to where they stand as seen from the canister of a view."""
+        to_canister = [frames.invert(camera.rig_from_canister) @ rig_from_lamp for rig_from_lamp in self.rig_from_lamp]
+        self.canister_from_lamp = [mi.Matrix4f(matrix) for matrix in to_canister]
+        self.lamp_from_canister = [mi.Matrix4f(np.linalg.inv(matrix)) for matrix in to_canister]
+        dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
+
+    def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
+        """Return which light rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance; their backs are black."""
+        lamp, glow = mi.UInt32(0), mi.Spectrum(0.0)
+        for number, to_lamp in enumerate(self.lamp_from_canister):
+            o, d = _times(to_lamp, ray.o, 1.0), _times(to_lamp, ray.d, 0.0)
+            t_lamp = -o.z / d.z
+            at = mi.Point2f(o.x + t_lamp * d.x, o.y + t_lamp * d.y)
+            met = (t_lamp > 0.0) & (t_lamp < t) & (dr.abs(at.x) <= 1.0) & (dr.abs(at.y) <= 1.0)
+            lamp[met] = number + 1
+            glow[met] = dr.select(d.z < 0.0, self._radiance(number, at, met), 0.0)
+            t = dr.select(met, t_lamp, t)
+        return lamp, glow
+
+    def irradiance(self, p: Any, n: Any) -> Any:
+        """Return the irradiance on points with normals, nothing standing between."""
+        total = mi.Spectrum(0.0)
+        for number, to_canister in enumerate(self.canister_from_lamp):
+            across, up = (mi.Vector3f(*(to_canister[row, column] for row in range(3))) for column in (0, 1))
+            area = dr.cross(across, up)  # a quarter of the rectangle's, along its normal
+            for k in range(self.SAMPLES):
+                at = mi.Point2f(2.0 * (k + 0.5) / self.SAMPLES - 1.0, 2.0 * ((0.5 + (k + (1 - number) * self.SAMPLES) * 0.618) % 1.0) - 1.0)
+                towards = _times(to_canister, mi.Point3f(at.x, at.y, 0.0), 1.0) - p
+                distance2 = dr.squared_norm(towards)
+                facing = dr.maximum(-dr.dot(towards, area), 0.0) * dr.maximum(dr.dot(towards, n), 0.0)
+                total += self._radiance(number, at, mi.Bool(True)) * 4.0 * facing / (distance2 * distance2 * self.SAMPLES)
+        return total
+
+    def _radiance(self, number: int, at: Any, active: Any) -> Any:
+        if number == 1 or self.picture is None:
+            return mi.Spectrum(self.levels[number])
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.uv = mi.Point2f(0.5 + 0.5 * at.x, 0.5 + 0.5 * at.y)
+        return self.picture.eval(si, active)
+
+
+def _times(matrix: Any, v: Any, w: float) -> Any:
+    """Return the first three rows of a 4x4 matrix times (v, w)."""
+    return mi.Vector3f(*(matrix[row, 0] * v.x + matrix[row, 1] * v.y + matrix[row, 2] * v.z + matrix[row, 3] * w for row in range(3)))
 
 
 def rig_from_panel(lights: Lights) -> NDArray[np.float64]:

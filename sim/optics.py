@@ -5,6 +5,7 @@ The canister stands still; camera and lights move round it, so that turning the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.sim import dirt, lights, strip
+from rhizotwin.sim.backlit import Room
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import World
 
 SPECIMEN = "specimen"
+STRIP = "strip"
 ROOT_REFLECTANCE = 0.35
 FELT_REFLECTANCE = 0.02
 FLOOR_REFLECTANCE = 0.10
@@ -27,8 +30,8 @@ TURBID_ALBEDO = 0.7
 TURBID_FORWARD = 0.9
 
 
-def build(scene: Scene, world: World, solid: SpecimenSolid | None) -> mi.Scene:
-    """Return the Mitsuba scene of a world, without a sensor; `sim.lights.place` puts its lights where a view has them.
+def build(scene: Scene, world: World, solid: SpecimenSolid | None, *, lamps: bool = True) -> mi.Scene:
+    """Return the Mitsuba scene of a world, without a sensor.
 
     Parameters
     ----------
@@ -36,12 +39,15 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None) -> mi.Scene:
         The nominal rig and its drawn disturbances.
     solid : SpecimenSolid or None
         Closed surface in the canister's frame, mm; None for an empty canister.
+    lamps : bool
+        With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for all views.
     """
     water = _water_medium(scene)
     items: dict[str, Any] = {"type": "scene"}
     items |= _canister(scene, world.n_water, water)
     items |= _net_pot(scene, world)
-    items |= lights.lights(scene, world)
+    if lamps:
+        items |= lights.lights(scene, world)
     if world.algae:
         items["algae"] = _algae(scene, world)
     for number, bubble in enumerate(world.bubbles):
@@ -51,6 +57,41 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None) -> mi.Scene:
     if solid is not None:
         items[SPECIMEN] = _specimen(solid, scene.disturbances.root_mu_per_mm, water)
     return _load_quietly(items)
+
+
+def fine_things(world: World, solid: SpecimenSolid | None, *, slack_mm: float) -> mi.Scene | None:
+    """Return all that can hide between the corners of a pixel, or None where there is nothing: specimen, fibres and bubbles.
+
+    Parameters
+    ----------
+    world, solid
+        As for `build`.
+    slack_mm : float
+        Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss one.
+    """
+    items: dict[str, Any] = {"type": "scene"}
+    for number, bubble in enumerate(world.bubbles):
+        items[f"bubble_{number}"] = _bubble(replace(bubble, radius_mm=bubble.radius_mm + slack_mm), 1.0, None)
+    if world.fibres:
+        thick = tuple(replace(fibre, radius_mm=fibre.radius_mm + slack_mm) for fibre in world.fibres)
+        items["fibres"] = _mesh("fibres", *_tubes(thick), _diffuse(FELT_REFLECTANCE))
+    if solid is not None:
+        items[SPECIMEN] = _specimen(solid, None, None)
+    return _load_quietly(items) if len(items) > 1 else None
+
+
+def room_of(scene: Scene, world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
+    """Return the room in the canister that holds the fine things and a margin round them, as far as the canister reaches."""
+    points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
+    points += [
+        np.array([[bubble.x_mm, bubble.y_mm, bubble.z_mm + side]])
+        for bubble in world.bubbles
+        for side in (-bubble.radius_mm, bubble.radius_mm)
+    ]
+    at = np.concatenate(points)
+    inner_mm = scene.canister.inner_radius_mm
+    reach_mm = inner_mm if world.bubbles else float(np.hypot(at[:, 0], at[:, 1]).max()) + margin_mm
+    return Room(min(reach_mm, inner_mm), float(at[:, 2].min()) - margin_mm, float(at[:, 2].max()) + margin_mm)
 
 
 def _load_quietly(items: dict[str, Any]) -> mi.Scene:
@@ -88,7 +129,7 @@ def _net_pot(scene: Scene, world: World) -> dict[str, Any]:
     paper = {"type": "diffuse", "reflectance": bitmap(strip.strip_picture(scene.strip, pot))}
     sided = {"type": "twosided", "outside": paper, "inside": _diffuse(FELT_REFLECTANCE)}
     return {
-        "strip": _cylinder(pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, sided, seat),
+        STRIP: _cylinder(pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, sided, seat),
         "pot_top": _disk(pot.outer_radius_mm, pot.top_mm, _diffuse(FELT_REFLECTANCE), seat),
     }
 

@@ -1,9 +1,14 @@
-"""Pictures of a world: one view at a time, the same whether it is rendered alone or in a set."""
+"""Pictures of a world: one view at a time, the same whether it is rendered alone or in a set.
+
+Most pixels of a backlit picture are smooth. Rays through the corners of all pixels tell which; only where they went different ways, where
+light bends between them, on the marker strip, and round everything that could hide between them are all rays of a pixel traced.
+"""
 
 from __future__ import annotations
 
 from typing import Any, Literal
 
+import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -11,7 +16,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.sim import integrators, lights, optics, sensor
+from rhizotwin.sim import lights, optics, sensor
+from rhizotwin.sim.backlit import Backlit, Way
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import TrueCamera, World
 
@@ -22,6 +28,13 @@ MAX_RAYS = 8_000_000
 """Rays a kernel launch: bounds memory on large sensors."""
 MAX_PATHS = 32_000_000
 """The same for path tracing, whose kernels keep nothing but the picture."""
+MOST_BEND = 1e-3
+"""Second difference of light between pixels' corners, in full scale, up to which a pixel is smooth: the mean of four corners is off by a
+twelfth of it in each direction."""
+BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
+"""Cells of a 4 x 4 lattice, one in each row and column, through which a pixel is searched for fine things."""
+ROOM_MARGIN_MM = 3.0
+"""Margin round the fine things, wider than a pixel: where one corner's ray runs through their room and the next does not, nothing is."""
 _TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
@@ -63,11 +76,19 @@ class Renderer:
         self.fidelity = fidelity
         self.lights = scene.lights
         self.image_wh = scene.camera.image_wh
-        self.mitsuba_scene = optics.build(scene, world, solid)
         wrong = scene.disturbances
         media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None
-        self.backlit = mi.load_dict(integrators.integrator_dict(media=media, specimen=optics.SPECIMEN))
-        self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
+        if fidelity == "path":
+            self.lit_scene = optics.build(scene, world, solid)
+            self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
+        farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
+        self.fine = optics.fine_things(world, solid, slack_mm=farthest_mm / min(scene.camera.focal_px))
+        room = optics.room_of(scene, world, solid, margin_mm=ROOM_MARGIN_MM) if self.fine is not None else None
+        self.lamps = lights.Lamps(scene, world)
+        dark_scene = optics.build(scene, world, solid, lamps=False)
+        self.backlit = Backlit(dark_scene, self.lamps, specimen=optics.SPECIMEN, media=media, room=room)
+        self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
+        self.blur_px = _blur_px(scene)
         self.sensors = [
             mi.load_dict(
                 sensor.sensor_dict(
@@ -111,11 +132,13 @@ class Renderer:
         image, coverage
             As from `view`.
         """
-        lights.place(self.mitsuba_scene, self.lights, camera)
         eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
-        image, coverage = self._lattice(eye)
+        self.lamps.place(camera)
+        image, coverage, mixed = self._smooth(eye)
+        self._refine(eye, image, coverage, mixed)
         if self.fidelity == "path":
+            lights.place(self.lit_scene, self.lights, camera)
             image = self._traced(eye, stream)
         return image, coverage
 
@@ -128,28 +151,67 @@ class Renderer:
         for start in range(0, self.samples, most):
             count = min(most, self.samples - start)
             seed = int(seeds.integers(2**31))
-            light = mi.render(self.mitsuba_scene, sensor=eye, integrator=self.path, spp=count, seed=seed)
+            light = mi.render(self.lit_scene, sensor=eye, integrator=self.path, spp=count, seed=seed)
             total += np.array(light, dtype=np.float32).reshape(height, width) * np.float32(count / self.samples)
         return total
 
-    def _lattice(self, eye: Any) -> tuple[Image, Image]:
-        """Average the backlit integrator over a regular lattice in every pixel."""
+    def _smooth(self, eye: Any) -> tuple[Image, Image, NDArray[np.bool_]]:
+        """Return light and coverage of pixels from their four corners, and which pixels these cannot tell."""
+        width, height = self.image_wh
+        index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
+        u, v = mi.Float(index % (width + 1)) / width, mi.Float(index // (width + 1)) / height
+        ray, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), mi.Point2f(0.5))
+        way = self.backlit.follow(ray)
+        on_strip = way.end == self.strip
+        dr.eval(*way, on_strip)
+        shape = (height + 1, width + 1)
+        light, coverage = (np.array(value).reshape(shape) for value in (way.light, way.coverage))
+        edges = _differ(np.array(way.course).reshape(shape))
+        if self.fine is not None:
+            found = self._fine_things(self.fine, way)
+            edges |= _of_corners(np.array(way.spans).reshape(shape), np.maximum) > 1
+            edges |= (found > 0) & (found < len(BETWEEN))
+            edges |= _around(found, 1, cv2.dilate) != _around(found, 1, cv2.erode)
+        mixed = _around(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
+        if self.fidelity == "backlit":
+            mixed |= _of_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
+        return _mean_of_corners(light), _mean_of_corners(coverage), mixed
+
+    def _fine_things(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
+        """Count in each pixel (H, W) the rays between its corners that meet a fine thing, on ways blended from the corners' ways."""
+        width, height = self.image_wh
+        pixel = dr.arange(mi.UInt32, width * height)
+        first = pixel // width * (width + 1) + pixel % width
+        corners = [first, first + 1, first + width + 1, first + width + 2]
+        active = mi.Bool(True)
+        for corner in corners:
+            active &= dr.gather(mi.UInt32, way.spans, corner) == 1
+        starts = [dr.gather(mi.Point3f, way.start, corner, active) for corner in corners]
+        headings = [dr.gather(mi.Vector3f, way.heading, corner, active) for corner in corners]
+        count = mi.UInt32(0)
+        for column, row in BETWEEN:
+            u, v = (column + 0.5) / len(BETWEEN), (row + 0.5) / len(BETWEEN)
+            shares = ((1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v)
+            start, heading = (sum(share * at for share, at in zip(shares, ends, strict=True)) for ends in (starts, headings))
+            count[fine.ray_test(mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(heading))), True, active)] += 1
+        return np.array(count).astype(np.uint8).reshape(height, width)
+
+    def _refine(self, eye: Any, image: Image, coverage: Image, mixed: NDArray[np.bool_]) -> None:
+        """Average the primary paths over a regular lattice in the mixed pixels, in place."""
         width, height = self.image_wh
         side = self.side if self.fidelity == "backlit" else 4
-        rows = max(1, MAX_RAYS // (width * side * side))
-        image, coverage = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-        for first in range(0, height, rows):
-            count = min(rows, height - first)
-            index = dr.arange(mi.UInt32, count * width * side * side)
-            pixel, ray = index // (side * side), index % (side * side)
+        chosen = np.flatnonzero(mixed).astype(np.uint32)
+        for first in range(0, len(chosen), MAX_RAYS // side**2):
+            pixels = chosen[first : first + MAX_RAYS // side**2]
+            index = dr.arange(mi.UInt32, len(pixels) * side * side)
+            pixel, ray = dr.gather(mi.UInt32, mi.UInt32(pixels), index // (side * side)), index % (side * side)
             u = (mi.Float(pixel % width) + (mi.Float(ray % side) + 0.5) / side) / width
-            v = (mi.Float(pixel // width) + dr.opaque(mi.Float, first) + (mi.Float(ray // side) + 0.5) / side) / height
+            v = (mi.Float(pixel // width) + (mi.Float(ray // side) + 0.5) / side) / height
             primary, _ = eye.sample_ray(0.0, 0.0, mi.Point2f(u, v), self._on_lens(ray, side))
-            light, _, extra = self.backlit.sample(self.mitsuba_scene, None, primary)
-            shape = (count, width)
-            image[first : first + count] = np.array(dr.block_sum(light[0], side * side)).reshape(shape) / side**2
-            coverage[first : first + count] = np.array(dr.block_sum(extra[0], side * side)).reshape(shape) / side**2
-        return image, coverage
+            way = self.backlit.follow(primary)
+            dr.eval(way.light, way.coverage)  # one walk for both
+            image.ravel()[pixels] = np.array(dr.block_sum(way.light, side * side)) / side**2
+            coverage.ravel()[pixels] = np.array(dr.block_sum(way.coverage, side * side)) / side**2
 
     def _on_lens(self, ray: mi.UInt32, side: int) -> mi.Point2f:
         """Give every lattice ray of a pixel its place on the lens."""
@@ -170,3 +232,40 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         a_j = np.array([0, 2, 3, 1])[j]
         return i ^ a_j, i ^ a_j ^ j
     return (i + j) % side, (i + 2 * j) % side
+
+
+def _blur_px(scene: Scene) -> float:
+    """Return how far the lens spreads a point to each side at most: half the circle of confusion of the panel or of the near wall."""
+    wrong, half = scene.disturbances, 0.0
+    for ring in scene.plan.rings:
+        focus_mm = ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)) + wrong.focus_error_mm
+        near_mm, far_mm = ring.distance_mm - scene.canister.outer_radius_mm, ring.distance_mm + scene.lights.backlight_distance_mm
+        defocus = max(abs(1.0 / depth_mm - 1.0 / focus_mm) for depth_mm in (near_mm, far_mm))
+        half = max(half, 0.5 * wrong.aperture_mm * max(scene.camera.focal_px) * defocus)
+    return half
+
+
+def _of_corners(corners: NDArray[Any], combine: Any) -> NDArray[Any]:
+    """Combine the four corners (H + 1, W + 1) of every pixel (H, W) by a function of two arrays."""
+    return np.asarray(combine(combine(corners[:-1, :-1], corners[:-1, 1:]), combine(corners[1:, :-1], corners[1:, 1:])))
+
+
+def _mean_of_corners(corners: NDArray[np.float32]) -> Image:
+    return np.asarray(_of_corners(corners, np.add) * np.float32(0.25), np.float32)
+
+
+def _differ(corners: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Tell which pixels' corners are not all the same."""
+    return np.asarray(_of_corners(corners, np.maximum) != _of_corners(corners, np.minimum))
+
+
+def _bend(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the larger of a picture's second differences along rows and columns."""
+    kernel = np.array([[1.0, -2.0, 1.0]], np.float32)
+    across, down = (np.abs(cv2.filter2D(light, cv2.CV_32F, k, borderType=cv2.BORDER_REPLICATE)) for k in (kernel, kernel.T))
+    return np.maximum(across, down)
+
+
+def _around(values: NDArray[np.uint8], reach: int, combine: Any) -> NDArray[np.uint8]:
+    """Dilate or erode over squares that reach so many pixels to each side."""
+    return np.asarray(combine(values, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8), borderType=cv2.BORDER_REPLICATE))

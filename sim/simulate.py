@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
 from rhizotwin.sim.exposure import expose, mask_picture
-from rhizotwin.sim.render import Fidelity, Renderer, checked_samples
+from rhizotwin.sim.render import Fidelity, Image, Renderer, checked_samples
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 from rhizotwin.sim.truth import truth_of, write_specimen
 from rhizotwin.sim.world import World, as_given, draw_world
@@ -103,23 +104,38 @@ def _render_frames(
     progress: bool,
 ) -> tuple[Frame, ...]:
     renderer: Renderer | None = None
-    frames: list[Frame] = []
-    for view in tqdm(plan.views(scene, seed=world.seed), desc="render", unit="view", disable=not progress, dynamic_ncols=True):
-        stem, quality = f"view_{view.index:03d}", scene.disturbances.jpeg_quality
-        name = f"{stem}.png" if quality is None else f"{stem}.jpg"
-        image_path, mask_path = folder / "images" / name, folder / "truth" / "masks" / f"{stem}.png"
-        hashes = done.get(name)
-        if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
-            renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
-            light, coverage = renderer.view(view.index)
-            rng = np.random.default_rng([world.seed, _NOISE, view.index])
-            write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng), jpeg_quality=quality)
-            write_image(mask_path, mask_picture(coverage))
-            hashes = _hashes(image_path, mask_path)
-            done[name] = hashes
-            write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
-        frames.append(Frame(file=f"images/{name}", sha256=hashes[0], kind=view.kind, ring=view.ring, table_deg=view.table_deg))
-    return tuple(frames)
+    quality = scene.disturbances.jpeg_quality
+    suffix = ".png" if quality is None else ".jpg"
+    views = {f"view_{view.index:03d}{suffix}": view for view in plan.views(scene, seed=world.seed)}
+
+    def paths_of(name: str) -> tuple[Path, Path]:
+        return folder / "images" / name, (folder / "truth" / "masks" / name).with_suffix(".png")
+
+    def keep(index: int, name: str, light: Image, coverage: Image) -> None:
+        rng = np.random.default_rng([world.seed, _NOISE, index])
+        image_path, mask_path = paths_of(name)
+        write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng), jpeg_quality=quality)
+        write_image(mask_path, mask_picture(coverage))
+        done[name] = _hashes(image_path, mask_path)
+        write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
+
+    with ThreadPoolExecutor(1) as writer:  # one picture is exposed and written while the next is rendered
+        kept: Future[None] | None = None
+        for name, view in tqdm(views.items(), desc="render", unit="view", disable=not progress, dynamic_ncols=True):
+            image_path, mask_path = paths_of(name)
+            hashes = done.get(name)
+            if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
+                renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
+                light, coverage = renderer.view(view.index)
+                if kept is not None:
+                    kept.result()
+                kept = writer.submit(keep, view.index, name, light, coverage)
+        if kept is not None:
+            kept.result()
+    return tuple(
+        Frame(file=f"images/{name}", sha256=done[name][0], kind=view.kind, ring=view.ring, table_deg=view.table_deg)
+        for name, view in views.items()
+    )
 
 
 def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
