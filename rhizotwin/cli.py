@@ -22,6 +22,7 @@ AFTER_STOP = {
     "twin": "",
     "rig": "",
     "camera": "",
+    "view": "",
 }
 """What Ctrl-C leaves of a command; of the others nothing."""
 ONE_STOP_S = 1.0

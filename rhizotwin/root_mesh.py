@@ -25,7 +25,7 @@ def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
     roots : one or more.
     colour : "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
     """
-    parts = [_tube(root) for root in roots]
+    parts = [tube(root.points_mm, root.diameters_mm) for root in roots]
     counts = [len(vertices) for vertices, _ in parts]
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     faces = np.concatenate([part[1] + start for part, start in zip(parts, first, strict=True)])
@@ -39,9 +39,20 @@ def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, vertex_colors=np.round(255.0 * shades).astype(np.uint8), process=False)
 
 
-def _tube(root: Root) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices (rings from base to tip, then the middles of both ends) and triangles, counter-clockwise from outside."""
-    points = root.points_mm
+def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[Array, NDArray[np.int64]]:
+    """Return a closed tube along a line.
+
+    Parameters
+    ----------
+    points : (N, 3) from base to tip.
+    diameters_mm : (N,)
+    around : corners of its cross-section.
+
+    Returns
+    -------
+    vertices : (N * around + 2, 3), rings from base to tip, then the middles of both ends.
+    faces : triangles, counter-clockwise from outside.
+    """
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
     side = np.empty_like(points)
@@ -51,15 +62,15 @@ def _tube(root: Root) -> tuple[Array, NDArray[np.int64]]:
         side[k] /= max(float(np.linalg.norm(side[k])), 1e-12)
     side[0] /= np.linalg.norm(side[0])
     up = np.cross(along, side)
-    angle = np.arange(AROUND) * 2.0 * np.pi / AROUND
-    radius = root.diameters_mm / 2.0 * np.sqrt(2.0 * np.pi / AROUND / np.sin(2.0 * np.pi / AROUND))
+    angle = np.arange(around) * 2.0 * np.pi / around
+    radius = diameters_mm / 2.0 * np.sqrt(2.0 * np.pi / around / np.sin(2.0 * np.pi / around))
     ring = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
     vertices = (points[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
-    a = np.arange(len(points) - 1)[:, None] * AROUND + np.arange(AROUND)
-    b = np.arange(len(points) - 1)[:, None] * AROUND + (np.arange(AROUND) + 1) % AROUND
-    walls = np.concatenate([np.stack([a, b, b + AROUND], -1), np.stack([a, b + AROUND, a + AROUND], -1)]).reshape(-1, 3)
-    last, base, tip = (len(points) - 1) * AROUND, len(vertices), len(vertices) + 1
-    turn, onward = np.arange(AROUND), (np.arange(AROUND) + 1) % AROUND
-    bottom = np.stack([np.full(AROUND, base), onward, turn], axis=1)
-    top = np.stack([np.full(AROUND, tip), last + turn, last + onward], axis=1)
+    a = np.arange(len(points) - 1)[:, None] * around + np.arange(around)
+    b = np.arange(len(points) - 1)[:, None] * around + (np.arange(around) + 1) % around
+    walls = np.concatenate([np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)]).reshape(-1, 3)
+    last, base, tip = (len(points) - 1) * around, len(vertices), len(vertices) + 1
+    turn, onward = np.arange(around), (np.arange(around) + 1) % around
+    bottom = np.stack([np.full(around, base), onward, turn], axis=1)
+    top = np.stack([np.full(around, tip), last + turn, last + onward], axis=1)
     return np.concatenate([vertices, points[[0, -1]]]), np.concatenate([walls, bottom, top]).astype(np.int64)

@@ -111,3 +111,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
     points = frames.apply(view.azimuth_from_canister, points_mm)
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
+
+
+def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Project water points (N, 3) that a view sees once, fast: their pixels (N, 2), NaN for those far out and those it cannot see."""
+    w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), frames.apply(view.azimuth_from_canister, points_mm))
+    return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))

@@ -20,6 +20,11 @@ from rhizotwin.scenes.model import Scene
 
 Array = NDArray[np.float64]
 
+_SINGLE = 0.97
+"""Points within this share of R_o / n_water of the axis have one image (`images` finds all of the others)."""
+_NEWTON_STEPS = 12
+_CLOSE_MM = 1e-7
+
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
@@ -193,6 +198,32 @@ def images(
     order = np.argsort(found_w, axis=1)  # NaN last
     found_w, found_p = np.take_along_axis(found_w, order, 1), np.take_along_axis(found_p, order, 1)
     return found_w, found_p, np.isfinite(found_w).sum(axis=1)
+
+
+def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array]:
+    """Find one image of water points in one camera, fast, by Newton's method from the axis outwards.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) points with x^2 + y^2 < R_i^2, azimuth frame.
+
+    Returns
+    -------
+    w, p_z : (N,), NaN for points that lie so far out that they may have two images or none, and where no ray from the camera ends.
+    """
+    single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water
+    w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -0.9 * optics.w_limit, 0.9 * optics.w_limit)
+    step = 1e-6
+    for _ in range(_NEWTON_STEPS):
+        f, p_z = _side(optics, rho_mm, z_cam_mm, w, points_mm)
+        slope = (_side(optics, rho_mm, z_cam_mm, w + step, points_mm)[0] - f) / step
+        w = np.clip(w - f / slope, -0.999 * optics.w_limit, 0.999 * optics.w_limit)
+        if np.abs(f).max(initial=0.0) < _CLOSE_MM:
+            break
+    line = trace(optics, rho_mm, z_cam_mm, w, p_z)
+    found = (np.hypot(points_mm[:, 0], points_mm[:, 1]) < single_mm) & (np.abs(f) < 1e3 * _CLOSE_MM)
+    found &= (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
+    return np.where(found, w, np.nan), np.where(found, p_z, np.nan)
 
 
 def _near_fold(

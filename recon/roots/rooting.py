@@ -138,14 +138,14 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
         start, buried, organ = organs.centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
-        blur_px = _blur(seen, fitted)
+        blur_px = find_blur(seen, fitted)
     with monitor.stage("translucency"):
         law, fitted = tube_law.find(seen, fitted, organ, blur_px)
         if law.mu_per_mm is None and attenuation is not None and attenuation.mu_per_mm is not None:
             # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
             seen = seen.by_light()
             fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
-            law = replace(law, blur_px=_blur(seen, fitted))
+            law = replace(law, blur_px=find_blur(seen, fitted))
         if law.mu_per_mm is not None:
             seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
         blur_px = law.blur_px
@@ -309,7 +309,7 @@ def _first_radius(path: tracing.Path) -> Array:
     return radius
 
 
-def _blur(seen: Evidence, fitted: Tubes) -> float:
+def find_blur(seen: Evidence, fitted: Tubes) -> float:
     """Find the blur with which the tubes explain the pictures best."""
     seen = seen.of_views(range(min(seen.bank.count, _BLUR_VIEWS)))
     at = seen.project(fitted.centre_mm)

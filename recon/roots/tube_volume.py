@@ -11,143 +11,15 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.hull.carve import Leaves
 from rhizotwin.recon.hull.parsimony import even
 from rhizotwin.recon.roots.rooting import RootSystem
-from rhizotwin.recon.tubes.tubes import Index, Tubes
+from rhizotwin.recon.tubes.filling import Filled, fill, levelled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
-_LEAST_SAMPLES = 6
-_DENSE_MM = 0.15
-_NEAR = 24
-_THICK_MM = 0.5
-"""Tubes of more than this radius are few: they are looked up by themselves."""
 _SAMPLES_A_NODE = 1.8
 _FINEST_SPACING_MM = 0.05
 _SLACK_PX = 0.05
 """Uncertainty of a tube's radius that the volume's bounds allow for."""
-
-
-@dataclass(frozen=True)
-class Filled:
-    """Points that fill tubes evenly."""
-
-    point_mm: Array
-    """(M, 3)"""
-    volume_mm3: Array
-    """(M,) the part of the tubes that each stands for."""
-    branch: Index
-    """(M,)"""
-    along_mm: Array
-    """(M,) how far along its branch."""
-
-
-def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill the union of tubes with points some ``spacing_mm`` apart: where branches overlap, the later one's points are left out."""
-    filled = fill_each(tubes, spacing_mm, left_out=left_out)
-    earlier = np.zeros(len(filled.branch), bool)
-    point, other, _ = within(tubes, filled.point_mm, filled.branch)
-    earlier[point[other < filled.branch[point]]] = True
-    return Filled(filled.point_mm[~earlier], filled.volume_mm3[~earlier], filled.branch[~earlier], filled.along_mm[~earlier])
-
-
-def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill every tube for itself with points some ``spacing_mm`` apart, overlaps and all.
-
-    Every cross-section is a sunflower (Vogel 1979, Math. Biosci. 44:179).
-
-    Parameters
-    ----------
-    left_out : (N,) nodes; segments between two of them are not filled.
-    """
-    a, b = tubes.segments.T
-    branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
-    r_a, r_b = tubes.segment_radii
-    length = np.linalg.norm(tubes.centre_mm[b] - tubes.centre_mm[a], axis=1)
-    before = np.cumsum(length) - length
-    before -= before[np.searchsorted(branch, branch)]
-    if left_out is not None:
-        stays = ~(left_out[a] & left_out[b])
-        a, b, r_a, r_b, branch, length, before = (of[stays] for of in (a, b, r_a, r_b, branch, length, before))
-    slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
-    segment, part = _counted(slices)
-    share = (part + 0.5) / slices[segment]
-    radius = r_a[segment] + share * (r_b - r_a)[segment]
-    count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
-    disc, place = _counted(count)
-    at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)
-    along, side, up = _frames(tubes.centre_mm[b] - tubes.centre_mm[a])
-    of = segment[disc]
-    point = tubes.centre_mm[a][of] + share[disc, None] * along[of]
-    point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
-    volume = (np.pi * radius**2 * (length / slices)[segment] / count)[disc]
-    return Filled(point, volume, branch[of], before[of] + (share * length[segment])[disc])
-
-
-def _counted(count: Index) -> tuple[Index, Index]:
-    """Return, for things that come ``count`` times each, the thing and the time."""
-    thing = np.repeat(np.arange(len(count)), count)
-    return thing, np.arange(len(thing)) - np.repeat(np.cumsum(count) - count, count)
-
-
-def _frames(along: Array) -> tuple[Array, Array, Array]:
-    """Return vectors (S, 3) and two unit vectors across each."""
-    unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    other = np.where(np.abs(unit[:, 2:]) < 0.8, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
-    side = np.cross(unit, other)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return along, side, np.cross(unit, side)
-
-
-def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-    """Find which points (M, 3) of branches (M,) lie inside other branches.
-
-    Returns
-    -------
-    point, other : (K,) a point and a branch it lies in.
-    along_mm : (K,) how far along that branch.
-    """
-    centre, radius, owner, along = _dense(tubes)
-    pairs: list[tuple[Index, Index]] = []
-    # only points near two branches need a closer look: those whose node's neighbourhood holds another branch
-    tree, thick = cKDTree(centre), radius > _THICK_MM
-    reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
-    mixed = np.zeros(len(centre), bool)
-    close = tree.query_pairs(reach, output_type="ndarray")
-    close = close[owner[close[:, 0]] != owner[close[:, 1]]]
-    mixed[close.ravel()] = True
-    if thick.any():
-        apart = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
-        one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
-        touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
-        mixed[one[touch]] = mixed[other[touch]] = True
-    doubted = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
-    for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
-        if not len(part) or not len(doubted):
-            continue
-        tree, width = cKDTree(centre[part]), radius[part]
-        distance, near = tree.query(point[doubted], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
-        near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
-        row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[doubted][:, None]))
-        pairs.append((doubted[row], part[near[row, column]]))
-    if not pairs:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-    inside, node = (np.concatenate(found) for found in zip(*pairs, strict=True))
-    return inside, owner[node], along[node]
-
-
-def _dense(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
-    """Return points (P, 3) close together on all branches, with radius (P,), branch (P,) and how far along it (P,)."""
-    centres, radii, owners, ways = list[Array](), list[Array](), list[Index](), list[Array]()
-    for k, nodes in enumerate(tubes.branches):
-        line, radius = tubes.centre_mm[nodes], tubes.radii(k)
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / _DENSE_MM)) + 1)
-        centres.append(np.stack([np.interp(at, along, line[:, axis]) for axis in range(3)], axis=1))
-        radii.append(np.interp(at, along, radius))
-        owners.append(np.full(len(at), k))
-        ways.append(at)
-    return np.concatenate(centres), np.concatenate(radii), np.concatenate(owners), np.concatenate(ways)
 
 
 @dataclass(frozen=True)
@@ -218,11 +90,3 @@ def _painted(thick: Leaves, filled: Filled) -> Leaves:
         np.concatenate([thick.size[large], np.ones(int(new.sum()), np.int32)]),
         np.concatenate([thick.occupancy[large], occupancy[new].astype(np.float32)]),
     )
-
-
-def levelled(occupancy: Array) -> Array:
-    """Return occupancies (N,) of at most 1 with the same sum: what sampling put too much into full nodes goes to the others."""
-    factor, total = 1.0, float(occupancy.sum())
-    for _ in range(5):
-        factor *= total / max(float(np.minimum(factor * occupancy, 1.0).sum()), 1e-12)
-    return np.minimum(factor * occupancy, 1.0)

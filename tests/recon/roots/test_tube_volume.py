@@ -7,7 +7,7 @@ import pytest
 
 from rhizotwin.recon.hull.carve import Grid, Leaves
 from rhizotwin.recon.roots import tube_volume
-from rhizotwin.recon.tubes import tubes
+from rhizotwin.recon.tubes import filling, tubes
 from tests.recon.lines import line
 from tests.recon.strings import at_rest, strung
 
@@ -16,7 +16,7 @@ def test_filled_volume_is_that_of_the_frustum():
     path = line((0.0, 0.0, -20.0), (6.0, 3.0, -40.0))
     system = tubes.string([path], [np.linspace(0.4, 0.1, len(path))])
     length = float(np.linalg.norm(path[-1] - path[0]))
-    filled = tube_volume.fill(system, 0.05)
+    filled = filling.fill(system, 0.05)
     assert filled.volume_mm3.sum() == pytest.approx(np.pi * length / 3.0 * (0.16 + 0.04 + 0.01), rel=2e-3)
 
 
@@ -27,7 +27,7 @@ def test_crossing_tubes_count_their_overlap_once():
     steinmetz = 16.0 / 3.0 * 0.3**3
     ends = np.pi * 0.09 * np.linalg.norm(np.diff(system.centre_mm[straight.branches[1]], axis=0), axis=1).sum()
     expected = np.pi * 0.09 * 10.0 + ends - steinmetz
-    assert tube_volume.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
+    assert filling.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
 
 
 def test_uniting_keeps_thick_organs_and_adds_tubes():
@@ -55,4 +55,4 @@ def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm:
     half = min(apart_mm / 2.0 / radius_mm, 1.0)
     lens = 2.0 * radius_mm**2 * (np.arccos(half) - half * np.sqrt(1.0 - half**2))
     expected = np.pi * radius_mm**2 * sum(length) - lens * min(length)
-    assert tube_volume.fill(straight, 0.05).volume_mm3.sum() == pytest.approx(expected, rel=0.015)
+    assert filling.fill(straight, 0.05).volume_mm3.sum() == pytest.approx(expected, rel=0.015)

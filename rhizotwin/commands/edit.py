@@ -1,0 +1,56 @@
+"""`rhizotwin edit`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from rhizotwin.arguments import OutputResult, ResultFolder, named
+from rhizotwin.scenes.errors import UserError
+
+
+def edit(
+    result: ResultFolder,
+    /,
+    *,
+    apply: Annotated[Path, named("FILE")],
+    output: OutputResult,
+    dataset: Annotated[Path | None, named("DATASET")] = None,
+) -> None:
+    """Apply saved corrections to a result, without a browser.
+
+    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again, and write the corrected result to another folder. Volume,
+    length, traits and files are measured again; the interval keeps its width relative to the volume. The result itself stays as it is.
+
+    Parameters
+    ----------
+    result : Path
+        Folder made by 'rhizotwin reconstruct'.
+    apply : Path
+        The log of corrections.
+    output : Path
+        Folder for the corrected result: new, empty, or an earlier result, which is replaced.
+    dataset : Path, optional
+        Where the pictures are, if they have moved: for the page, and where the log fits roots again.
+
+    Examples
+    --------
+    rhizotwin edit my_result --apply my_result/edits.json -o my_corrected
+    """
+    if output.resolve() == result.resolve():
+        raise UserError(f"{output} is the result itself, which stays as it is; choose another folder")
+    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "result.json").is_file()):
+        raise UserError(f"{output} holds something that is no result; choose a new folder")
+    from rhizotwin.corrections import corrected, log, refit
+    from rhizotwin.corrections.session import Session
+    from rhizotwin.recon.results import result_files
+    from rhizotwin.scenes.dataset import load_dataset
+
+    session = Session(result)
+    made = log.read(apply, result)
+    if any(entry.do == "fit" for entry in made.edits):
+        found = load_dataset(dataset or Path(str(session.summary["dataset"])))
+        result_files.check_same_scan(session.summary["dataset_sha256"], session.summary["scene"], result, found)
+        session.refit = refit.fitter(result, found)
+    session.replay(made)
+    summary = corrected.write(session, output)
+    print(f"{corrected.in_words(summary)}: {summary['volume_mm3'] / 1000.0:.4g} ml, in {output}")
+    print(f"next: rhizotwin view {output}")

@@ -1,0 +1,65 @@
+"""`rhizotwin view`."""
+
+import time
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+from rhizotwin.arguments import Flag, Port, named
+from rhizotwin.scenes.errors import UserError
+
+
+def view(
+    paths: Annotated[list[Path], named("RESULT")],
+    /,
+    *,
+    host: Annotated[str, named("ADDRESS")] = "127.0.0.1",
+    port: Port = 8080,
+    no_browser: Flag = False,
+) -> None:
+    """Look at results in a browser, and correct them.
+
+    Roots, surface, voxels, canister and cameras in 3D; the pictures with the reconstruction drawn over them through the water; corrections
+    with undo, saved as edits.json beside the result, which stays as it is. Several results are shown one after another, such as the days of
+    one plant. Only who has the printed address with its token gets an answer. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    paths : list of Path
+        Folders made by 'rhizotwin reconstruct'; a dataset among them is where the pictures are, if they have moved.
+    host : str
+        Address to serve at; 127.0.0.1 is this machine alone.
+    port : int
+        Port to serve at, or the next free one.
+    no_browser : bool
+        Print the address, and open no browser.
+
+    Examples
+    --------
+    rhizotwin view my_result
+    rhizotwin view my_result my_dataset
+    rhizotwin view day_1 day_2 day_3
+    """
+    results = [path for path in paths if (path / "result.json").is_file()]
+    datasets = [path for path in paths if path not in results and (path / "dataset.json").is_file()]
+    strange = [path for path in paths if path not in results and path not in datasets]
+    if strange:
+        raise UserError(f"{strange[0]} is neither a result nor a dataset; give the folder that `rhizotwin reconstruct` wrote")
+    if not results or len(datasets) > 1:
+        raise UserError(f"{len(results)} results and {len(datasets)} datasets given; give one result or more, and at most one dataset")
+    from rhizotwin.viewer import app
+
+    viewer = app.start(results, datasets[0] if datasets else None, host=host, port=port)
+    here = viewer.served
+    print(here.address, flush=True)
+    print(
+        f"Ctrl-C ends it. From another computer: ssh -L {here.port}:localhost:{here.port} THIS_COMPUTER, then the same address", flush=True
+    )
+    if not no_browser:
+        webbrowser.open(here.address)
+    try:
+        while True:
+            time.sleep(1.0)
+    finally:
+        if lost := viewer.unsaved():
+            print(f"not saved: {lost} correction{'s' if lost > 1 else ''}", flush=True)

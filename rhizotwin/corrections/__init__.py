@@ -1,0 +1,1 @@
+"""A person's corrections of a result: what was done, kept as a log beside it, and what shape, volume and traits become by it."""

@@ -1,0 +1,39 @@
+"""The cameras of a result, as it was reconstructed with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Pictures that have cameras; all tuples in the same order."""
+
+    files: tuple[str, ...]
+    views: tuple[View, ...]
+    table_deg: tuple[float | None, ...]
+    optics: Optics
+
+    @classmethod
+    def of(cls, dataset: Dataset, summary: dict[str, Any]) -> Cameras:
+        """Gather the cameras of a result, with lens and water as the reconstruction found them."""
+        rig = summary.get("rig") or {}
+        camera = dataset.scene.camera.focused(rig.get("focal_scale") or 1.0)
+        optics = Optics.of(dataset.scene)
+        if rig.get("n_water"):
+            optics = replace(optics, n_water=rig["n_water"])
+        known = {frame.file for frame in dataset.frames}
+        used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None and view["file"] in known]
+        return cls(
+            files=tuple(view["file"] for view in used),
+            views=tuple(View(camera=camera, cam_from_canister=np.array(view["cam_from_canister"], np.float64)) for view in used),
+            table_deg=tuple(view.get("table_deg") for view in used),
+            optics=optics,
+        )

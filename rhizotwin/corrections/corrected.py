@@ -1,0 +1,151 @@
+"""A corrected result as a folder of its own, measured as the reconstruction measures."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from rhizotwin.corrections import log as logs
+from rhizotwin.corrections import surface
+from rhizotwin.corrections.session import Measured, Session
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.traits import Traits
+
+_EMPTY_MM3 = 1e-9
+_SCALED = ("less_mm3", "more_mm3")
+
+
+def share(before_mm3: float, after_mm3: float) -> float:
+    """Return the share of the volume that corrections added, negative where they took some away."""
+    return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
+
+
+def in_words(summary: dict[str, Any]) -> str:
+    """Return the corrections of a result in a few words; empty where there are none."""
+    edits = summary.get("edits")
+    if not edits:
+        return ""
+    count, moved = int(edits["count"]), 100.0 * float(edits["volume_share"])
+    who = ", ".join(str(name) for name in edits["who"])
+    return f"{count} edit{'' if count == 1 else 's'} by {who}, {moved:+.1f} % of volume"
+
+
+def write(session: Session, output: Path) -> dict[str, Any]:
+    """Write a corrected result as a folder; return the content of its ``result.json``.
+
+    The interval keeps its width relative to the volume: what a person corrects makes no measurement more certain.
+
+    Raises
+    ------
+    UserError
+        Where the folder holds something that is no result, or a file of the result is missing.
+    """
+    state, measured = session.state, session.measure()
+    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), session.solid, state, measured.volumes_mm3)
+    roots = state.roots()
+    summary = _summary(session, measured, mesh)
+    traits = _traits(summary, mesh, roots)
+    with atomic.new_folder(output, replace=True) as building:
+        for name in ("silhouettes", "seen"):
+            if (session.folder / name).is_dir():
+                shutil.copytree(session.folder / name, building / name)
+        atomic.write_bytes(building / "shape.npz", _shape(session, measured.volumes_mm3))
+        atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
+        if roots:
+            rsml.write_rsml(building / "roots.rsml", roots)
+        logs.write(building / "corrected.json", session.log)
+        for name, text in result_traits.as_text(traits, summary, mass_g=summary.get("mass_g")).items():
+            atomic.write_text(building / name, text)
+        summary |= {"traits": to_plain(traits)}
+        atomic.write_json(building / "result.json", summary)
+    return summary
+
+
+def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dict[str, Any]:
+    """Return the content of ``result.json`` without the traits."""
+    old, state = session.summary, session.state
+    before, after = float(old["volume_mm3"]), measured.volume_mm3
+    ratio = after / before if before > 0.0 else 1.0
+    low, high = old["volume_bounds_mm3"]
+    points = [np.asarray(mesh.vertices, np.float64), *(line.points_mm for line in state.lines.values())]
+    corners = np.concatenate(points) if sum(len(part) for part in points) else np.zeros((1, 3))
+    roots = state.roots()
+    edits = {
+        "count": len(session.log.edits),
+        "who": sorted({edit.who for edit in session.log.edits}),
+        "last": max((edit.when for edit in session.log.edits), default=None),
+        "volume_share": share(before, after),
+        "volume_before_mm3": before,
+        "base_mm": state.base_mm,
+    }
+    changed = {
+        "volume_mm3": after,
+        "volume_interval_mm3": [ratio * value for value in old["volume_interval_mm3"]],
+        "volume_bounds_mm3": [min(low, after), max(high, after)],
+        "volume_budget": [term | {key: ratio * term[key] for key in _SCALED} for term in old["volume_budget"]],
+        "length_mm": measured.length_mm,
+        "tips": sum(bool(root.tip_seen) for root in roots),
+        "extents_min_mm": corners.min(axis=0).tolist(),
+        "extents_max_mm": corners.max(axis=0).tolist(),
+        "edits": edits,
+    }
+    kept = {key: value for key, value in old.items() if key != "traits"}
+    summary = json.loads(json.dumps({**kept, **changed}))
+    ends = summary["volume_interval_mm3"]
+    if summary["volume_trusted"]:
+        between = f"between {ends[0]:.3g} and {ends[1]:.3g} mm3"
+        summary["volume_verdict"] = f"the true volume lies {between} with 90 % confidence, if the corrections are right"
+    return dict(summary)
+
+
+def _traits(summary: dict[str, Any], mesh: trimesh.Trimesh, roots: tuple[rsml.Root, ...]) -> Traits:
+    """Measure the traits as the reconstruction does."""
+    return result_traits.of_shape(
+        np.asarray(mesh.vertices, np.float64),
+        np.asarray(mesh.faces, np.int64),
+        roots,
+        volume_mm3=float(summary["volume_mm3"]),
+        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
+        mass_g=summary.get("mass_g"),
+        extents_mm=(summary["extents_min_mm"], summary["extents_max_mm"]),
+    )
+
+
+def _shape(session: Session, volumes_mm3: NDArray[np.float64]) -> bytes:
+    """Return ``shape.npz``: the voxels that are left, and the hull as it was."""
+    solid, hull = session.solid, result_files.read_leaves(session.folder, hull=True)
+    kept = volumes_mm3 > _EMPTY_MM3
+    if not kept.any():
+        kept[0] = True  # a shape of which nothing is left keeps one empty voxel, so that it can be read
+    room = (solid.size[kept] * solid.voxel_mm) ** 3
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        leaves=solid.low[kept].astype(np.int32),
+        size=solid.size[kept].astype(np.int32),
+        occupancy=(volumes_mm3[kept] / room).astype(np.float32),
+        hull_leaves=hull.low,
+        hull_size=hull.size,
+        hull_occupancy=hull.occupancy,
+        origin_mm=solid.origin_mm,
+        voxel_mm=np.float64(solid.voxel_mm),
+    )
+    return buffer.getvalue()
+
+
+def read_mesh(session: Session) -> Mesh:
+    """Return the surface as it is now."""
+    mesh = surface.corrected(
+        result_files.read_mesh(session.folder / "shape.ply"), session.solid, session.state, session.measure().volumes_mm3
+    )
+    return Mesh(vertices_mm=np.asarray(mesh.vertices, np.float64), faces=np.asarray(mesh.faces, np.int64))

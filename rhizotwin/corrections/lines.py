@@ -1,0 +1,201 @@
+"""Roots under correction: lines with parents, cut, joined and hung elsewhere; a change gives new lines and leaves the old as they were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Lines = Mapping[int, "Line"]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a source, which is a root as it was measured; one that ends before it begins runs backward."""
+
+    source: int
+    begin_mm: float
+    end_mm: float
+
+    @property
+    def length_mm(self) -> float:
+        """Return how long it is."""
+        return abs(self.end_mm - self.begin_mm)
+
+    def between(self, begin_mm: float, end_mm: float) -> Piece:
+        """Return the part between two distances from its beginning."""
+        sign = 1.0 if self.end_mm >= self.begin_mm else -1.0
+        return Piece(self.source, self.begin_mm + sign * begin_mm, self.begin_mm + sign * end_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A root."""
+
+    points_mm: Array
+    """(N, 3) from its base to its tip."""
+    diameters_mm: Array
+    """(N,)"""
+    parent: int
+    """Number of its parent, -1 for none."""
+    pieces: tuple[Piece, ...]
+    """What of the measured sources it is made of, from its base to its tip."""
+    tip_seen: bool = True
+    label: str = ""
+
+    @property
+    def way_mm(self) -> Array:
+        """Return how far along each point (N,) lies."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1))])
+
+    @property
+    def length_mm(self) -> float:
+        """Return its length."""
+        return float(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1).sum())
+
+    def nearest_mm(self, point_mm: Sequence[float]) -> float:
+        """Return how far along the point nearest to another lies."""
+        begin, step = self.points_mm[:-1], np.diff(self.points_mm, axis=0)
+        square = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
+        share = np.clip(np.einsum("ij,ij->i", np.asarray(point_mm) - begin, step) / square, 0.0, 1.0)
+        away = np.linalg.norm(begin + share[:, None] * step - np.asarray(point_mm), axis=1)
+        best = int(away.argmin())
+        return float(self.way_mm[best] + share[best] * np.sqrt(square[best]))
+
+    def between(self, begin_mm: float, end_mm: float) -> Line:
+        """Return the part between two distances from its base."""
+        way = self.way_mm
+        inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
+        at = np.concatenate([[begin_mm], inner, [end_mm]])
+        points = np.stack([np.interp(at, way, self.points_mm[:, axis]) for axis in range(3)], axis=1)
+        pieces, before = [], 0.0
+        for piece in self.pieces:
+            low, high = max(begin_mm - before, 0.0), min(end_mm - before, piece.length_mm)
+            if high > low:
+                pieces.append(piece.between(low, high))
+            before += piece.length_mm
+        return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces))
+
+    def backward(self) -> Line:
+        """Return it from its tip to its base."""
+        pieces = tuple(Piece(piece.source, piece.end_mm, piece.begin_mm) for piece in reversed(self.pieces))
+        return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces)
+
+
+def below(lines: Lines, number: int) -> list[int]:
+    """Return a root and all that hang on it, itself first."""
+    found, waiting = list[int](), [number]
+    while waiting:
+        one = waiting.pop()
+        found.append(one)
+        waiting += [k for k, line in lines.items() if line.parent == one]
+    return found
+
+
+def without(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
+    """Take roots away; what hung on them hangs on the next root above that stays."""
+    gone = set(numbers)
+    kept = {}
+    for number, line in lines.items():
+        if number in gone:
+            continue
+        parent = line.parent
+        while parent in gone:
+            parent = lines[parent].parent
+        kept[number] = line if parent == line.parent else replace(line, parent=parent)
+    return kept
+
+
+def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]:
+    """Cut a root; what lies beyond becomes root ``new`` with the laterals there."""
+    line = lines[number]
+    changed = dict(lines)
+    changed[number] = replace(line.between(0.0, at_mm), tip_seen=False)
+    changed[new] = replace(line.between(at_mm, line.length_mm), parent=number)
+    for k, other in lines.items():
+        if other.parent == number and line.nearest_mm(other.points_mm[0]) > at_mm:
+            changed[k] = replace(other, parent=new)
+    return changed
+
+
+def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[dict[int, Line], list[int]]:
+    """Take away what of the roots lies inside something.
+
+    Parameters
+    ----------
+    inside : tells points (N, 3) that do.
+    new : the first number for roots that are left of the far side of others.
+
+    Returns
+    -------
+    lines : what stays.
+    gone : roots of which nothing stays.
+    """
+    changed, gone = dict(lines), []
+    for number, line in lines.items():
+        within = inside(line.points_mm)
+        if not within.any():
+            continue
+        way, out = line.way_mm, np.flatnonzero(~within)
+        stretches = [run for run in np.split(out, np.flatnonzero(np.diff(out) > 1) + 1) if len(run) > 1]
+        if not stretches:
+            gone.append(number)
+            continue
+        for place, run in enumerate(stretches):
+            part = line.between(float(way[run[0]]), float(way[run[-1]]))
+            part = replace(part, tip_seen=bool(line.tip_seen and run[-1] == len(way) - 1))
+            if place == 0:
+                changed[number] = part
+            else:
+                changed[new] = replace(part, parent=number)
+                new += 1
+    return without(changed, gone), gone
+
+
+def rooted_at(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
+    """Let the plant begin at a root's end nearest to a point: that root has no parent then, and those above it hang on it."""
+    changed, line = dict(lines), lines[number]
+    if line.nearest_mm(point_mm) > line.length_mm / 2.0:
+        line = line.backward()
+    above, child = line.parent, number
+    changed[number] = replace(line, parent=-1)
+    while above >= 0:
+        parent, at = lines[above], changed[child].points_mm
+        turned = parent.backward() if _nearness(parent.points_mm[-1], at) < _nearness(parent.points_mm[0], at) else parent
+        changed[above] = replace(turned, parent=child)
+        child, above = above, parent.parent
+    return changed
+
+
+def _nearness(point_mm: Array, line_mm: Array) -> float:
+    return float(np.linalg.norm(line_mm - point_mm, axis=1).min())
+
+
+def as_roots(lines: Lines) -> tuple[Root, ...]:
+    """Return the roots in the form of files, parents before children."""
+    placed, roots = dict[int, int](), list[Root]()
+    waiting = sorted((number for number, line in lines.items() if line.parent not in lines), reverse=True)
+    while waiting:
+        number = waiting.pop()
+        line = lines[number]
+        parent = placed.get(line.parent, -1)
+        placed[number] = len(roots)
+        order = roots[parent].order + 1 if parent >= 0 else 0
+        roots.append(
+            Root(
+                points_mm=line.points_mm,
+                diameters_mm=line.diameters_mm,
+                order=order,
+                parent=parent,
+                label=line.label,
+                tip_seen=line.tip_seen,
+            )
+        )
+        waiting += sorted((k for k, other in lines.items() if other.parent == number), reverse=True)
+    return tuple(roots)

@@ -1,0 +1,113 @@
+"""Fit corrected roots to the pictures again, with the tree as a person left it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin import engine
+from rhizotwin.corrections.cameras import Cameras
+from rhizotwin.corrections.lines import Lines
+from rhizotwin.corrections.state import Refit, Refitted
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:  # needs the engine, which is started first
+    from rhizotwin.recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_STEPS = 8
+
+
+def fitter(result_folder: Path, dataset: Dataset) -> Refit:
+    """Return what fits roots to a dataset's pictures again, from the coverage that the result kept of them.
+
+    Thick organs stay as they are: their shape is the hull's. The laterals' first points stay on their parents.
+
+    Raises
+    ------
+    UserError
+        When it is used: where the roots let light through (their opacity is not kept), or the result kept no coverage.
+    """
+
+    def fit(lines: Lines) -> dict[int, Refitted]:
+        summary = result_files.read_summary(result_folder)
+        if summary.get("root_mu_per_mm") is not None:
+            raise UserError("roots that let light through cannot be fitted again: the result keeps their coverage but not their light")
+        if not lines:
+            raise UserError("there are no roots to fit")
+        engine.start("auto")
+        from rhizotwin.recon.coverage.evidence import Evidence
+        from rhizotwin.recon.optics.projection import ViewBank
+        from rhizotwin.recon.results.load import load_result
+        from rhizotwin.recon.roots.rooting import find_blur
+        from rhizotwin.recon.tubes import tube_fit
+
+        cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
+        missing = [file for file in cameras.files if file not in kept]
+        if missing or not cameras.files:
+            raise UserError(f"{result_folder} keeps no silhouette of {missing[0] if missing else 'any picture'}; reconstruct again")
+        seen = Evidence.of(ViewBank.of(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
+        thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
+        tubes, fixed, numbers = as_tubes(lines, thick_mm)
+        fitted, _ = tube_fit.fit(seen, tubes, fixed, blur_px=find_blur(seen, tubes), steps=_STEPS)
+        found = {}
+        for k, number in enumerate(numbers):
+            nodes = fitted.branches[k]
+            stays = fixed[nodes].copy()
+            if k and not stays[1:].all():
+                stays[0] = False
+            found[number] = Refitted(fitted.centre_mm[nodes], 2.0 * fitted.radii(k), stays)
+        return found
+
+    return fit
+
+
+def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
+    """Return roots as one tree of tubes.
+
+    Parameters
+    ----------
+    thick_mm : nodes of a larger radius are not to be fitted.
+
+    Returns
+    -------
+    tubes : parents before children.
+    fixed : (N,) nodes that are not to be fitted.
+    numbers : of the roots, in the order of the branches.
+    """
+    from rhizotwin.recon.tubes.tubes import Tubes
+
+    waiting = sorted((number for number, line in lines.items() if line.parent not in lines), key=lambda k: -lines[k].length_mm)
+    numbers: list[int] = []
+    while waiting:
+        number = waiting.pop(0)
+        numbers.append(number)
+        waiting += [k for k, line in lines.items() if line.parent == number]
+    centres, radii, fixed, branches, count = list[Array](), list[Array](), list[Mask](), list[NDArray[np.int64]](), 0
+    for place, number in enumerate(numbers):
+        line = lines[number]
+        own = line.points_mm if place == 0 or line.parent not in lines else line.points_mm[1:]
+        width = line.diameters_mm[-len(own) :] / 2.0
+        stays = width > thick_mm
+        nodes = count + np.arange(len(own))
+        if place and line.parent in lines:
+            above = branches[numbers.index(line.parent)]
+            parent = lines[line.parent]
+            nearest = int(np.linalg.norm(parent.points_mm - line.points_mm[0], axis=1).argmin())
+            nodes = np.concatenate([above[nearest : nearest + 1], nodes])
+        elif place:
+            stays = stays.copy()
+            stays[0] = True  # belongs to no branch: it holds the beginning of a root without parent
+        centres.append(own)
+        radii.append(width)
+        fixed.append(stays)
+        branches.append(nodes)
+        count += len(own)
+    return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches)), np.concatenate(fixed), numbers

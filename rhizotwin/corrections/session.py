@@ -1,0 +1,138 @@
+"""A result under correction: what was done, undone and done again, and what it comes to."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.corrections import log as logs
+from rhizotwin.corrections import state as states
+from rhizotwin.corrections.log import Edit, Log
+from rhizotwin.corrections.solid import Solid
+from rhizotwin.corrections.state import Refit, State
+from rhizotwin.recon.results import result_files
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a state comes to."""
+
+    volume_mm3: float
+    length_mm: float
+    roots: int
+    volumes_mm3: Array
+    """(N,) in each voxel."""
+
+
+class Session:
+    """One result and its corrections. Safe for several threads."""
+
+    def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
+        self.folder = Path(result_folder)
+        self.summary: dict[str, Any] = result_files.read_summary(self.folder)
+        self.roots: tuple[Root, ...] = read_roots(self.folder)
+        self.leaves = result_files.read_leaves(self.folder)
+        finest = self.summary["settings"].get("finest_mm")
+        self.solid = Solid.of(self.leaves, [(root.points_mm, root.diameters_mm) for root in self.roots], finest_mm=finest)
+        self.log: Log = logs.new(self.folder)
+        self.lock = threading.RLock()
+        self.refit = refit
+        """Fits roots to the pictures again; None: nobody can."""
+        self._states = [states.start(self.solid, self.roots)]
+        self._saved: tuple[Edit, ...] = ()
+        self._undone: list[tuple[Edit, State]] = []
+        self._measured: tuple[State, Measured] | None = None
+
+    @property
+    def state(self) -> State:
+        """Return the roots and voxels as they are now."""
+        return self._states[-1]
+
+    @property
+    def can_undo(self) -> bool:
+        """Tell whether there is something to undo."""
+        return len(self._states) > 1
+
+    @property
+    def can_redo(self) -> bool:
+        """Tell whether something was undone."""
+        return bool(self._undone)
+
+    def do(self, edit: Edit) -> State:
+        """Make a correction; what was undone before is forgotten.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be done; nothing is changed then.
+        """
+        with self.lock:
+            self._take(edit)
+            self._undone.clear()
+            return self.state
+
+    def replay(self, log: Log) -> State:
+        """Make the corrections of a log."""
+        with self.lock:
+            for edit in log.edits:
+                self.do(edit)
+            return self.state
+
+    def undo(self) -> State:
+        """Take the last correction back."""
+        with self.lock:
+            if self.can_undo:
+                self._undone.append((self.log.edits[-1], self._states.pop()))
+                self.log = replace(self.log, edits=self.log.edits[:-1])
+            return self.state
+
+    def redo(self) -> State:
+        """Make the correction again that was undone last."""
+        with self.lock:
+            if self._undone:
+                edit, state = self._undone.pop()
+                self._states.append(state)
+                self.log = replace(self.log, edits=(*self.log.edits, edit))
+            return self.state
+
+    def measure(self) -> Measured:
+        """Return volume and length as they are now."""
+        with self.lock:
+            now = self.state
+            if self._measured is None or self._measured[0] is not now:
+                volumes = self.solid.volumes_mm3(now.pieces, now.gone)
+                self._measured = now, Measured(float(volumes.sum()), now.length_mm, len(now.lines), volumes)
+            return self._measured[1]
+
+    @property
+    def unsaved(self) -> int:
+        """Return how many corrections were made since the log was saved."""
+        return sum(a is not b for a, b in zip_longest(self.log.edits, self._saved))
+
+    def save(self) -> Path:
+        """Write the log beside the result; the result itself stays as it is."""
+        with self.lock:
+            path = self.folder / logs.LOG_NAME
+            logs.write(path, self.log)
+            self._saved = self.log.edits
+            return path
+
+    def _take(self, edit: Edit) -> None:
+        self._states.append(states.apply(self.state, edit, self.solid, refit=self.refit))
+        self.log = replace(self.log, edits=(*self.log.edits, edit))
+
+
+def read_roots(result_folder: Path) -> tuple[Root, ...]:
+    """Return the roots of a result; none for prints and solid bodies."""
+    file = result_folder / "roots.rsml"
+    return rsml.read_rsml(file) if file.is_file() else ()

@@ -1,0 +1,289 @@
+"""Whose every voxel is: the volume of a result divided among its roots, so that it follows at once when some of them go.
+
+The reconstruction paints every tube into the voxels as points that stand for parts of its volume (`recon.tubes.filling`). The same
+points tell here how much of each voxel is whose. Where tubes overlap, the volume is the first one's that is still there. What no tube
+explains (the flank of a thick organ) goes with the nearest root within two voxels, or with none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.corrections.lines import Piece
+from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.tubes import filling
+from rhizotwin.recon.tubes.tubes import Tubes
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Singles = NDArray[np.float32]
+Numbers = NDArray[np.int32]
+
+_SAMPLES_A_NODE = 1.8
+"""As the reconstruction paints tubes, in nodes of its finest size ..."""
+_FINEST_SPACING_MM = 0.05
+_MOST_SAMPLES = 4_000_000
+"""... unless the points would be more: they are kept."""
+_LEAST_A_DISC = 6
+_END_MM = 1e-6
+_NEAR_VOXELS = 2.0
+"""Volume that no tube explains belongs to the nearest root this near; beyond, to none."""
+_NEAR_MM = 3.0
+"""Sources whose boxes are this near to a new one may overlap it."""
+_DEAD, _WHOLE, _PART = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Points that stand for parts of tubes."""
+
+    volume_mm3: Singles
+    source: Numbers
+    along_mm: Singles
+    leaf: Numbers
+    """Row of the voxel that holds it."""
+    pair: Numbers
+    """(K,) a point that lies inside an earlier source, ..."""
+    cover: Numbers
+    """(K,) ... which, ..."""
+    cover_mm: Singles
+    """(K,) ... and how far along that."""
+
+
+@dataclass
+class Solid:
+    """Voxels, and what is whose in them. Only grows: sources that corrections make are added."""
+
+    low: Index
+    """(N, 3) lowest corner, in voxels."""
+    size: Index
+    """(N,) edge, in voxels."""
+    origin_mm: Array
+    voxel_mm: float
+    finest_mm: float
+    """Edge of the nodes in which the reconstruction painted tubes."""
+    measured_mm3: Array
+    """(N,) volume as it was reconstructed; 0 for voxels that corrections added."""
+    sources: list[tuple[Array, Array]] = field(default_factory=list)
+    """Points (M, 3) and diameters (M,) of each."""
+    given: int = 0
+    """How many sources the reconstruction gave; later ones were made by corrections."""
+    _parts: list[_Samples] = field(default_factory=list)
+    _claim: Array = field(default_factory=lambda: np.zeros(0))
+    _rest_mm3: Array = field(default_factory=lambda: np.zeros(0))
+    _rest_source: Index = field(default_factory=lambda: np.zeros(0, np.int64))
+    _rest_along: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def of(cls, leaves: Leaves, lines: Sequence[tuple[Array, Array]], *, finest_mm: float | None = None) -> Solid:
+        """Divide the voxels of a result among its roots.
+
+        Parameters
+        ----------
+        lines : points (M, 3) and diameters (M,) of each root.
+        finest_mm : edge of the nodes in which the reconstruction painted tubes; None: that of the voxels.
+        """
+        low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
+        volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
+        made = cls(low, size, leaves.origin_mm, leaves.voxel_mm, finest_mm or leaves.voxel_mm, volume)
+        made._claim, made._rest_mm3 = np.ones(len(size)), volume.copy()
+        made._rest_source, made._rest_along = np.full(len(size), -1), np.zeros(len(size))
+        if lines:
+            made.add(lines)
+            made.given = len(lines)
+            painted = made._painted(made._all_whole())[: len(size)]
+            made._claim[: len(size)] = np.minimum(1.0, volume / np.maximum(painted, 1e-300))
+            made._rest_mm3[: len(size)] = np.maximum(volume - made._claim[: len(size)] * painted, 0.0)
+            made._share_rest()
+        return made
+
+    @property
+    def centre_mm(self) -> Array:
+        """Return the voxels' middles (N, 3)."""
+        return np.asarray(self.origin_mm + self.voxel_mm * (self.low + 0.5 * self.size[:, None]))
+
+    def length_mm(self, source: int) -> float:
+        """Return a source's length."""
+        return float(np.linalg.norm(np.diff(self.sources[source][0], axis=0), axis=1).sum())
+
+    def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
+        """Add sources, and voxels for what lies outside the others; return their numbers."""
+        first = len(self.sources)
+        self.sources += [(np.asarray(points, np.float64), np.asarray(diameters, np.float64)) for points, diameters in lines]
+        numbers = list(range(first, len(self.sources)))
+        near = [k for k in range(first) if self._is_near(k, numbers)]
+        order = np.array(near + numbers)
+        tubes = _tubes([self.sources[k] for k in order])
+        spacing_mm = self._spacing_mm()
+        filled = filling.fill_each(tubes, spacing_mm)
+        own = filled.branch >= len(near)
+        point, branch = filled.point_mm[own], filled.branch[own]
+        inside, other, other_mm = filling.within(tubes, point, branch)
+        earlier = other < branch[inside]
+        self._parts.append(
+            _Samples(
+                volume_mm3=filled.volume_mm3[own].astype(np.float32),
+                source=order[branch].astype(np.int32),
+                along_mm=filled.along_mm[own].astype(np.float32),
+                leaf=self._leaf_of(point).astype(np.int32),
+                pair=inside[earlier].astype(np.int32),
+                cover=order[other[earlier]].astype(np.int32),
+                cover_mm=other_mm[earlier].astype(np.float32),
+            )
+        )
+        return numbers
+
+    def volumes_mm3(self, pieces: Iterable[Piece], gone: Mask) -> Array:
+        """Return the volume (N,) in each voxel where only some pieces of the sources are there and some voxels (up to N,) are gone."""
+        alive = self._alive(pieces)
+        rest = (self._rest_source < 0) | self._is_alive(alive, np.maximum(self._rest_source, 0), self._rest_along)
+        volume = self._claim * self._painted(alive, given=True) + self._rest_mm3 * rest
+        room = (self.size * self.voxel_mm) ** 3
+        volume = np.minimum(volume, room)
+        if len(self.sources) > self.given:
+            made = self._painted(alive, given=False) / room
+            volume += room * np.minimum(filling.levelled(made), 1.0 - volume / room)
+        volume[: len(gone)][gone] = 0.0
+        return volume
+
+    def leaves_in(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> Index:
+        """Return the rows of the voxels whose middles lie in a box."""
+        centre = self.centre_mm
+        return np.flatnonzero(((centre >= low_mm) & (centre <= high_mm)).all(axis=1))
+
+    def find(self, point_mm: Array) -> Index:
+        """Return the row of the voxel that holds each point (M, 3), -1 where there is none."""
+        found = np.full(len(point_mm), -1)
+        at = np.floor((point_mm - self.origin_mm) / self.voxel_mm).astype(np.int64)
+        for edge in np.unique(self.size):
+            rows = np.flatnonzero(self.size == edge)
+            low = np.minimum(self.low[rows].min(axis=0), at.min(axis=0)) // edge if len(at) else self.low[rows].min(axis=0) // edge
+            span = np.maximum(self.low[rows].max(axis=0), at.max(axis=0)) // edge - low + 1 if len(at) else np.ones(3, np.int64)
+            weight = np.array([span[1] * span[2], span[2], 1])
+            keys = (self.low[rows] // edge - low) @ weight
+            order = np.argsort(keys)
+            asked = (at // edge - low) @ weight
+            place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
+            hit = keys[order][place] == asked
+            found[hit] = rows[order][place[hit]]
+        return found
+
+    def _spacing_mm(self) -> float:
+        """Return how far apart points stand."""
+        spacing = max(self.finest_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
+        while self._count(spacing) > _MOST_SAMPLES:
+            spacing *= 1.2
+        return spacing
+
+    def _count(self, spacing_mm: float) -> float:
+        """Return about how many points all sources need."""
+        total = 0.0
+        for number, (_, diameters) in enumerate(self.sources):
+            disc = max(np.pi / 4.0 * float(np.mean(diameters**2)) / spacing_mm**2, _LEAST_A_DISC)
+            total += self.length_mm(number) / spacing_mm * disc
+        return total
+
+    def _leaf_of(self, point_mm: Array) -> Index:
+        """Return the row of the voxel of each point; voxels that are missing are added, empty as they were measured."""
+        found = self.find(point_mm)
+        if (found < 0).any():
+            at = np.floor((point_mm[found < 0] - self.origin_mm) / self.voxel_mm).astype(np.int64)
+            fresh, number = np.unique(at, axis=0, return_inverse=True)
+            found[found < 0] = len(self.size) + number.ravel()
+            count = len(fresh)
+            self.low, self.size = np.concatenate([self.low, fresh]), np.concatenate([self.size, np.ones(count, np.int64)])
+            self.measured_mm3 = np.concatenate([self.measured_mm3, np.zeros(count)])
+            # tubes that stand where the reconstruction has no volume take none from it: a claim of 0 for what was given
+            self._claim = np.concatenate([self._claim, np.zeros(count)])
+            self._rest_mm3 = np.concatenate([self._rest_mm3, np.zeros(count)])
+            self._rest_source = np.concatenate([self._rest_source, np.full(count, -1)])
+            self._rest_along = np.concatenate([self._rest_along, np.zeros(count)])
+        return found
+
+    def _is_near(self, source: int, others: Sequence[int]) -> bool:
+        """Tell whether a source's box is near that of any of others."""
+        box = [self._box(source), *(self._box(k) for k in others)]
+        return any((box[0][0] < high + _NEAR_MM).all() and (box[0][1] > low - _NEAR_MM).all() for low, high in box[1:])
+
+    def _box(self, source: int) -> tuple[Array, Array]:
+        points, diameters = self.sources[source]
+        reach = float(diameters.max()) / 2.0
+        return points.min(axis=0) - reach, points.max(axis=0) + reach
+
+    def _share_rest(self) -> None:
+        """Give what no tube explains to the nearest roots."""
+        left = np.flatnonzero(self._rest_mm3 > 0.0)
+        parts = [_dense(k, *line) for k, line in enumerate(self.sources)]
+        dense, radius, owner, along = (np.concatenate(part) for part in zip(*parts, strict=True))
+        centre = self.centre_mm[left]
+        reach = _NEAR_VOXELS * self.voxel_mm
+        best, height = np.full(len(left), -1), np.full(len(left), np.inf)
+        for chosen in (np.flatnonzero(radius > reach), np.flatnonzero(radius <= reach)):
+            if len(chosen) and len(left):
+                away, near = cKDTree(dense[chosen]).query(centre, workers=-1)
+                above = away - radius[chosen][near]
+                best = np.where(above < height, chosen[near], best)
+                height = np.minimum(above, height)
+        taken = height < reach
+        self._rest_source[left[taken]] = owner[best[taken]]
+        self._rest_along[left[taken]] = along[best[taken]]
+
+    def _all_whole(self) -> dict[int, list[tuple[float, float]]]:
+        return {k: [(0.0, np.inf)] for k in range(len(self.sources))}
+
+    def _alive(self, pieces: Iterable[Piece]) -> dict[int, list[tuple[float, float]]]:
+        """Return the stretches of each source that are there."""
+        found: dict[int, list[tuple[float, float]]] = {}
+        for piece in pieces:
+            low, high = sorted((piece.begin_mm, piece.end_mm))
+            begin = 0.0 if low <= _END_MM else low
+            end = np.inf if high >= self.length_mm(piece.source) - _END_MM else high
+            found.setdefault(piece.source, []).append((begin, end))
+        return found
+
+    def _is_alive(self, alive: dict[int, list[tuple[float, float]]], source: Index | Numbers, along_mm: Array | Singles) -> Mask:
+        """Tell whether places on sources are there."""
+        flag = np.zeros(max(len(self.sources), 1), np.int8)
+        for k, stretches in alive.items():
+            flag[k] = _WHOLE if (0.0, np.inf) in stretches else _PART
+        state = flag[source]
+        there = state == _WHOLE
+        for row in np.flatnonzero(flag == _PART):
+            asked = np.flatnonzero(source == row)
+            for low, high in alive[int(row)]:
+                there[asked] |= (along_mm[asked] >= low) & (along_mm[asked] < high)
+        return there
+
+    def _painted(self, alive: dict[int, list[tuple[float, float]]], *, given: bool | None = None) -> Array:
+        """Return the volume (N,) that the tubes that are there have in each voxel; of the given sources, of the made ones, or of all."""
+        total = np.zeros(len(self.size))
+        for part in self._parts:
+            made = int(part.source[0]) >= self.given if len(part.source) and given is not None else None
+            if given is not None and made == given:
+                continue
+            counted = self._is_alive(alive, part.source, part.along_mm)
+            counted[part.pair[self._is_alive(alive, part.cover, part.cover_mm)]] = False
+            total += np.bincount(part.leaf[counted], weights=part.volume_mm3[counted], minlength=len(total))
+        return total
+
+
+def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
+    """Return lines as tubes, each with nodes of its own."""
+    count = np.cumsum([0, *(len(points) for points, _ in lines)])
+    branches = tuple(np.arange(a, b) for a, b in pairwise(count))
+    return Tubes(np.concatenate([points for points, _ in lines]), np.concatenate([diameters / 2.0 for _, diameters in lines]), branches)
+
+
+def _dense(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index, Array]:
+    """Return points close together on a line, with radius, number and how far along."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+    at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.15)) + 1))
+    centre = np.stack([np.interp(at, way, points_mm[:, axis]) for axis in range(3)], axis=1)
+    return centre, np.interp(at, way, diameters_mm / 2.0), np.full(len(at), number), at

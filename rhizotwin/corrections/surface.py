@@ -1,0 +1,87 @@
+"""The surface of a corrected shape: the old one where nothing was taken away, closed where something was, with tubes for what is new."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from rhizotwin.corrections.solid import Solid
+from rhizotwin.corrections.state import State
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.root_mesh import tube
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+_LOST = 0.5
+"""A face goes where a voxel there, or its fullest neighbour, lost more than this share of its volume."""
+
+
+def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> trimesh.Trimesh:
+    """Return the surface of a corrected shape.
+
+    Parameters
+    ----------
+    volumes_mm3 : (N,) in each voxel, after the corrections.
+    """
+    kept = _kept(mesh, solid, volumes_mm3)
+    vertices, faces = _closed(mesh.vertices_mm, mesh.faces[kept]) if not kept.all() else (mesh.vertices_mm, mesh.faces)
+    parts = [(vertices, faces), *_made(solid, state)]
+    first = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
+    whole = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first, strict=True)])
+    made = trimesh.Trimesh(np.concatenate([points for points, _ in parts]), whole, process=False)
+    made.remove_unreferenced_vertices()
+    return made
+
+
+def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
+    """Tell the faces (F,) that stay: those whose voxel kept its volume, or that lie in none."""
+    middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
+    away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
+    before, after = np.zeros(len(middle)), np.zeros(len(middle))
+    for step in away:  # a face may lie in the empty voxel beside the one it bounds
+        row = solid.find(middle + (step - 1.0) * 0.5 * solid.voxel_mm)
+        there = row >= 0
+        before[there] += solid.measured_mm3[row[there]]
+        after[there] += np.minimum(volumes_mm3[row[there]], solid.measured_mm3[row[there]])
+    return np.asarray((before <= 0.0) | (after > (1.0 - _LOST) * before))
+
+
+def _closed(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Close the holes of a surface with fans about their middles."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    twin = {(int(a), int(b)) for a, b in edges}
+    onward: dict[int, list[int]] = {}
+    for a, b in twin:
+        if (b, a) not in twin:
+            onward.setdefault(b, []).append(a)  # against the faces' sense, so that the fan looks outward too
+    points, fans = [vertices], []
+    count = len(vertices)
+    while onward:
+        start = next(iter(onward))
+        loop, here = [start], start
+        while True:
+            choices = onward.get(here)
+            if not choices:
+                break
+            following = choices.pop()
+            if not choices:
+                del onward[here]
+            if following == start:
+                break
+            loop.append(following)
+            here = following
+        if len(loop) < 3:
+            continue
+        ring = np.array(loop, np.int64)
+        points.append(vertices[ring].mean(axis=0, keepdims=True))
+        fans.append(np.stack([np.full(len(ring), count), ring, np.roll(ring, -1)], axis=1))
+        count += 1
+    return np.concatenate(points), np.concatenate([faces, *fans])
+
+
+def _made(solid: Solid, state: State) -> list[tuple[Array, Faces]]:
+    """Return the tubes of the sources that corrections made."""
+    numbers = sorted({piece.source for piece in state.pieces if piece.source >= solid.given})
+    return [tube(*solid.sources[number]) for number in numbers]

@@ -1,0 +1,257 @@
+"""What stands in the 3D view: roots, surface, voxels, canister, cameras, truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import trimesh
+import viser
+from numpy.typing import NDArray
+
+from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.root_mesh import tube
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
+from rhizotwin.viewer.through_water import Pictures
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Colouring = Callable[[int, Line], Bytes]
+
+CHUNK = 64
+"""Roots drawn as one mesh: a correction sends only the meshes that it changes."""
+MOST_TRIANGLES = 400_000
+"""More are drawn with fewer corners a tube, or coarser; a laptop draws this many without effort."""
+_CORNERS = (10, 8, 6, 5, 4, 3)
+_SURFACE_RGB = (222, 160, 92)
+_TRUTH_RGB = (108, 158, 205)
+_CHOSEN_RGB = (255, 210, 0)
+_VOXEL_RGB = np.array([150, 110, 70], np.uint8)
+_FRUSTUM_MM = 18.0
+_BLACK = (40, 40, 40)
+
+
+class Scene3d:
+    """The 3D view of one result, kept up to date."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._chunks: dict[int, tuple[list[Line], str]] = {}
+        self._handles: dict[str, viser.SceneNodeHandle] = {}
+        server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
+        server.scene.configure_default_lights(cast_shadow=False)  # shadows halve the frames of a laptop and tell nothing
+
+    def look_at(self, points_mm: Array, *, rim_mm: float) -> None:
+        """Let new browsers begin with all points in view."""
+        low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+        middle, reach = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 0.2 * rim_mm)
+        start = self._server.initial_camera
+        start.look_at, start.fov, start.near, start.far = middle, np.deg2rad(40.0), 1.0, 5000.0
+        start.position = middle + np.array([1.15, -0.75, 0.35]) * reach
+
+    def show_roots(self, lines: Lines, colours: Colouring, *, key: str) -> None:
+        """Draw roots as tubes; chunks that are as they were stay.
+
+        Parameters
+        ----------
+        key : changes where the colours do.
+        """
+        nodes = sum(len(line.points_mm) for line in lines.values())
+        around = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
+        groups: dict[int, list[int]] = {}
+        for number in lines:
+            groups.setdefault(number // CHUNK, []).append(number)
+        for gone in set(self._chunks) - set(groups):
+            self._drop(f"/roots/{gone}")
+            del self._chunks[gone]
+        for chunk, numbers in groups.items():
+            now = [lines[number] for number in numbers]
+            before = self._chunks.get(chunk)
+            if before is not None and before[1] == key and list(map(id, before[0])) == list(map(id, now)):
+                continue
+            parts = [tube(line.points_mm, line.diameters_mm, around=around) for line in now]
+            shades = []
+            for number, line in zip(numbers, now, strict=True):
+                colour = colours(number, line)
+                shades += [np.repeat(colour, around, axis=0), colour[[0, -1]]]
+            mesh = _joined(parts)
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.concatenate(shades))
+            name = f"/roots/{chunk}"
+            self._keep(name, self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False))
+            self._chunks[chunk] = (now, key)
+
+    def show_chosen(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
+        """Mark the chosen roots and voxels."""
+        self._drop("/chosen/roots")
+        self._drop("/chosen/voxels")
+        if lines:
+            mesh = _joined([tube(line.points_mm, 1.25 * line.diameters_mm + 0.05, around=8) for line in lines])
+            self._add_mesh("/chosen/roots", np.asarray(mesh.vertices), np.asarray(mesh.faces), _CHOSEN_RGB, opacity=0.75)
+        if len(voxels_mm):
+            self._keep("/chosen/voxels", self._points("/chosen/voxels", voxels_mm, np.array(_CHOSEN_RGB, np.uint8), 1.1 * voxel_mm))
+
+    def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
+        """Draw voxels as squares, the fuller the darker."""
+        self._drop("/voxels")
+        if len(centre_mm):
+            colours = np.asarray(255 - np.clip(share, 0.15, 1.0)[:, None] * (255 - _VOXEL_RGB), np.uint8)
+            self._keep("/voxels", self._points("/voxels", centre_mm, colours, voxel_mm))
+
+    def show_surface(self, mesh: Mesh | None, *, name: str = "/surface", colours: Bytes | None = None, aside_mm: float = 0.0) -> None:
+        """Draw a surface, coarser where it has too many triangles; None takes it away."""
+        self._drop(name)
+        if mesh is None:
+            return
+        vertices, faces = mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), mesh.faces
+        if colours is not None:
+            solid = trimesh.Trimesh(vertices, faces, process=False, vertex_colors=colours)
+            self._keep(name, self._server.scene.add_mesh_trimesh(name, solid, cast_shadow=False, receive_shadow=False))
+        else:
+            colour, opacity = (_TRUTH_RGB, 0.55) if name == "/truth" else (_SURFACE_RGB, None)
+            self._add_mesh(name, vertices, faces, colour, opacity=opacity)
+
+    def show_canister(self, scene: Scene) -> None:
+        """Draw canister, water, net pot and marker strip."""
+        can, pot, strip = scene.canister, scene.net_pot, scene.strip
+        for name, radius, low, high, colour, opacity in (
+            ("/rig/canister", can.outer_radius_mm, -can.height_mm, 0.0, (190, 200, 205), 0.10),
+            ("/rig/water", can.inner_radius_mm, can.floor_z_mm, scene.water.level_mm, (120, 180, 230), 0.12),
+            ("/rig/net pot", pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, (230, 230, 230), 0.35),
+        ):
+            wall = _wall(radius, low, high)
+            self._add_mesh(name, *wall, colour, opacity=opacity)
+        squares = []
+        for row in range(strip.rows):
+            for column in range(strip.columns):
+                low = strip.bottom_mm + row * strip.row_pitch_mm
+                half = strip.marker_mm / pot.outer_radius_mm / 2.0
+                middle = (column + 0.5) * 2.0 * np.pi / strip.columns
+                squares.append(_wall(pot.outer_radius_mm + 0.2, low, low + strip.marker_mm, middle - half, middle + half, steps=3))
+        mesh = _joined(squares)
+        self._add_mesh("/rig/strip", np.asarray(mesh.vertices), np.asarray(mesh.faces), _BLACK, opacity=0.8)
+        floor = _disc(can.inner_radius_mm, can.floor_z_mm)
+        self._add_mesh("/rig/floor", *floor, (150, 150, 150), opacity=0.3)
+
+    def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
+        """Draw the cameras with their pictures; a click stands in one."""
+        for place, view in enumerate(pictures.views):
+            width, height = view.camera.image_wh
+            image = pictures.picture(place)[:: max(1, height // 90), :: max(1, height // 90)]
+            pose = frames.invert(view.cam_from_canister)
+            handle = self._server.scene.add_camera_frustum(
+                f"/cameras/{place}",
+                fov=field_of_view(pictures, place),
+                aspect=width / height,
+                scale=_FRUSTUM_MM,
+                thickness=0.5,
+                color=(31, 95, 139),
+                image=image,
+                wxyz=quaternion(pose[:3, :3]),
+                position=pose[:3, 3],
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            self._keep(f"/cameras/{place}", handle)
+
+            def on_click(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle], place: int = place) -> None:
+                clicked(place, event.client)
+
+            handle.on_click(on_click)
+
+    def show_measure(self, points_mm: Sequence[Array]) -> None:
+        """Draw the points that are measured between, and the line."""
+        self._drop("/measure/points")
+        self._drop("/measure/line")
+        if points_mm:
+            self._keep("/measure/points", self._points("/measure/points", np.array(points_mm), np.array([220, 30, 30], np.uint8), 0.8))
+        if len(points_mm) == 2:
+            line = self._server.scene.add_line_segments("/measure/line", np.array([points_mm]), (220, 30, 30), thickness=0.25)
+            self._keep("/measure/line", line)
+
+    def set_visible(self, prefix: str, *, visible: bool) -> None:
+        """Show or hide all that has a name with a prefix."""
+        for name, handle in self._handles.items():
+            if name.startswith(prefix) and handle.visible != visible:
+                handle.visible = visible
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._handles
+
+    def clear(self) -> None:
+        """Take everything away."""
+        for name in list(self._handles):
+            self._drop(name)
+        self._chunks.clear()
+
+    def _add_mesh(
+        self, name: str, vertices: Array, faces: NDArray[np.int64], colour: tuple[int, int, int], *, opacity: float | None
+    ) -> None:
+        handle = self._server.scene.add_mesh_simple(
+            name, vertices, faces, color=colour, opacity=opacity, side="double", cast_shadow=False, receive_shadow=False
+        )
+        self._keep(name, handle)
+
+    def _points(self, name: str, points_mm: Array, colours: Bytes, size_mm: float) -> viser.SceneNodeHandle:
+        return self._server.scene.add_point_cloud(
+            name, points_mm.astype(np.float32), colours, point_size=size_mm, point_shape="square", precision="float32", point_shading="flat"
+        )
+
+    def _keep(self, name: str, handle: viser.SceneNodeHandle) -> None:
+        self._handles[name] = handle
+
+    def _drop(self, name: str) -> None:
+        handle = self._handles.pop(name, None)
+        if handle is not None:
+            handle.remove()
+
+
+def coarse(mesh: Mesh) -> Mesh:
+    """Return a surface of at most `MOST_TRIANGLES`: vertices that fall into one cell of a grid become one."""
+    vertices, faces = mesh.vertices_mm, mesh.faces
+    edge = float(np.median(np.linalg.norm(vertices[faces[:1000, 0]] - vertices[faces[:1000, 1]], axis=1)))
+    while len(faces) > MOST_TRIANGLES:
+        edge *= 1.5
+        _, first, number = np.unique(np.floor(vertices / edge).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+        joined = number.ravel()[faces]
+        faces = joined[(joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])]
+        vertices = vertices[first]
+    return Mesh(vertices_mm=vertices, faces=faces)
+
+
+def field_of_view(pictures: Pictures, place: int) -> float:
+    """Return a picture's vertical field of view (radians)."""
+    camera = pictures.views[place].camera
+    return 2.0 * float(np.arctan(camera.image_wh[1] / 2.0 / camera.focal_px[1]))
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return a rotation matrix as w, x, y, z."""
+    return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz)
+
+
+def _joined(parts: Sequence[tuple[Array, NDArray[np.int64]]]) -> trimesh.Trimesh:
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    faces = np.concatenate([part[1] + start for part, start in zip(parts, first, strict=True)])
+    return trimesh.Trimesh(np.concatenate([part[0] for part in parts]), faces, process=False)
+
+
+def _wall(
+    radius: float, low: float, high: float, begin: float = 0.0, end: float = 2.0 * np.pi, steps: int = 72
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return a part of a cylinder's wall about z."""
+    angle = np.linspace(begin, end, steps + 1)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (low, high)])
+    a, up = np.arange(steps), steps + 1
+    faces = np.concatenate([np.stack([a, a + 1, a + 1 + up], axis=1), np.stack([a, a + 1 + up, a + up], axis=1)])
+    return vertices, faces
+
+
+def _disc(radius: float, z: float, steps: int = 72) -> tuple[Array, NDArray[np.int64]]:
+    angle = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+    vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(steps, z)], axis=1)])
+    a = np.arange(steps)
+    return vertices, np.stack([np.zeros(steps, np.int64), a + 1, (a + 1) % steps + 1], axis=1)

@@ -1,0 +1,86 @@
+"""One result as the viewer holds it: its corrections, pictures, surface and truth, each read when it is first asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
+
+from rhizotwin.corrections import corrected
+from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results import result_files, surface_distance
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.viewer.picking import Strung
+from rhizotwin.viewer.scene3d import coarse
+from rhizotwin.viewer.through_water import Pictures
+
+FARTHEST_MM = 1.0
+"""Distance colours end here."""
+
+
+class Shown:
+    """A result with all that can be shown of it."""
+
+    def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
+        self.session = Session(folder)
+        self._given = dataset_folder
+        self._strung: tuple[object, Strung] | None = None
+
+    @property
+    def name(self) -> str:
+        """Return what to call it."""
+        return self.session.folder.name or str(self.session.folder)
+
+    @cached_property
+    def dataset(self) -> Dataset | None:
+        """Return the dataset that it was made from; None where it is no longer there and none was given."""
+        folder = self._given or Path(str(self.session.summary["dataset"]))
+        try:
+            found = load_dataset(folder)
+            result_files.check_same_scan(self.session.summary["dataset_sha256"], self.session.summary["scene"], self.session.folder, found)
+        except UserError:
+            if self._given is not None:
+                raise
+            return None
+        return found
+
+    @cached_property
+    def pictures(self) -> Pictures | None:
+        """Return the pictures with cameras; None without the dataset."""
+        return None if self.dataset is None else Pictures.of(self.dataset, self.session.summary)
+
+    @cached_property
+    def truth(self) -> Mesh | None:
+        """Return the true solid of a simulated dataset."""
+        file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
+        return coarse(result_files.read_mesh(file)) if file is not None and file.is_file() else None
+
+    @cached_property
+    def surface(self) -> Mesh:
+        """Return the surface as it was reconstructed."""
+        return result_files.read_mesh(self.session.folder / "shape.ply")
+
+    def surface_now(self) -> Mesh:
+        """Return the surface as corrected."""
+        if not self.session.log.edits:
+            return coarse(self.surface)
+        return coarse(corrected.read_mesh(self.session))
+
+    def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
+        """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
+        if self.truth is None:
+            raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
+        away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
+        return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(away / FARTHEST_MM, 0.0, 1.0))), np.uint8)
+
+    def strung(self) -> Strung:
+        """Return the nodes of the roots as they are now."""
+        lines = self.session.state.lines
+        if self._strung is None or self._strung[0] is not lines:
+            self._strung = lines, Strung.of(lines)
+        return self._strung[1]

@@ -1,0 +1,116 @@
+"""Numbers and sentences for people, as HTML; everything that comes from files is escaped."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.corrections.session import Measured
+
+Array = NDArray[np.float64]
+
+
+def ml(mm3: float, *, half_mm3: float) -> str:
+    """Return a volume in ml with the digits that its uncertainty leaves it."""
+    return f"{mm3 / 1000.0:.{digits(half_mm3 / 1000.0)}f}"
+
+
+def digits(half: float) -> int:
+    """Return how many decimals a number has whose 90 % interval reaches this far: the second digit of the reach is the last told."""
+    return 3 if not half > 0.0 else min(6, max(0, 1 - math.floor(math.log10(half))))
+
+
+def volume(summary: dict[str, Any], measured: Measured | None) -> str:
+    """Return the volume with its interval in ml, and what corrections made of it."""
+    found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
+    half = max(high - found, found - low)
+    text = f"<b>{ml(found, half_mm3=half)} ml</b>, 90 % interval {ml(low, half_mm3=half)} to {ml(high, half_mm3=half)} ml"
+    if not summary["volume_trusted"]:
+        text += "<br><b>Do not trust this volume.</b> " + html.escape(str(summary["volume_verdict"]))
+    if measured is not None:
+        moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
+        now = ml(measured.volume_mm3, half_mm3=half)
+        text += f"<br>as corrected: <b>{now} ml</b> ({moved:+.2f} %), {measured.length_mm:.0f} mm in {measured.roots} roots"
+    return f"<div style='padding:0.3em 0.8em'>{text}</div>"
+
+
+def root(number: int, lines: Lines, order: int, pictures: Sequence[str]) -> str:
+    """Return what a root is: length, order, angles, diameters, the pictures that show it best."""
+    line = lines[number]
+    rows = [
+        ("length", f"{line.length_mm:.1f} mm"),
+        ("order", f"{order} ({'main root' if order == 0 else 'lateral' if order == 1 else 'lateral of a lateral'})"),
+        ("angle to straight down", f"{_to_gravity_deg(line):.0f} degrees, mean over its length"),
+        ("mean diameter", f"{_mean_diameter(line):.2f} mm"),
+        ("laterals", str(sum(other.parent == number for other in lines.values()))),
+        ("end", "seen" if line.tip_seen else "hidden by others"),
+    ]
+    parent = lines.get(line.parent)
+    if parent is not None:
+        rows.insert(3, ("angle to its parent", f"{_to_parent_deg(line, parent):.0f} degrees"))
+    if pictures:
+        rows.append(("seen best in", ", ".join(html.escape(name) for name in pictures)))
+    table = "".join(f"<tr><td style='padding-right:0.8em'>{name}</td><td>{value}</td></tr>" for name, value in rows)
+    return f"<div style='padding:0.3em 0.8em'><b>Root {number}</b><table>{table}</table></div>"
+
+
+def chosen(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
+    """Return what is chosen."""
+    if not roots and not voxels:
+        return "<div style='padding:0.3em 0.8em'>Nothing is chosen: click a root, or hold Shift and drag a rectangle.</div>"
+    parts = []
+    if roots:
+        parts.append(f"{roots} root{'' if roots == 1 else 's'}, {length_mm:.1f} mm")
+    if voxels:
+        parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {volume_mm3:.2f} mm³")
+    return f"<div style='padding:0.3em 0.8em'>Chosen: <b>{' and '.join(parts)}</b></div>"
+
+
+def note(text: str) -> str:
+    """Return a sentence, escaped."""
+    return f"<div style='padding:0.3em 0.8em'>{html.escape(text)}</div>"
+
+
+def profile(line: Line, *, width: int = 300, height: int = 90) -> str:
+    """Return a root's diameter along its length as SVG."""
+    way, most = line.way_mm, max(float(line.diameters_mm.max()), 1e-6)
+    x = 30 + (width - 40) * way / max(float(way[-1]), 1e-6)
+    y = 8 + (height - 28) * (1.0 - line.diameters_mm / most)
+    dots = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+    return (
+        f"<svg width='{width}' height='{height}' style='font:10px sans-serif'><polyline points='{dots}' fill='none' stroke='#1f77b4' "
+        f"stroke-width='1.5'/><text x='0' y='14' fill='currentColor'>{most:.2f}</text>"
+        f"<text x='0' y='{height - 20}' fill='currentColor'>0</text>"
+        f"<text x='30' y='{height - 5}' fill='currentColor'>diameter (mm) along {way[-1]:.1f} mm</text></svg>"
+    )
+
+
+def _steps(line: Line) -> tuple[Array, Array]:
+    step = np.diff(line.points_mm, axis=0)
+    return step, np.linalg.norm(step, axis=1)
+
+
+def _to_gravity_deg(line: Line) -> float:
+    step, size = _steps(line)
+    return float(np.rad2deg(np.arccos(np.clip(-step[:, 2] / np.maximum(size, 1e-12), -1.0, 1.0)) @ size / max(size.sum(), 1e-12)))
+
+
+def _mean_diameter(line: Line) -> float:
+    _, size = _steps(line)
+    return float((line.diameters_mm[1:] + line.diameters_mm[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))
+
+
+def _to_parent_deg(line: Line, parent: Line) -> float:
+    """Return the angle between a root's first 5 mm and its parent there."""
+    at = parent.nearest_mm(line.points_mm[0])
+    before, after = max(at - 2.5, 0.0), min(at + 2.5, parent.length_mm)
+    there = parent.between(before, max(after, before + 1e-3)).points_mm
+    begin = line.between(0.0, min(5.0, line.length_mm)).points_mm
+    a, b = there[-1] - there[0], begin[-1] - begin[0]
+    return float(np.rad2deg(np.arccos(np.clip(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12), -1.0, 1.0))))

@@ -1,0 +1,237 @@
+"""Corrections: what they make of roots, voxels, volume and traits, and that a log makes them again."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.corrections import corrected, lines, log
+from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.scenes.errors import UserError
+from tests.rhizotwin import plant as plants
+from tests.rhizotwin.plant import Plant
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Plant:
+    """Return a plant that the tests share: they write logs beside it at most."""
+    return plants.make(tmp_path_factory.mktemp("plant"))
+
+
+def volume_of(folder: Path) -> float:
+    leaves = result_files.read_leaves(folder)
+    return float((leaves.occupancy.astype(np.float64) * (leaves.size * leaves.voxel_mm) ** 3).sum())
+
+
+def painted_mm3(*roots) -> float:
+    leaves = plants.painted(tuple(replace(root, parent=-1) for root in roots))
+    return float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
+
+
+def test_nothing_done_changes_nothing(plant: Plant):
+    session = Session(plant.result)
+    assert session.measure().volume_mm3 == pytest.approx(volume_of(plant.result), rel=1e-6)
+    assert session.measure().length_mm == pytest.approx(load_result(plant.result).solid.length_mm)
+
+
+@pytest.mark.parametrize("gone", [(1,), (3,), (1, 2), (2, 3)])
+def test_volume_without_roots_is_that_of_the_others_painted_afresh(plant: Plant, gone: tuple[int, ...]):
+    """Painting a plant evens what sampling puts too much into full voxels out among the others, laterals by some 2 % of their own."""
+    session = Session(plant.result)
+    session.do(log.edit("delete roots", roots=gone))
+    left = painted_mm3(*(root for k, root in enumerate(plant.roots) if k not in gone))
+    assert session.measure().volume_mm3 == pytest.approx(left, rel=2.5e-3)
+
+
+def test_the_volume_that_two_roots_share_stays_with_the_one_that_is_left(plant: Plant):
+    """The laterals begin inside the main root, whose volume it is: without the main root it is theirs."""
+    session = Session(plant.result)
+    session.do(log.edit("delete roots", roots=[0]))
+    assert session.measure().volume_mm3 == pytest.approx(painted_mm3(*plant.roots[1:]), rel=3e-2)
+    assert {line.parent for line in session.state.lines.values()} == {-1}
+
+
+def test_debris_is_removed_to_the_volume_without_it(tmp_path: Path):
+    clean, dirty = plants.make(tmp_path / "a"), plants.make(tmp_path / "b", fibre=True)
+    session = Session(dirty.result)
+    assert session.measure().volume_mm3 > 1.01 * volume_of(clean.result)
+    session.do(log.edit("delete roots", roots=[4]))
+    assert session.measure().volume_mm3 == pytest.approx(volume_of(clean.result), rel=2.5e-3)
+
+
+def test_a_cut_keeps_volume_and_length_and_moves_laterals(plant: Plant):
+    session = Session(plant.result)
+    before = session.measure()
+    session.do(log.edit("cut", roots=[0], point_mm=tuple(plant.roots[0].points_mm[23])))
+    after = session.measure()
+    assert after.volume_mm3 == pytest.approx(before.volume_mm3, rel=1e-9)
+    assert after.length_mm == pytest.approx(before.length_mm, rel=1e-9)
+    found = session.state.lines
+    assert (found[1].parent, found[2].parent, found[3].parent, found[4].parent) == (0, 0, 4, 0)
+    assert not found[0].tip_seen
+    session.do(log.edit("delete roots", roots=[4], laterals=True))
+    assert set(session.state.lines) == {0, 1, 2}
+
+
+def test_a_cut_root_is_whole_again_when_joined(plant: Plant):
+    session = Session(plant.result)
+    before = session.measure()
+    session.do(log.edit("cut", roots=[1], point_mm=tuple(plant.roots[1].points_mm[20])))
+    session.do(log.edit("join", roots=[1, 4]))
+    assert session.measure().volume_mm3 == pytest.approx(before.volume_mm3, rel=1e-9)
+    assert session.measure().length_mm == pytest.approx(before.length_mm, rel=1e-9)
+    assert session.state.lines[1].tip_seen
+
+
+def test_joining_across_a_gap_adds_a_tube(plant: Plant):
+    session = Session(plant.result)
+    before = session.measure()
+    gap = np.linalg.norm(plant.roots[2].points_mm[0] - plant.roots[1].points_mm[-1])
+    near_end = min(gap, float(np.linalg.norm(plant.roots[2].points_mm[-1] - plant.roots[1].points_mm[-1])))
+    session.do(log.edit("join", roots=[1, 2]))
+    after = session.measure()
+    assert after.length_mm - before.length_mm == pytest.approx(near_end, rel=1e-6)
+    a, b = 0.3 / 2.0, 0.4 / 2.0
+    bridge = np.pi / 3.0 * near_end * (a * a + a * b + b * b)
+    assert after.volume_mm3 - before.volume_mm3 == pytest.approx(bridge, rel=0.1)  # less what lies inside the main root
+
+
+def test_a_tip_is_set_and_what_lies_beyond_goes(plant: Plant):
+    session = Session(plant.result)
+    way = session.state.lines[3].way_mm
+    session.do(log.edit("tip", roots=[3], point_mm=tuple(plant.roots[3].points_mm[20])))
+    assert session.state.lines[3].length_mm == pytest.approx(way[20])
+    assert session.state.lines[3].tip_seen
+    assert len(session.state.lines) == 4
+
+
+def test_parent_and_base_change_the_tree_and_not_the_volume(plant: Plant):
+    session = Session(plant.result)
+    before = session.measure().volume_mm3
+    session.do(log.edit("parent", roots=[2, 1]))
+    assert [root.order for root in session.state.roots()] == [0, 1, 2, 1]
+    with pytest.raises(UserError, match="which hangs on it"):
+        session.do(log.edit("parent", roots=[1, 2]))
+    session.do(log.edit("base", roots=[0], point_mm=tuple(plant.roots[0].points_mm[-1])))
+    assert session.state.lines[0].points_mm[0] == pytest.approx(plant.roots[0].points_mm[-1])
+    assert session.measure().volume_mm3 == pytest.approx(before, rel=1e-9)
+
+
+def test_a_box_takes_voxels_and_what_of_the_roots_lies_in_it(plant: Plant):
+    session = Session(plant.result)
+    box = ((-20.0, -20.0, -40.0), (20.0, 20.0, -30.0))
+    centre = session.solid.centre_mm
+    inside = ((centre >= box[0]) & (centre <= box[1])).all(axis=1)
+    expected = session.measure().volumes_mm3[~inside].sum()
+    session.do(log.edit("delete box", box_mm=box))
+    assert session.measure().volumes_mm3[inside].sum() == 0.0
+    assert session.measure().volume_mm3 == pytest.approx(expected, rel=0.06)  # tubes end at their nodes, voxels at their faces
+    for line in session.state.lines.values():
+        assert not ((line.points_mm >= box[0]) & (line.points_mm <= box[1])).all(axis=1).any()
+
+
+def test_voxels_come_back(plant: Plant):
+    session = Session(plant.result)
+    rows = log.runs(range(10, 200))
+    before = session.measure().volume_mm3
+    far = np.argsort(session.solid.centre_mm[:, 2])[:5]
+    session.do(log.edit("delete voxels", runs=log.runs(sorted(far.tolist()))))
+    assert session.measure().volume_mm3 < before
+    session.undo()
+    assert session.measure().volume_mm3 == before
+    assert rows == ((10, 190),)
+
+
+def test_undo_and_redo_go_all_the_way(plant: Plant):
+    session = Session(plant.result)
+    seen = [session.measure().volume_mm3]
+    for root in (1, 2, 3):
+        session.do(log.edit("delete roots", roots=[root]))
+        seen.append(session.measure().volume_mm3)
+    for volume in reversed(seen[:-1]):
+        session.undo()
+        assert session.measure().volume_mm3 == volume
+    assert not session.can_undo
+    for volume in seen[1:]:
+        session.redo()
+        assert session.measure().volume_mm3 == volume
+    assert not session.can_redo
+
+
+def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, tmp_path: Path):
+    files = {path: path.read_bytes() for path in plant.result.rglob("*") if path.is_file() and path.name != log.LOG_NAME}
+    session = Session(plant.result)
+    session.do(log.edit("delete roots", roots=[2], who="ann"))
+    session.do(log.edit("cut", roots=[0], point_mm=(1.0, 0.5, -40.0), who="ben"))
+    saved = session.save()
+    assert {path: path.read_bytes() for path in files} == files
+    again = Session(plant.result)
+    again.replay(log.read(saved, plant.result))
+    summary = corrected.write(again, tmp_path / "new")
+    assert summary["volume_mm3"] == pytest.approx(session.measure().volume_mm3, rel=1e-9)
+    assert volume_of(tmp_path / "new") == pytest.approx(summary["volume_mm3"], rel=1e-5)
+    loaded = load_result(tmp_path / "new")
+    assert loaded.solid.length_mm == pytest.approx(session.measure().length_mm)
+    assert loaded.measured.total_length_mm == pytest.approx(session.measure().length_mm)
+    assert loaded.measured.volume_mm3 == summary["volume_mm3"]
+    fresh = Session(tmp_path / "new").measure()
+    assert fresh.volume_mm3 == pytest.approx(session.measure().volume_mm3, rel=1e-3)
+    assert summary["edits"]["who"] == ["ann", "ben"]
+    assert corrected.in_words(summary).startswith("2 edits by ann, ben, -")
+
+
+def test_the_surface_follows(plant: Plant, tmp_path: Path):
+    before = result_files.read_mesh(plant.result / "shape.ply")
+    session = Session(plant.result)
+    session.do(log.edit("delete roots", roots=[1]))
+    corrected.write(session, tmp_path / "new")
+    after = result_files.read_mesh(tmp_path / "new" / "shape.ply")
+    assert after.vertices_mm[:, 0].max() < 5.0 < before.vertices_mm[:, 0].max()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"shape_sha256": "0" * 64}, "another result"),
+        ({"edits": [{"do": "explode", "who": "a", "when": "b"}]}, "'explode'"),
+        ({"edits": [{"do": "cut", "who": "a", "when": "b", "file": "/etc/passwd"}]}, "unknown key 'file'"),
+        ({"edits": [{"do": "delete roots", "who": "a", "when": "b", "roots": ["x"]}]}, "'x'"),
+        ({"edits": [{"do": "cut", "who": "a", "when": "b", "point_mm": [0, 0, float("nan")]}]}, "no point"),
+        ({"schema_version": 99}, "schema_version"),
+    ],
+)
+def test_logs_that_are_wrong_are_refused(plant: Plant, change: dict, reason: str):
+    path = Session(plant.result).save()
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(UserError, match=reason):
+        log.read(path, plant.result)
+
+
+def test_corrections_that_cannot_be_are_refused_and_change_nothing(plant: Plant):
+    session = Session(plant.result)
+    for edit in (
+        log.edit("delete roots", roots=[99]),
+        log.edit("cut", roots=[1], point_mm=tuple(plant.roots[1].points_mm[-1])),
+        log.edit("join", roots=[1]),
+        log.edit("join", roots=[1, 1]),
+        log.edit("delete voxels", runs=((10_000_000, 2),)),
+        log.edit("fit"),
+        log.edit("restore roots", roots=[1]),
+    ):
+        with pytest.raises(UserError):
+            session.do(edit)
+    assert not session.can_undo
+
+
+def test_a_line_knows_its_nearest_point_and_parts():
+    line = lines.Line(np.array([[0.0, 0, 0], [0, 0, -10]]), np.array([1.0, 0.5]), -1, (lines.Piece(0, 0.0, 10.0),))
+    assert line.nearest_mm((3.0, 0.0, -4.0)) == pytest.approx(4.0)
+    part = line.between(2.0, 6.0)
+    assert part.length_mm == pytest.approx(4.0)
+    assert part.pieces == (lines.Piece(0, 2.0, 6.0),)
+    assert part.backward().between(1.0, 2.0).pieces == (lines.Piece(0, 5.0, 4.0),)
+    assert part.diameters_mm == pytest.approx([0.9, 0.7])

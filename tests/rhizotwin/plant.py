@@ -1,0 +1,153 @@
+"""A small plant, scanned and reconstructed on paper: dataset and result folders without a renderer.
+
+A main root with three laterals and a thick beginning; its voxels are painted as the reconstruction paints, its pictures drawn through
+the water's closed form.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+
+from rhizotwin.recon.calibration.cameras import Camera as FoundCamera
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.tubes import filling
+from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.recon.uncertainty.budget import Term, Volume
+from rhizotwin.root_mesh import tubes as meshed
+from rhizotwin.scenes import atomic, frames, plan
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.rsml import Root
+
+VOXEL_MM = 0.27
+VIEWS = 8
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Folders of a dataset and of a result, and what they were made of."""
+
+    dataset: Path
+    result: Path
+    roots: tuple[Root, ...]
+
+
+def line(
+    begin: tuple[float, float, float], end: tuple[float, float, float], *, wide: float, thin: float, count: int = 40
+) -> dict[str, np.ndarray]:
+    """Return a slightly bent line with its diameters."""
+    share = np.linspace(0.0, 1.0, count)
+    points = np.array(begin) + share[:, None] * (np.array(end) - np.array(begin))
+    points[:, 0] += 0.8 * np.sin(np.pi * share)
+    return {"points_mm": points, "diameters_mm": np.linspace(wide, thin, count)}
+
+
+def roots(*, fibre: bool = False) -> tuple[Root, ...]:
+    """Return the roots, parents before children; with ``fibre`` a straight fibre of debris as the last."""
+    tap = Root(**line((0.0, 0.0, -15.0), (2.0, 1.0, -60.0), wide=1.6, thin=0.4), order=0, parent=-1)
+    laterals = [
+        Root(**line(tuple(tap.points_mm[10]), (12.0, 5.0, -33.0), wide=0.5, thin=0.3), order=1, parent=0),
+        Root(**line(tuple(tap.points_mm[20]), (-11.0, 6.0, -47.0), wide=0.4, thin=0.25), order=1, parent=0),
+        Root(**line(tuple(tap.points_mm[26]), (3.0, -12.0, -52.0), wide=0.4, thin=0.3), order=1, parent=0, tip_seen=False),
+    ]
+    debris = [Root(**line((-14.0, -10.0, -30.0), (-14.0, 10.0, -38.0), wide=0.3, thin=0.3), order=0, parent=-1)] if fibre else []
+    return (tap, *laterals, *debris)
+
+
+def painted(found: tuple[Root, ...]) -> Leaves:
+    """Paint roots into voxels as the reconstruction does, overlaps counted once."""
+    edges = np.cumsum([0, *(len(root.points_mm) for root in found)])
+    branches = tuple(np.arange(a, b) for a, b in pairwise(edges))
+    radius = np.concatenate([root.diameters_mm for root in found]) / 2.0
+    filled = filling.fill(Tubes(np.concatenate([root.points_mm for root in found]), radius, branches), 0.05)
+    origin = np.array([-80.0, -80.0, -160.0])
+    at, number = np.unique(np.floor((filled.point_mm - origin) / VOXEL_MM).astype(np.int32), axis=0, return_inverse=True)
+    share = filling.levelled(np.bincount(number.ravel(), weights=filled.volume_mm3) / VOXEL_MM**3)
+    return Leaves(low=at, size=np.ones(len(at), np.int32), occupancy=share.astype(np.float32), origin_mm=origin, voxel_mm=VOXEL_MM)
+
+
+def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
+    """Write a dataset and a result."""
+    found = roots(fibre=fibre)
+    camera = Camera(image_wh=(200, 150), focal_px=(325.0, 325.0), principal_px=(99.5, 74.5), bits=8)
+    scene = Scene(name=name, description="a plant <of paper>", camera=camera, plan=CapturePlan(rings=(Ring(views=VIEWS),)))
+    dataset = folder / "dataset"
+    views, listed, silhouettes = [], [], {}
+    for k, planned in enumerate(plan.views(scene)):
+        ring = scene.plan.rings[0]
+        level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+        view = View(camera=camera, cam_from_canister=level @ plan.rig_from_table(scene, planned.table_deg))
+        coverage = drawn(view, Optics.of(scene), found)
+        file = f"images/view_{k:03d}.png"
+        atomic.write_image(dataset / file, np.round(230.0 * (1.0 - coverage)).astype(np.uint8))
+        pose = tuple(tuple(float(x) for x in row) for row in view.cam_from_canister)
+        listed.append(
+            Frame(file=file, sha256=sha256_of(dataset / file), kind="root", ring=0, table_deg=planned.table_deg, cam_from_canister=pose)
+        )
+        views.append(FoundCamera(file=file, ring=0, used=True, cam_from_canister=view.cam_from_canister, table_deg=planned.table_deg))
+        silhouettes[file] = Silhouette(coverage.astype(np.float32), np.ones(coverage.shape, bool))
+    save_dataset(Dataset(folder=dataset, scene=scene, frames=tuple(listed)))
+    leaves = painted(found)
+    mesh = meshed(found, colour="order")
+    volume = float(leaves.occupancy.sum(dtype=np.float64)) * VOXEL_MM**3
+    solid = Solid(
+        voxels=leaves,
+        hull=leaves,
+        finest_mm=VOXEL_MM / 2.0,
+        mesh=trimesh.Trimesh(mesh.vertices, mesh.faces, process=False),
+        volume=Volume(
+            mm3=volume,
+            interval_mm3=(0.95 * volume, 1.06 * volume),
+            bounds_mm3=(0.8 * volume, 1.5 * volume),
+            trusted=True,
+            verdict="the true volume is near",
+            terms=(Term(name="radii", less_mm3=0.05 * volume, more_mm3=0.06 * volume, why="the views disagree about <radii>"),),
+        ),
+        hull_mm3=2.0 * volume,
+        untrimmed_mm3=0.0,
+        blind_mm3=0.0,
+        extents_min_mm=tuple(mesh.bounds[0]),
+        extents_max_mm=tuple(mesh.bounds[1]),
+        roots=found,
+    )
+    result = Result(
+        dataset=str(dataset),
+        dataset_sha256=sha256_of(dataset / "dataset.json"),
+        scene=name,
+        solid=solid,
+        cameras=tuple(views),
+        fill={},
+        rig={},
+        warnings=(),
+        timings_s={"carve": 1.0},
+        peak_memory_mib=1.0,
+        settings={"voxel_mm": VOXEL_MM, "finest_mm": VOXEL_MM / 2.0},
+        versions={"rhizotwin": "0"},
+        silhouettes=silhouettes,
+    )
+    (folder / "result").mkdir()
+    replace(result).save(folder / "result")
+    return Plant(dataset, folder / "result", found)
+
+
+def drawn(view: View, optics: Optics, found: tuple[Root, ...]) -> np.ndarray:
+    """Draw the roots' coverage (H, W): thick lines, four times as fine as the picture."""
+    width, height = view.camera.image_wh
+    fine = np.zeros((4 * height, 4 * width), np.uint8)
+    for root in found:
+        px = cameras.project_inner(view, optics, root.points_mm)
+        wide = root.diameters_mm * view.camera.focal_px[0] / np.linalg.norm(root.points_mm - view.centre_mm, axis=1) * optics.n_water
+        for a, b, thick in zip(px[:-1], px[1:], wide[1:], strict=True):
+            if np.isfinite(a).all() and np.isfinite(b).all():
+                ends = [tuple(int(x) for x in np.round(64 * (p + 0.5) - 8)) for p in (a, b)]
+                cv2.line(fine, *ends, 255, max(1, round(4 * thick)), cv2.LINE_8, 4)
+    return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA).astype(np.float64) / 255.0
