@@ -1,38 +1,82 @@
-"""Numbers for Dr.Jit's kernels.
+"""Numbers for Dr.Jit's kernels: how they get there, and what a checker calls them.
 
 Dr.Jit takes an array of NumPy as it lies in memory, and compiles a kernel anew for every combination of inputs that begin at a multiple of
 64 bytes and inputs that do not. Small arrays begin anywhere, so that a kernel of twenty inputs would be compiled time and again (a second
 each). These are copied to where they begin at a multiple of 64 bytes.
 """
 
-from typing import Any
+from typing import Any, TypeAlias
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+# Mitsuba's types exist only once a variant is chosen, so that a checker knows none of them: these names say what is meant.
+Float: TypeAlias = Any
+"""mi.Float"""
+UInt32: TypeAlias = Any
+"""mi.UInt32"""
+Int32: TypeAlias = Any
+"""mi.Int32"""
+Bool: TypeAlias = Any
+"""mi.Bool"""
+Vector2f: TypeAlias = Any
+"""mi.Vector2f"""
+Vector3f: TypeAlias = Any
+"""mi.Vector3f"""
+Point3f: TypeAlias = Any
+"""mi.Point3f"""
+Kernel: TypeAlias = Any
+"""Any of them."""
 
 _ALIGNED = 64
 """Bytes of the widest vector that Dr.Jit loads."""
 
 
-def numbers(values: NDArray[Any]) -> Any:
+def numbers(values: NDArray[np.generic]) -> Float:
     """Return mi.Float of an array, flattened."""
     return mi.Float(_aligned(values, np.dtype(np.float32)))
 
 
-def vectors(values: NDArray[Any]) -> Any:
+def vectors(values: NDArray[np.generic]) -> Vector3f:
     """Return mi.Vector3f of (N, 3)."""
     return mi.Vector3f(*(numbers(part) for part in values.T))
 
 
-def wholes(values: NDArray[Any]) -> Any:
+def wholes(values: NDArray[np.generic]) -> UInt32:
     """Return mi.UInt32 of an array of whole numbers, flattened."""
     return mi.UInt32(_aligned(values, np.dtype(np.uint32)))
 
 
-def _aligned(values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+def _aligned(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
     buffer = np.empty(values.size * kind.itemsize + _ALIGNED, np.uint8)
     begin = -buffer.ctypes.data % _ALIGNED
     placed = buffer[begin : begin + values.size * kind.itemsize].view(kind)
     placed[:] = values.ravel()
     return placed
+
+
+def bilinear(
+    source: Kernel, base: UInt32, width: UInt32 | int, u: Float, v: Float, active: Bool = True, kind: type | None = None
+) -> Kernel:
+    """Interpolate bilinearly in a picture.
+
+    Parameters
+    ----------
+    source : mi.Float
+        Pictures, flattened.
+    base : mi.UInt32
+        Where the picture begins, in elements of ``kind``.
+    width : mi.UInt32 or int
+        Columns of the picture.
+    u, v : mi.Float
+        Column and row, between the first and the last.
+    kind : type, optional
+        What an element is; mi.Float where not given.
+    """
+    column, row = mi.UInt32(u), mi.UInt32(v)
+    fu, fv = u - mi.Float(column), v - mi.Float(row)
+    at = base + row * width + column
+    c00, c01, c10, c11 = (dr.gather(kind or mi.Float, source, at + step, active) for step in (0, 1, width, width + 1))
+    return (1 - fv) * ((1 - fu) * c00 + fu * c01) + fv * ((1 - fu) * c10 + fu * c11)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import cv2
 import drjit as dr
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
-from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.device import Float, Kernel, Vector3f, numbers, vectors, wholes
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
 
@@ -36,9 +35,9 @@ class Evidence:
     bank: ViewBank
     silhouettes: tuple[Silhouette, ...]
     """In the order of the bank's views."""
-    coverage: Any
+    coverage: Float
     """mi.Float, (V, H, W) flattened: coverage, opacity where roots are translucent."""
-    seen: Any
+    seen: Float
     """mi.Float, (V, H, W) flattened: 1 where the picture says something, else 0."""
     image_wh: tuple[int, int]
     mu_per_mm: float | None = None
@@ -126,7 +125,7 @@ class Nodes:
         """Whether (V, N) a view sees a point, once and in its picture."""
         return np.array(self.on_device.seen).reshape(self.shape)
 
-    def _read(self, vector: Any) -> Array:
+    def _read(self, vector: Kernel) -> Array:
         return np.stack([np.array(part, np.float64).reshape(self.shape) for part in vector], axis=-1)
 
     def sine(self, direction: Array) -> Array:
@@ -134,12 +133,12 @@ class Nodes:
         p = self.on_device
         return np.array(sine_to_sight(p.du, p.dv, self.in_all_views(vectors(direction))), np.float64).reshape(self.shape)
 
-    def in_all_views(self, values: Any) -> Any:
+    def in_all_views(self, values: Vector3f) -> Vector3f:
         """Return what belongs to the points, mi.Vector3f (N,), for each view, (V, N) flattened."""
         return mi.Vector3f(*(dr.tile(part, self.shape[0]) for part in values))
 
 
-def sine_to_sight(du: Any, dv: Any, direction: Any) -> Any:
+def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:
     """Return the sine of the angle between unit directions and lines of sight, mi.Float.
 
     Parameters
@@ -174,12 +173,3 @@ def _distance(silhouette: Silhouette, picture: Image, level: float) -> Image:
     distance = ((depth - beyond) / UPSAMPLING).astype(np.float32)
     distance[cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = UNSEEN_PX
     return distance
-
-
-def bilinear(source: Any, base: Any, width: int, u: Any, v: Any, active: Any = True) -> Any:
-    """Interpolate a flattened picture that begins at ``base``, of some width, at pixels inside of it."""
-    column, row = mi.UInt32(u), mi.UInt32(v)
-    fu, fv = u - mi.Float(column), v - mi.Float(row)
-    at = base + row * width + column
-    c00, c01, c10, c11 = (dr.gather(mi.Float, source, at + step, active) for step in (0, 1, width, width + 1))
-    return (1 - fv) * ((1 - fu) * c00 + fu * c01) + fv * ((1 - fu) * c10 + fu * c11)

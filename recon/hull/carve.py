@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
+from rhizotwin.recon.device import Bool, Float, Int32, Kernel, Point3f, UInt32, Vector2f, bilinear
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -50,7 +50,7 @@ class Water:
 class DistanceMaps:
     """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
 
-    values: Any
+    values: Float
     """mi.Float, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said."""
     image_wh: tuple[int, int]
     window: Window
@@ -71,21 +71,17 @@ class DistanceMaps:
         """Return the samples of a map."""
         return self.window.size_px[0] * UPSAMPLING, self.window.size_px[1] * UPSAMPLING
 
-    def sample(self, px: Any) -> Any:
+    def sample(self, px: Vector2f) -> Vector2f:
         """Return where pixels (mi.Vector2f) lie on a map, whose samples are at integers: mi.Vector2f."""
         low = self.window.low_px
         return mi.Vector2f((px.x - low[0] + 0.5) * UPSAMPLING - 0.5, (px.y - low[1] + 0.5) * UPSAMPLING - 0.5)
 
-    def at(self, view: Any, px: Any, active: Any) -> Any:
+    def at(self, view: UInt32, px: Vector2f, active: Bool) -> Float:
         """Interpolate bilinearly at pixels (mi.Vector2f)."""
         (width, height), place = self.samples_wh, self.sample(px)
         u = dr.clip(place.x, 0.0, width - 1.001)
         v = dr.clip(place.y, 0.0, height - 1.001)
-        u_0, v_0 = mi.UInt32(u), mi.UInt32(v)
-        fu, fv = u - mi.Float(u_0), v - mi.Float(v_0)
-        at = (view * height + v_0) * width + u_0
-        d00, d01, d10, d11 = (dr.gather(mi.Float, self.values, at + step, active) for step in (0, 1, width, width + 1))
-        return (1 - fv) * ((1 - fu) * d00 + fu * d01) + fv * ((1 - fu) * d10 + fu * d11)
+        return bilinear(self.values, view * (height * width), width, u, v, active)
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ class Hull:
     """Volume of the water that too few views see."""
 
 
-def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
+def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
     """Return a bound of the distance in pixels from a cube's centre to any of its points, curvature included."""
     reach = mi.Float(0.0)
     for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -150,7 +146,7 @@ def _footprint_px(p: projection.Projected, half_mm: Any) -> Any:
     return linear * (1.03 + 0.03 * half_mm) + 0.25  # the distance maps are right within 0.4 px and 2 %
 
 
-def look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any) -> tuple[projection.Projected, Any, Any]:
+def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool) -> tuple[projection.Projected, Float, Bool]:
     """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
     p = projection.project(bank, view, point, active)
     width, height = maps.image_wh
@@ -161,8 +157,8 @@ def look(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, active: Any)
 
 
 def _mark(
-    bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, slack_px: Any, ignore_blindness: bool
-) -> tuple[Any, Any, Any, Any, Any]:
+    bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, slack_px: Float, ignore_blindness: bool
+) -> tuple[Bool, Bool, UInt32, Float, Float]:
     """Look at nodes from every view, until one finds them empty.
 
     Returns
@@ -172,7 +168,7 @@ def _mark(
     depth, scale : signed distance in mm of the centre to the hull (least over the views that see it), and px per mm in that view.
     """
 
-    def body(view: Any, empty: Any, partial: Any, votes: Any, depth: Any, scale: Any) -> tuple[Any, ...]:
+    def body(view: UInt32, empty: Bool, partial: Bool, votes: UInt32, depth: Float, scale: Float) -> tuple[Kernel, ...]:
         p, distance, seen = look(bank, maps, view, point, ~empty)
         reach = _footprint_px(p, half_mm)
         outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
@@ -190,7 +186,7 @@ def _mark(
     return tuple(found)
 
 
-def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, asked: Any, min_votes: int) -> Any:
+def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
     """Tell which nodes have a corner that enough views see, though too few see the centre: the edge of the blind zone cuts them."""
     result = dr.zeros(mi.Bool, dr.width(point))
     chosen = dr.compress(asked)
@@ -199,13 +195,13 @@ def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Any, half_mm: Any, a
     part = dr.gather(mi.Point3f, point, chosen)
     some, least = dr.zeros(mi.Bool, dr.width(chosen)), dr.opaque(mi.UInt32, min_votes)
 
-    def undecided(view: Any, votes: Any) -> Any:
+    def undecided(view: UInt32, votes: UInt32) -> Bool:
         return (view < bank.count) & (votes < least) & (votes + (bank.count - view) >= least)
 
     for corner in np.ndindex(2, 2, 2):
         at = part + mi.Vector3f(*(half_mm * (2.0 * c - 1.0) for c in corner))
 
-        def body(view: Any, votes: Any, at: Any = at) -> tuple[Any, Any]:
+        def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
             seen = look(bank, maps, view, at, mi.Bool(True))[2]
             return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
@@ -248,7 +244,7 @@ def carve(
     for level in range(grid.levels + 1):
         units = 2 ** (grid.levels - level)
         edge_mm = grid.size_mm * units
-        kept: list[list[Any]] = []
+        kept: list[list[Int32]] = []
         total = dr.width(nodes[0])
         for begin in range(0, total, _CHUNK):
             part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
@@ -298,13 +294,13 @@ def carve(
     return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), blind_mm3)
 
 
-def _centres(grid: Grid, nodes: list[Any], edge_mm: float) -> Any:
+def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
     """Return the centres of nodes of one size."""
     edge = dr.opaque(mi.Float, edge_mm)
     return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + float(grid.origin_mm[a]) for a in range(3)))
 
 
-def _compress(arrays: list[Any], mask: Any) -> list[Any]:
+def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
     """Keep the entries of a mask."""
     chosen = dr.compress(mask)
     return [dr.gather(type(a), a, chosen) for a in arrays]
@@ -317,7 +313,7 @@ def _check_memory(count: int) -> None:
         raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
 
 
-def _children(nodes: list[Any]) -> list[Any]:
+def _children(nodes: list[Int32]) -> list[Int32]:
     """Cut nodes into eight, children of one node side by side."""
     count = dr.width(nodes[0])
     lane = dr.arange(mi.UInt32, 8 * count)

@@ -10,7 +10,6 @@ roots thinner than the skeleton's voxels), the hull is kept.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import drjit as dr
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage import morphology
 
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import DistanceMaps, Leaves
 from rhizotwin.recon.hull.surface import paint, to_voxels
@@ -155,7 +155,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     for points that lie on it. Points that fewer than `VOTES` of the views see get the radius 0.
     """
 
-    def body(view: Any, least: Any, votes: Any) -> tuple[Any, Any, Any]:
+    def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
         allowed, _, seen = _allowed(bank, maps, view, point, sharpen=sharpen)
         return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
@@ -168,7 +168,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
     """Return the share (N,) of the seeing views that bound balls (N,), `_radius` without sharpening."""
 
-    def body(view: Any, tight: Any, votes: Any) -> tuple[Any, Any, Any]:
+    def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
         bounds = dr.clip(1.5 - (allowed - reach) * px_a_mm / _TIGHT_PX, 0.0, 1.0)
         return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
@@ -179,7 +179,7 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
     return np.array(tight / dr.maximum(votes, 1.0), dtype=np.float64)
 
 
-def _allowed(bank: ViewBank, maps: DistanceMaps, view: Any, point: Any, *, sharpen: bool) -> tuple[Any, Any, Any]:
+def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
     """Return the radius in mm of the largest ball about a point that a view allows, px/mm there, and whether the view sees it."""
     p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
@@ -205,7 +205,7 @@ def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDA
     index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the balls (N,).
     """
     listed = _Listed.of(balls, leaves)
-    done: list[tuple[NDArray[Any], ...]] = []
+    done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
         chosen = leaves.size == edge
@@ -229,9 +229,9 @@ class _Listed:
     leaves: Leaves
     low_mm: Array
     shape: NDArray[np.int64]
-    entries: Any
+    entries: UInt32
     """mi.Float, x y z r of the balls of one bin after the other."""
-    begins: Any
+    begins: UInt32
     """mi.UInt32, first entry of each bin, and the end."""
 
     @staticmethod
@@ -264,7 +264,7 @@ class _Listed:
         bin_ = mi.UInt32((cell[0] * int(shape[1]) + cell[1]) * int(shape[2]) + cell[2])
         end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(*q)
 
-        def body(k: Any, depth: Any) -> tuple[Any, Any]:
+        def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
             ball = dr.gather(mi.Vector4f, self.entries, k)
             return k + 1, dr.maximum(depth, ball.w - dr.norm(centre - mi.Point3f(ball.x, ball.y, ball.z)))
 
@@ -321,13 +321,13 @@ def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.f
     return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values
 
 
-def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Any:
+def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
     """Return the centres of nodes of an edge on the device."""
     centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
     return mi.Point3f(centres.T.astype(np.float32))
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Any) -> tuple[projection.Projected, Any]:
+def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[projection.Projected, Bool]:
     """Project points into a view: (projection, whether the view sees them on its distance map)."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = maps.samples_wh, maps.sample(p.px)

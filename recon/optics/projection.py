@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
-from rhizotwin.recon.device import numbers
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, Vector2f, Vector3f, bilinear, numbers
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Array, Optics
@@ -83,9 +82,9 @@ class ViewBank:
 
     optics: Optics
     count: int
-    parameters: Any
+    parameters: Float
     """mi.Float, `_PARAMETERS` numbers a view."""
-    tables: Any
+    tables: Float
     """mi.Float, the start tables one after the other, (V, ny, nx, 2)."""
     table_shape: tuple[int, int]
 
@@ -121,47 +120,79 @@ class ViewBank:
 class Projected:
     """Where points lie in a view."""
 
-    px: Any
+    px: Vector2f
     """mi.Vector2f, pixels."""
-    seen: Any
+    seen: Bool
     """mi.Bool, whether the view sees the point exactly once."""
-    clear_mm: Any
+    clear_mm: Float
     """mi.Float, horizontal distance within which everything else is seen exactly once as well."""
-    du: Any
+    du: Vector3f
     """mi.Vector3f, gradient of the column by the point, px/mm, canister frame."""
-    dv: Any
+    dv: Vector3f
     """mi.Vector3f, gradient of the row by the point."""
 
 
-def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
+def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Projected:
     """Project points into views, with the Jacobian.
 
     Parameters
     ----------
-    view : mi.UInt32, index of the view.
-    point : mi.Point3f, canister frame, mm, inside the water.
-    active : mask of the points to be projected.
+    view : mi.UInt32
+        Index of the view.
+    point : mi.Point3f
+        Canister frame, mm, inside the water.
+    active : mi.Bool
+        Points to be projected.
     """
     o = bank.optics
-    r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
     some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(6)]  # four at once
     parameter = [value for four in some for value in four]
     rho, z_cam, c, s, n_w = parameter[9:13] + parameter[22:23]
-    x, y, z = c * point.x - s * point.y, s * point.x + c * point.y, point.z
+    at = c * point.x - s * point.y, s * point.x + c * point.y, point.z
+    seen, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
+    limit, per_radii = 0.9995 * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
+    for step in range(NEWTON_STEPS + 1):
+        ray = _follow(o, (rho, z_cam, n_w, per_radii), at, b, p)
+        if step < NEWTON_STEPS:
+            b = dr.clip(b - ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2), -limit, limit)
+            p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -0.98, 0.98)
+    seen &= (dr.abs(ray.f1) < 3e-4) & (dr.abs(ray.f2) < 3e-4)
+    seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
+    u, v, in_front, (u_b, u_p, v_b, v_p) = _pixel(parameter, b, p, ray)
 
-    # start: table over (x, |y|)
-    ny, nx = bank.table_shape
+    # implicit function theorem: d(b, p) = -J^-1 df, with df1 = nu . dP and df2 = m_w t . dP - dP_z
+    f1_x, f1_y, f2_x, f2_y = -ray.sin_d, ray.cos_d, -ray.m_w * ray.cos_d, -ray.m_w * ray.sin_d
+    by = (f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)
+    b_x, b_y, b_z = (-ray.inv * (ray.f2_p * g1 - ray.f1_p * g2) for g1, g2 in by)
+    p_x, p_y, p_z = (-ray.inv * (ray.f1_b * g2 - ray.f2_b * g1) for g1, g2 in by)
+    u_az, v_az = u_b * b_x + u_p * p_x, v_b * b_x + v_p * p_x
+    u_ay, v_ay = u_b * b_y + u_p * p_y, v_b * b_y + v_p * p_y
+    du = mi.Vector3f(c * u_az + s * u_ay, c * u_ay - s * u_az, u_b * b_z + u_p * p_z)
+    dv = mi.Vector3f(c * v_az + s * v_ay, c * v_ay - s * v_az, v_b * b_z + v_p * p_z)
+    return Projected(mi.Vector2f(u, v), seen & in_front, clear_mm, du, dv)
+
+
+def _first_ray(
+    bank: ViewBank, view: UInt32, parameter: list[Float], at: tuple[Float, Float, Float], active: Bool
+) -> tuple[Bool, Float, Float, Float]:
+    """Guess the ray to points in the azimuth frame from the view's table.
+
+    Returns
+    -------
+    seen : mi.Bool
+        Whether the view sees the point exactly once.
+    clear_mm : mi.Float
+        Horizontal distance within which everything else is seen exactly once as well.
+    b, p : mi.Float
+        Impact parameter in air, mm, and climb p_z of the ray.
+    """
+    o, (x, y, z) = bank.optics, at
+    r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
+    rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
+    ny, nx = bank.table_shape  # over (x, |y|)
     col = dr.clip(x + (np.ceil(r_i) + 1.0), 0.0, nx - 1.001)
     row = dr.clip(dr.abs(y) + 1.0, 0.0, ny - 1.001)
-    col_0, row_0 = mi.UInt32(col), mi.UInt32(row)
-    fc, fr = col - mi.Float(col_0), row - mi.Float(row_0)
-    at = ((view * ny + row_0) * nx + col_0) * 2
-    t00 = dr.gather(mi.Vector2f, bank.tables, at // 2, active)
-    t01 = dr.gather(mi.Vector2f, bank.tables, at // 2 + 1, active)
-    t10 = dr.gather(mi.Vector2f, bank.tables, at // 2 + nx, active)
-    t11 = dr.gather(mi.Vector2f, bank.tables, at // 2 + nx + 1, active)
-    start = (1 - fr) * ((1 - fc) * t00 + fc * t01) + fr * ((1 - fc) * t10 + fc * t11)
-    seen = active & (start.y > 0.5 * _CELL_MM)
+    start = bilinear(bank.tables, view * (ny * nx), nx, col, row, active, kind=mi.Vector2f)
     b = dr.select(y < 0, -start.x, start.x)
     limit = 0.9995 * o.w_limit * r_o
     b = dr.clip(b, -limit, limit)
@@ -171,51 +202,89 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     length = dr.sqrt(rho * rho - b * b) - dr.sqrt(r_o * r_o - b * b) + (r_o - r_i) / o.n_wall
     length += (c_w0 + dr.safe_sqrt(x * x + y * y - b_w0 * b_w0) * dr.select(x < 0, 1.0, -1.0)) / n_w
     p = (z - z_cam) * dr.rsqrt(dr.square(z - z_cam) + dr.square(length))
+    return active & (start.y > 0.5 * _CELL_MM), start.y, b, p
 
-    per_radii = 1 / (rho * (r_o * r_i) ** 2)
 
-    for step in range(NEWTON_STEPS + 1):
-        p2 = p * p
-        h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, n_w**2 - p2
-        ih_a, ih_g, ih_w = dr.rsqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
-        ih_a2, ih_g2, ih_w2 = ih_a * ih_a, ih_g * ih_g, ih_w * ih_w
-        h_a = h_a2 * ih_a
-        k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
-        b_g, b_w = b * k_g, b * k_w
-        b_g_p, b_w_p = b_g * p * (ih_g2 - ih_a2), b_w * p * (ih_w2 - ih_a2)
-        # along the line to its nearest point to the axis, from where it crosses each radius: c, and 1 / c
-        c_r2, c_o2 = rho * rho - b * b, r_o * r_o - b * b
-        c_og2, c_ig2, c_w2 = r_o**2 - b_g * b_g, r_i**2 - b_g * b_g, r_i**2 - b_w * b_w
-        ic_r, ic_o, ic_og, ic_ig, ic_w = (dr.rsqrt(square) for square in (c_r2, c_o2, c_og2, c_ig2, c_w2))
-        c_r, c_o, c_og, c_ig, c_w = c_r2 * ic_r, c_o2 * ic_o, c_og2 * ic_og, c_ig2 * ic_ig, c_w2 * ic_w
-        # delta = heading - pi: the sum of +-asin(b / r) at each radius, as a product of unit complex numbers (c +- i b) / r
-        air, wall = (c_o * c_r + b * b, b * (c_r - c_o)), (c_ig * c_og + b_g * b_g, b_g * (c_og - c_ig))
-        turn = air[0] * wall[0] - air[1] * wall[1], air[0] * wall[1] + air[1] * wall[0]
-        cos_d, sin_d = (turn[0] * c_w + turn[1] * b_w) * per_radii, (turn[1] * c_w - turn[0] * b_w) * per_radii
-        delta_b = ic_o - ic_r + k_g * (ic_ig - ic_og) - k_w * ic_w
-        delta_p = b_g_p * (ic_ig - ic_og) - b_w_p * ic_w
-        along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
-        # f and its Jacobian by (b, p)
-        m_a, m_g, m_w = p * ih_a, p * ih_g, p * ih_w  # climbs
-        s_a, s_g, s_w = c_r - c_o, c_og - c_ig, along + c_w
-        f1 = beside - b_w
-        f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
-        f2 = z_cam + m_a * s_a + m_g * s_g + m_w * s_w - z
-        s_a_b, s_g_bg, s_w_bw = b * (ic_o - ic_r), b_g * (ic_ig - ic_og), b_w * ic_w
-        f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + s_w_bw * k_w)
-        f2_p = s_a * ih_a2 * ih_a + o.n_wall**2 * s_g * ih_g * ih_g2 + n_w**2 * s_w * ih_w * ih_w2
-        f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + s_w_bw * b_w_p)
-        inv = 1 / (f1_b * f2_p - f1_p * f2_b)
-        if step < NEWTON_STEPS:
-            b = dr.clip(b - inv * (f2_p * f1 - f1_p * f2), -limit, limit)
-            p = dr.clip(p - inv * (f1_b * f2 - f2_b * f1), -0.98, 0.98)
-    seen &= (dr.abs(f1) < 3e-4) & (dr.abs(f2) < 3e-4)
-    entry_z = z_cam + m_a * s_a + m_g * s_g
-    seen &= (entry_z < o.water_z_mm) & (entry_z > o.floor_z_mm) & (z_cam + m_a * s_a > o.bottom_z_mm)
+@dataclass
+class _Ray:
+    """A ray and how far it misses a point, all mi.Float, in the symbols of `optics.refraction`."""
 
+    f1: Float
+    """Horizontal distance from the point, mm."""
+    f2: Float
+    """Vertical distance, mm."""
+    f1_b: Float
+    """Derivatives of both by impact parameter b and climb p ..."""
+    f1_p: Float
+    f2_b: Float
+    f2_p: Float
+    inv: Float
+    """... and one over their determinant."""
+    cos_d: Float
+    """Of the heading in the water less pi."""
+    sin_d: Float
+    m_w: Float
+    """Climb in the water, mm a horizontal mm."""
+    h_a: Float
+    """Horizontal part of the optical direction in air ..."""
+    h_a2: Float
+    """... and its square."""
+    outer_z: Float
+    """Height at which the ray enters the wall, mm."""
+    entry_z: Float
+    """Height at which it enters the water, mm."""
+
+
+def _follow(o: Optics, view: tuple[Float, Float, Float, Float], at: tuple[Float, Float, Float], b: Float, p: Float) -> _Ray:
+    """Follow rays through wall and water to points in the azimuth frame.
+
+    Parameters
+    ----------
+    view : tuple of mi.Float
+        Distance and height of the camera, index of the water, and one over the product of the radii.
+    """
+    (rho, z_cam, n_w, per_radii), (x, y, z) = view, at
+    r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
+    p2 = p * p
+    h_a2, h_g2, h_w2 = 1 - p2, o.n_wall**2 - p2, n_w**2 - p2
+    ih_a, ih_g, ih_w = dr.rsqrt(h_a2), dr.rsqrt(h_g2), dr.rsqrt(h_w2)
+    ih_a2, ih_g2, ih_w2 = ih_a * ih_a, ih_g * ih_g, ih_w * ih_w
+    h_a = h_a2 * ih_a
+    k_g, k_w = h_a * ih_g, h_a * ih_w  # db_g/db_a, db_w/db_a
+    b_g, b_w = b * k_g, b * k_w
+    b_g_p, b_w_p = b_g * p * (ih_g2 - ih_a2), b_w * p * (ih_w2 - ih_a2)
+    # along the line to its nearest point to the axis, from where it crosses each radius: c, and 1 / c
+    c_r2, c_o2 = rho * rho - b * b, r_o * r_o - b * b
+    c_og2, c_ig2, c_w2 = r_o**2 - b_g * b_g, r_i**2 - b_g * b_g, r_i**2 - b_w * b_w
+    ic_r, ic_o, ic_og, ic_ig, ic_w = (dr.rsqrt(square) for square in (c_r2, c_o2, c_og2, c_ig2, c_w2))
+    c_r, c_o, c_og, c_ig, c_w = c_r2 * ic_r, c_o2 * ic_o, c_og2 * ic_og, c_ig2 * ic_ig, c_w2 * ic_w
+    # delta = heading - pi: the sum of +-asin(b / r) at each radius, as a product of unit complex numbers (c +- i b) / r
+    air, wall = (c_o * c_r + b * b, b * (c_r - c_o)), (c_ig * c_og + b_g * b_g, b_g * (c_og - c_ig))
+    turn = air[0] * wall[0] - air[1] * wall[1], air[0] * wall[1] + air[1] * wall[0]
+    cos_d, sin_d = (turn[0] * c_w + turn[1] * b_w) * per_radii, (turn[1] * c_w - turn[0] * b_w) * per_radii
+    delta_b = ic_o - ic_r + k_g * (ic_ig - ic_og) - k_w * ic_w
+    delta_p = b_g_p * (ic_ig - ic_og) - b_w_p * ic_w
+    along, beside = -x * cos_d - y * sin_d, -x * sin_d + y * cos_d  # P . t, P . nu
+    # f and its Jacobian by (b, p)
+    m_a, m_g, m_w = p * ih_a, p * ih_g, p * ih_w  # climbs
+    s_a, s_g, s_w = c_r - c_o, c_og - c_ig, along + c_w
+    f1_b, f1_p = along * delta_b - k_w, along * delta_p - b_w_p
+    s_a_b, s_g_bg, s_w_bw = b * (ic_o - ic_r), b_g * (ic_ig - ic_og), b_w * ic_w
+    f2_b = m_a * s_a_b + m_g * s_g_bg * k_g - m_w * (beside * delta_b + s_w_bw * k_w)
+    f2_p = s_a * ih_a2 * ih_a + o.n_wall**2 * s_g * ih_g * ih_g2 + n_w**2 * s_w * ih_w * ih_w2
+    f2_p += m_g * s_g_bg * b_g_p - m_w * (beside * delta_p + s_w_bw * b_w_p)
+    f2 = z_cam + m_a * s_a + m_g * s_g + m_w * s_w - z
+    inv = 1 / (f1_b * f2_p - f1_p * f2_b)
+    outer_z = z_cam + m_a * s_a
+    return _Ray(beside - b_w, f2, f1_b, f1_p, f2_b, f2_p, inv, cos_d, sin_d, m_w, h_a, h_a2, outer_z, outer_z + m_g * s_g)
+
+
+def _pixel(parameter: list[Float], b: Float, p: Float, ray: _Ray) -> tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]:
+    """Return column and row of rays, whether they come from in front, and the derivatives of column and row by (b, p)."""
+    rho, h_a = parameter[9], ray.h_a
     # direction in air, and its derivatives by (b, p)
     d_y = b * h_a / rho
-    q = dr.sqrt(h_a2 - d_y * d_y)
+    q = dr.sqrt(ray.h_a2 - d_y * d_y)
     d_y_b, d_y_p = h_a / rho, -b * p / (h_a * rho)
     d_x_b, d_x_p = d_y * d_y_b / q, (p + d_y * d_y_p) / q
     r = parameter[:9]
@@ -239,12 +308,4 @@ def project(bank: ViewBank, view: Any, point: Any, active: Any) -> Projected:
     fx, fy, px0, py0 = parameter[13:17]
     u_b, u_p = fx * (u_x * xn_b + u_y * yn_b), fx * (u_x * xn_p + u_y * yn_p)
     v_b, v_p = fy * (u_y * xn_b + v_y * yn_b), fy * (u_y * xn_p + v_y * yn_p)
-    # implicit function theorem: d(b, p) = -J^-1 df, with df1 = nu . dP and df2 = m_w t . dP - dP_z
-    f1_x, f1_y, f2_x, f2_y = -sin_d, cos_d, -m_w * cos_d, -m_w * sin_d
-    b_x, b_y, b_z = (-inv * (f2_p * g1 - f1_p * g2) for g1, g2 in ((f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)))
-    p_x, p_y, p_z = (-inv * (f1_b * g2 - f2_b * g1) for g1, g2 in ((f1_x, f2_x), (f1_y, f2_y), (0.0, -1.0)))
-    u_az, v_az = u_b * b_x + u_p * p_x, v_b * b_x + v_p * p_x
-    u_ay, v_ay = u_b * b_y + u_p * p_y, v_b * b_y + v_p * p_y
-    du = mi.Vector3f(c * u_az + s * u_ay, c * u_ay - s * u_az, u_b * b_z + u_p * p_z)
-    dv = mi.Vector3f(c * v_az + s * v_ay, c * v_ay - s * v_az, v_b * b_z + v_p * p_z)
-    return Projected(mi.Vector2f(fx * u + px0, fy * v + py0), seen & (cz > 0), start.y, du, dv)
+    return fx * u + px0, fy * v + py0, cz > 0, (u_b, u_p, v_b, v_p)

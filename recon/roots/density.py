@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import Float
 from rhizotwin.recon.hull.carve import Grid, Leaves
 from rhizotwin.recon.hull.parsimony import even
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
@@ -60,7 +60,7 @@ class Cells:
         """Return the centres (N, 3), canister frame."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5) * self.grid.size_mm
 
-    def chosen(self, which: NDArray[Any]) -> Cells:
+    def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return some of the cells, by mask or number."""
         return Cells(self.grid, self.index[which], self.shadow_mm2[which])
 
@@ -130,7 +130,7 @@ def _subsets(views: int, count: int) -> list[range]:
     return [range(*pair) for pair in pairwise(ends)]
 
 
-def _improve(table: Table, views: range, coverage: Any, covered: Any, shadow: Any) -> Any:
+def _improve(table: Table, views: range, coverage: Float, covered: Float, shadow: Float) -> Float:
     """Return the shadows after one step of MART over some views."""
     begin = table.windows.begin
     part = dr.arange(mi.UInt32, int(begin[views.start]), int(begin[views.stop]))

@@ -7,15 +7,16 @@ and not with the picture. Views are a loop inside of one kernel: a kernel for ea
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.evidence import Evidence, bilinear
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear
 from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ class Windows:
         size = np.maximum(high - low + 2, 0)  # none where nothing is seen
         return Windows(low, size, np.concatenate([[0], np.cumsum(size.prod(axis=1))]))
 
-    def cut(self, evidence: Evidence, pictures: Any) -> Any:
+    def cut(self, evidence: Evidence, pictures: Float) -> Float:
         """Cut the windows out of whole pictures, mi.Float (V, H, W) flattened."""
         stack = np.array(pictures).reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
         parts = [
@@ -63,9 +64,9 @@ class Footprints:
     count: int
     """Number of cells."""
     steps_a_px: float
-    place: Any
+    place: UInt32
     """mi.UInt32, (V, N) flattened: column and row in steps, 16 bits each."""
-    px2_a_mm2: Any
+    px2_a_mm2: Kernel
     """mi.Float16, (V, N) flattened: area of a mm2 in the picture; 0 where the view says nothing about the cell."""
 
     @staticmethod
@@ -91,7 +92,7 @@ class Footprints:
         lane = dr.arange(mi.UInt32, self.views * _PARTS)
         view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
 
-        def body(cell: Any, *found: Any) -> tuple[Any, ...]:
+        def body(cell: UInt32, *found: Kernel) -> tuple[Kernel, ...]:
             at = view * count + cell
             place, seen = dr.gather(mi.UInt32, self.place, at), dr.gather(mi.Float16, self.px2_a_mm2, at) > 0
             u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
@@ -105,7 +106,7 @@ class Footprints:
         pixels = np.array([np.array(part) for part in found], np.int64).reshape(4, self.views, _PARTS)
         return pixels[:2].min(axis=-1).T, pixels[2:].max(axis=-1).T
 
-    def chosen(self, kept: Any) -> Footprints:
+    def chosen(self, kept: UInt32) -> Footprints:
         """Return those of some cells, by number (mi.UInt32)."""
         count = dr.width(kept)
         lane = dr.arange(mi.UInt32, count * self.views)
@@ -125,11 +126,11 @@ class Table:
         self._width, self._begin = mi.UInt32(windows.size[:, 0].astype(np.uint32)), mi.UInt32(windows.begin.astype(np.uint32))
         dr.eval(self._low, self._width, self._begin)
 
-    def chosen(self, kept: Any) -> Table:
+    def chosen(self, kept: UInt32) -> Table:
         """Return those of some cells, by number (mi.UInt32)."""
         return Table(self.prints.chosen(kept), self.windows)
 
-    def _at(self, view: Any) -> tuple[Any, Any, Any, Any, Any]:
+    def _at(self, view: UInt32) -> tuple[Float, Float, UInt32, UInt32, Float]:
         """Return column and row within the window, its begin and width, and the area, of all cells in a view."""
         prints = self.prints
         lane = view * dr.opaque(mi.UInt32, prints.count) + dr.arange(mi.UInt32, prints.count)
@@ -140,11 +141,11 @@ class Table:
         )
         return u, v, dr.gather(mi.UInt32, self._begin, view), dr.gather(mi.UInt32, self._width, view), area
 
-    def cast(self, onto: Any, views: range, amount: Any) -> None:
+    def cast(self, onto: Float, views: range, amount: Float) -> None:
         """Add the shadows of cells (mi.Float, mm2) to the windows of consecutive views, bilinearly; ``onto`` begins with the first."""
         first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
 
-        def body(view: Any) -> tuple[Any]:
+        def body(view: UInt32) -> tuple[UInt32]:
             u, v, begin, width, area = self._at(view)
             column, row = mi.UInt32(u), mi.UInt32(v)
             fu, fv = u - mi.Float(column), v - mi.Float(row)
@@ -156,7 +157,7 @@ class Table:
         self._loop(views, (), body)
         dr.eval(onto)
 
-    def mean_log(self, pictures: Any, views: range, least: float, most: float) -> Any:
+    def mean_log(self, pictures: Float, views: range, least: float, most: float) -> Float:
         """Return the mean over the views that see a cell of the logarithm of a picture there, clipped: mi.Float; 0 where none does.
 
         Parameters
@@ -165,7 +166,7 @@ class Table:
         """
         first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
 
-        def body(view: Any, total: Any, votes: Any) -> tuple[Any, Any, Any]:
+        def body(view: UInt32, total: Float, votes: Float) -> tuple[UInt32, Float, Float]:
             u, v, begin, width, area = self._at(view)
             seen = area > 0
             value = bilinear(pictures, begin - first, width, u, v, seen)
@@ -175,8 +176,8 @@ class Table:
         _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)
         return total / dr.maximum(votes, 1.0)
 
-    def _loop(self, views: range, state: tuple[Any, ...], body: Any) -> tuple[Any, ...]:
+    def _loop(self, views: range, state: tuple[Kernel, ...], body: Callable[..., tuple[Kernel, ...]]) -> tuple[Kernel, ...]:
         end = dr.opaque(mi.UInt32, views.stop)
         begin = dr.opaque(mi.UInt32, views.start, self.prints.count)
-        found: tuple[Any, ...] = dr.while_loop((begin, *state), lambda view, *_: view < end, body)
+        found: tuple[Kernel, ...] = dr.while_loop((begin, *state), lambda view, *_: view < end, body)
         return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes
+from rhizotwin.recon.device import Float
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
 from rhizotwin.recon.tubes.tube_profiles import Sections
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -35,7 +35,7 @@ class Proof:
         return Proof(self.explained[nodes], self.left[nodes])
 
 
-def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Proof:
+def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Proof:
     """Weigh what every node explains.
 
     With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the difference without

@@ -12,8 +12,6 @@ cannot tell from their parents.
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -21,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.coverage.evidence import Evidence, bilinear
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import Float, UInt32, bilinear
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
@@ -43,7 +42,7 @@ _BEGIN_MM = 1.0
 _TIP_MM = 0.4
 
 
-def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
+def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
     """Return the coverage (N,) that points have of their own, averaged over the views; 0 where too few tell.
 
     Parameters
@@ -56,7 +55,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
     width, height = evidence.image_wh
     point, pixels = mi.Point3f(points_mm.T.astype(np.float32)), dr.opaque(mi.UInt32, evidence.pixels)
 
-    def body(view: Any, top: Any, weight: Any) -> tuple[Any, Any, Any]:
+    def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
         seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
         px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
@@ -71,7 +70,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Any) -> Array:
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
-def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cells, depth: Any, px_a_mm: float) -> Tubes:
+def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cells, depth: Float, px_a_mm: float) -> Tubes:
     """Hang on a tree the roots that its tubes leave unexplained.
 
     Parameters

@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.device import numbers
+from rhizotwin.recon.device import Float, numbers
 
 Array = NDArray[np.float64]
 
@@ -69,15 +68,15 @@ def strips(tau: Array) -> Strips:
 class Layer:
     """A strip in place of a root, in a picture, all mi.Float."""
 
-    half_px: Any
-    height: Any
-    by_width: Any
+    half_px: Float
+    height: Float
+    by_width: Float
     """Derivative of the coverage by the root's half-width over that by the strip's own."""
-    by_height: Any
+    by_height: Float
     """Derivative of the height by the root's half-width, 1/px."""
 
 
-def layers(mu_per_mm: float | None, radius_mm: Any, sine: Any, half_px: Any) -> list[Layer]:
+def layers(mu_per_mm: float | None, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips in place of roots: `strips` in a picture, as a kernel has it; one and opaque without attenuation.
 
     Parameters

@@ -15,14 +15,13 @@ cover them to where it ends: of its bounding box it would cover a third.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.device import Float, Int32, UInt32, Vector2f, numbers, vectors, wholes
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -39,7 +38,7 @@ _FAR_PX = 3.0
 FULLEST = 0.995
 
 
-def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Any:
+def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Float:
     """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
     depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
     dr.eval(depth)
@@ -59,13 +58,13 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     first, last = (y + dr.minimum(0.0, strips.length * t_y) - beyond, y + dr.maximum(0.0, strips.length * t_y) + beyond)
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
-    def side(x: Any) -> Any:
+    def side(x: Float) -> Float:
         """Return the part of a pixel that lies on one side of an edge."""
         x = dr.clip(x, -_FAR_PX, _FAR_PX)
         ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
         return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
 
-    def covered(v: Any) -> tuple[Any, Any]:
+    def covered(v: Int32) -> tuple[Int32, Int32]:
         """Return the first and the last column that are covered in a row."""
         e_y = mi.Float(v) - y
         by_side, by_end = side_px * dr.abs(per_y), (0.5 * strips.length + end_px) * dr.abs(per_x)
@@ -73,7 +72,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         low, high = dr.maximum(middle[0] - by_side, middle[1] - by_end), dr.minimum(middle[0] + by_side, middle[1] + by_end)
         return mi.Int32(dr.clip(dr.ceil(x + low), 0, width)), mi.Int32(dr.clip(dr.floor(x + high), -1, width - 1))
 
-    def body(u: Any, end: Any, v: Any) -> tuple[Any, Any, Any]:
+    def body(u: Int32, end: Int32, v: Int32) -> tuple[Int32, Int32, Int32]:
         e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
         s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
         part = dr.clip(s / strips.length, 0, 1)
@@ -97,15 +96,15 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
 class _Strips:
     """Segments of tubes in the views that see both their ends, (M,) on the device."""
 
-    start: Any
+    start: UInt32
     """mi.UInt32, where the picture of the view begins."""
-    begin: Any
+    begin: Vector2f
     """mi.Vector2f, pixel of the beginning."""
-    way: Any
+    way: Vector2f
     """mi.Vector2f, unit direction."""
-    length: Any
+    length: Float
     """mi.Float, px."""
-    half_px: tuple[Any, Any]
+    half_px: tuple[Float, Float]
     """mi.Float, half-widths at both ends."""
     layers: tuple[list[Layer], list[Layer]]
     """The strips as which it is seen, at both ends."""
@@ -117,7 +116,7 @@ class _Strips:
         count, nodes = dr.opaque(mi.UInt32, len(segments)), dr.opaque(mi.UInt32, nodes)
         numbered = [wholes(end) for end in segments.T]
 
-        def ends(place: Any) -> tuple[Any, Any, list[Any]]:
+        def ends(place: UInt32) -> tuple[UInt32, UInt32, list[UInt32]]:
             """Return views, segments and the places of both ends in (V, N), flattened."""
             view = place // count
             segment = place - view * count
@@ -145,7 +144,7 @@ class _Strips:
         return _Strips(start, here, way, length, (half_px[0], half_px[1]), (layers[0], layers[1]))
 
 
-def unexplained(evidence: Evidence, depth: Any) -> Any:
+def unexplained(evidence: Evidence, depth: Float) -> Float:
     """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float, flattened."""
     difference = (evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen
     dr.eval(difference)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.evidence import Evidence, Nodes, bilinear, sine_to_sight
-from rhizotwin.recon.device import numbers, vectors, wholes
+from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
+from rhizotwin.recon.device import Float, Kernel, UInt32, Vector2f, Vector3f, bilinear, numbers, vectors, wholes
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
@@ -43,21 +42,21 @@ class Sections:
 
     shape: tuple[int, int]
     """Views and nodes, V and N."""
-    place: Any
+    place: UInt32
     """mi.UInt32, which of (V, N), flattened, each is."""
-    start: Any
+    start: UInt32
     """mi.UInt32, where the picture of its view begins."""
     columns: int
     rows: int
-    px: Any
+    px: Vector2f
     """mi.Vector2f, the node's pixel."""
-    normal: Any
+    normal: Vector2f
     """mi.Vector2f, unit direction across the tube in the picture."""
-    across: Any
+    across: Vector3f
     """mi.Vector3f, gradient of the place across the tube by the node (canister frame), px/mm."""
-    scale: Any
+    scale: Float
     """mi.Float, px/mm across the tube."""
-    half_px: Any
+    half_px: Float
     """mi.Float, half-width of the tube."""
     layers: list[Layer]
     """The strips as which the tube is seen."""
@@ -88,17 +87,17 @@ class Sections:
         """Return how many there are."""
         return int(dr.width(self.place))
 
-    def offset(self, k: Any, samples: int, reach_px: Any) -> Any:
+    def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
         """Return the offset across the tube, px, of one of a profile's samples, from ``-reach_px`` to ``reach_px``."""
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
-    def read(self, offset_px: Any, *pictures: Any) -> list[Any]:
+    def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
         """Interpolate pictures of all views, flattened, at an offset across the tube."""
         u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - 1.01)
         v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - 1.01)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
-    def spread(self, value: Any) -> Any:
+    def spread(self, value: Float) -> Float:
         """Return values (M,) in their places, mi.Float (V, N) flattened; 0 where nothing is cut."""
         whole = dr.zeros(mi.Float, self.shape[0] * self.shape[1])
         dr.scatter(whole, value, self.place)
@@ -146,16 +145,16 @@ class Profiles:
     """`HostProfiles` on the device, (V, N) flattened."""
 
     shape: tuple[int, int]
-    across: Any
+    across: Vector3f
     """mi.Vector3f; all others mi.Float."""
-    scale: Any
-    shift_2: Any
-    shift_width: Any
-    width_2: Any
-    shift: Any
-    width: Any
-    shown: Any
-    whole: Any
+    scale: Float
+    shift_2: Float
+    shift_width: Float
+    width_2: Float
+    shift: Float
+    width: Float
+    shown: Float
+    whole: Float
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
         """Return them, or those of some nodes, as NumPy has them."""
@@ -163,7 +162,7 @@ class Profiles:
         chosen = np.arange(count) if nodes is None else nodes
         place = wholes(np.arange(views)[:, None] * count + chosen)
 
-        def read(part: Any) -> Array:
+        def read(part: Float) -> Array:
             return np.array(dr.gather(mi.Float, part, place), np.float64).reshape(views, len(chosen))
 
         return HostProfiles(
@@ -175,7 +174,7 @@ class Profiles:
         views, count = self.shape
         nodes = dr.opaque(mi.UInt32, count)
 
-        def terms(at: Any) -> Iterator[Any]:
+        def terms(at: UInt32) -> Iterator[Float]:
             """Give what a view adds: position by position (upper triangle), by radius, gradient, coverage."""
             parts = [dr.gather(mi.Float, part, at) for part in self.across]
             scale, shift_2, shift_width, width_2, shift, width, shown, whole = (
@@ -188,7 +187,7 @@ class Profiles:
             yield width * scale
             yield from (shown, whole)
 
-        def body(view: Any, at: Any, *sums: Any) -> tuple[Any, ...]:
+        def body(view: UInt32, at: UInt32, *sums: Float) -> tuple[Kernel, ...]:
             return view + 1, at + nodes, *(total + term for total, term in zip(sums, terms(at), strict=True))
 
         begin = dr.zeros(mi.UInt32, count), dr.arange(mi.UInt32, count), *(dr.zeros(mi.Float, count) for _ in range(16))
@@ -202,7 +201,7 @@ class Profiles:
         return Pull(hessian, found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
 
-def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference: Any, blur_px: float) -> Profiles:
+def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Profiles:
     """Compare pictures and tubes across every node in every view.
 
     Parameters
@@ -218,7 +217,7 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
     reach_px = cut.half_px + _MARGIN_PX
 
-    def body(k: Any, *sums: Any) -> tuple[Any, ...]:
+    def body(k: UInt32, *sums: Float) -> tuple[Kernel, ...]:
         o = cut.offset(k, _SAMPLES, reach_px)
         d, t = cut.read(o, difference, depth)
         c, shift, width = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
@@ -245,7 +244,7 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Any, difference
     return Profiles(cut.shape, across, scale, *found)
 
 
-def misfit(evidence: Evidence, tubes: Tubes, difference: Any) -> Array:
+def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
     """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
     at = evidence.project(tubes.centre_mm)
     cut = Sections.of(evidence, tubes, at)

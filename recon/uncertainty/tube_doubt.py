@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import Float
 from rhizotwin.recon.roots.rooting import RootSystem
 from rhizotwin.recon.tubes import tube_fit, tube_law, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
@@ -184,7 +184,7 @@ class _Rest:
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, depth: Any, difference: Any, px_a_mm: float) -> _Rest:
+    def of(seen: Evidence, depth: Float, difference: Float, px_a_mm: float) -> _Rest:
         """Look at all views."""
         (width, height), count = seen.image_wh, seen.bank.count
         known = np.array(seen.seen).reshape(count, height, width) > 0
