@@ -86,16 +86,14 @@ def carve_hull(
         maps = carve.DistanceMaps.of(outlines, scene.camera.image_wh, window)
         del outlines
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
-        top, bottom = min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm
-        grid = carve.Grid.over(np.array([-radius, -radius, bottom]), np.array([radius, radius, top]), finest_mm)
+        water = Water(radius, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
+        grid = carve.Grid.over(np.array([-radius, -radius, water.bottom_mm]), np.array([radius, radius, water.top_mm]), finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(
                 bank,
                 maps,
                 grid,
-                radius_mm=radius,
-                top_mm=top,
-                bottom_mm=bottom,
+                water,
                 min_votes=max(3, math.ceil(parsimony.VOTES * bank.count)),
                 slack_px=slack_px,
                 ignore_blindness=ignore_blindness,
@@ -107,7 +105,7 @@ def carve_hull(
             "the poses or the scene file do not fit the pictures."
         )
     drawn = tuple(coverage.silhouettes[k] for k in order)
-    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=Water(radius, top, bottom))
+    return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -216,10 +216,8 @@ def carve(
     bank: ViewBank,
     maps: DistanceMaps,
     grid: Grid,
+    water: Water,
     *,
-    radius_mm: float,
-    top_mm: float,
-    bottom_mm: float,
     min_votes: int,
     slack_px: float = 0.3,
     ignore_blindness: bool = False,
@@ -229,59 +227,28 @@ def carve(
 
     Parameters
     ----------
-    radius_mm, top_mm, bottom_mm : the water: nodes outside are left out.
-    min_votes : views that must see a node for it to count as part of the shape.
-    slack_px : outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
-    ignore_blindness : the thesis's way: a view that does not see a node carves it.
-    progress : called when a level is done.
+    water : Water
+        Nodes outside of it are left out.
+    min_votes : int
+        Views that must see a node for it to count as part of the shape.
+    slack_px : float
+        Outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+    ignore_blindness : bool
+        The thesis's way: a view that does not see a node carves it.
+    progress : callable, optional
+        Called when a level is done.
     """
-    shape = grid.coarse_shape
-    i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in shape), indexing="ij"))
-    indices, sizes = [np.zeros((0, 3), np.int32)], [np.zeros(0, np.int32)]
-    occupancies = [np.zeros((3, 0), np.float32)]  # best, low, high
-    blind_mm3 = 0.0
-    nodes = [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
+    carving, nodes = _Carving(bank, maps, grid, water, min_votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    done = [_Decided(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
-        units = 2 ** (grid.levels - level)
-        edge_mm = grid.size_mm * units
-        kept: list[list[Int32]] = []
-        total = dr.width(nodes[0])
+        total, kept = dr.width(nodes[0]), list[list[Int32]]()
         for begin in range(0, total, _CHUNK):
             part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
-            point = _centres(grid, part, edge_mm)
-            inside = dr.square(point.x) + dr.square(point.y) < dr.square(radius_mm + 0.71 * edge_mm)
-            inside &= (point.z < top_mm + 0.5 * edge_mm) & (point.z > bottom_mm - 0.5 * edge_mm)
-            part = _compress(part, inside)
-            if dr.width(part[0]) == 0:
-                continue
-            point = _centres(grid, part, edge_mm)
-            empty, partial, votes, depth, scale = _mark(
-                bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), dr.opaque(mi.Float, slack_px), ignore_blindness
-            )
-            dr.eval(empty, partial, votes, depth, scale)  # now, or the loop over the views runs again for what is asked first
-            blind = ~empty & (votes < min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
-            if level < grid.levels:
-                blind &= ~_partly_seen(bank, maps, point, dr.opaque(mi.Float, 0.5 * edge_mm), blind, min_votes)
-            full = ~empty & ~blind & ~partial & (votes >= min_votes)
-            split = ~empty & ~blind & ~full
-            in_radius = dr.square(point.x) + dr.square(point.y) < radius_mm**2
-            if units == 1:
-                # the finest nodes that no view decides are measured
-                moves = (0.0, -slack_px / scale, slack_px / scale)
-                best, low, high = (dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves)
-                chosen = full | (split & in_radius & (high > 0))
-                dr.eval(blind, chosen, best, low, high)
-                occupancies.append(np.stack([np.array(a) for a in _compress([best, low, high], chosen)]).astype(np.float32))
-            else:
-                chosen = full
-                dr.eval(blind, chosen, split)
-                kept.append(_compress(part, split))
-            blind_mm3 += float(dr.count(blind & in_radius & (point.z < top_mm) & (point.z > bottom_mm))[0]) * edge_mm**3
-            index = np.stack([np.array(a) for a in _compress(part, chosen)], axis=1).astype(np.int32)
-            indices.append(index * units)
-            sizes.append(np.full(len(index), units, np.int32))
-            if units > 1:
-                occupancies.append(np.ones((3, len(index)), np.float32))
+            decided = carving.decide(part, level)
+            if decided is not None:
+                done.append(decided)
+                kept += [] if decided.split is None else [decided.split]
         nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
         if progress:
             progress()
@@ -289,9 +256,83 @@ def carve(
             break
         _check_memory(8 * dr.width(nodes[0]))
         nodes = _children(nodes)
-    best, low, high = np.concatenate(occupancies, axis=1)
-    leaves = Leaves(grid, np.concatenate(indices), np.concatenate(sizes), best)
-    return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), blind_mm3)
+    best, low, high = np.concatenate([part.occupancy for part in done], axis=1)
+    leaves = Leaves(grid, np.concatenate([part.index for part in done]), np.concatenate([part.size for part in done]), best)
+    return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), sum(part.blind_mm3 for part in done))
+
+
+@dataclass(frozen=True)
+class _Decided:
+    """What became of nodes of one size."""
+
+    index: Index
+    """(N, 3) lowest corner of those that are part of the shape, in finest nodes."""
+    size: Index
+    """(N,)"""
+    occupancy: NDArray[np.float32]
+    """(3, N) best, least and most: with the outlines where they are, moved in, and moved out."""
+    blind_mm3: float
+    """Volume of those that too few views see."""
+    split: list[Int32] | None
+    """Those that are to be cut; None on the finest level."""
+
+
+@dataclass(frozen=True)
+class _Carving:
+    """From what and how is carved."""
+
+    bank: ViewBank
+    maps: DistanceMaps
+    grid: Grid
+    water: Water
+    min_votes: int
+    slack_px: float
+    ignore_blindness: bool
+
+    def decide(self, part: list[Int32], level: int) -> _Decided | None:
+        """Look at nodes of a level; None where all lie outside of the water."""
+        grid, water, slack_px = self.grid, self.water, self.slack_px
+        units = 2 ** (grid.levels - level)
+        edge_mm = grid.size_mm * units
+        point = _centres(grid, part, edge_mm)
+        inside = dr.square(point.x) + dr.square(point.y) < dr.square(water.radius_mm + 0.71 * edge_mm)
+        inside &= (point.z < water.top_mm + 0.5 * edge_mm) & (point.z > water.bottom_mm - 0.5 * edge_mm)
+        part = _compress(part, inside)
+        if dr.width(part[0]) == 0:
+            return None
+        point = _centres(grid, part, edge_mm)
+        half_mm = dr.opaque(mi.Float, 0.5 * edge_mm)
+        empty, partial, votes, depth, scale = _mark(
+            self.bank, self.maps, point, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness
+        )
+        dr.eval(empty, partial, votes, depth, scale)  # now, or the loop over the views runs again for what is asked first
+        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
+        if level < grid.levels:
+            blind &= ~_partly_seen(self.bank, self.maps, point, half_mm, blind, self.min_votes)
+        full = ~empty & ~blind & ~partial & (votes >= self.min_votes)
+        split = ~empty & ~blind & ~full
+        in_radius = dr.square(point.x) + dr.square(point.y) < water.radius_mm**2
+        chosen, measured = full, None
+        if units == 1:
+            # the finest nodes that no view decides are measured
+            moves = (0.0, -slack_px / scale, slack_px / scale)
+            measured = [dr.select(full, 1.0, dr.clip(0.5 + (depth + move) / grid.size_mm, 0.0, 1.0)) for move in moves]
+            chosen = full | (split & in_radius & (measured[2] > 0))
+            dr.eval(blind, chosen, measured)
+        else:
+            dr.eval(blind, chosen, split)
+        blind &= in_radius & (point.z < water.top_mm) & (point.z > water.bottom_mm)
+        index = np.stack([np.array(a) for a in _compress(part, chosen)], axis=1).astype(np.int32)
+        occupancy = np.ones((3, len(index)), np.float32)
+        if measured is not None:
+            occupancy = np.stack([np.array(a) for a in _compress(measured, chosen)]).astype(np.float32)
+        return _Decided(
+            index=index * units,
+            size=np.full(len(index), units, np.int32),
+            occupancy=occupancy,
+            blind_mm3=float(dr.count(blind)[0]) * edge_mm**3,
+            split=_compress(part, split) if measured is None else None,
+        )
 
 
 def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:

@@ -292,9 +292,7 @@ def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carv
         seen.bank,
         maps,
         grid,
-        radius_mm=water.radius_mm,
-        top_mm=water.top_mm,
-        bottom_mm=water.bottom_mm,
+        water,
         min_votes=least,
         slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
     )

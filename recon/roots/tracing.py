@@ -17,6 +17,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
+from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.roots.density import Cells
 
 Array = NDArray[np.float64]
@@ -131,15 +132,14 @@ def _smooth(cells: Cells) -> Array:
 def graph(cells: Cells, density: Array) -> csr_matrix:
     """Join each cell with its 26 neighbours at the cost of the way between their centres."""
     low = cells.index.min(axis=0) - 1
-    shape = cells.index.max(axis=0) - low + 2
-    weights = np.array([shape[1] * shape[2], shape[2], 1], np.int64)
-    place = (cells.index - low).astype(np.int64) @ weights
-    number = np.full(int(shape.prod()), -1, np.int32)
+    box = Box(low.astype(np.int64), cells.index.max(axis=0).astype(np.int64) - low + 2)
+    place = box.number(cells.index)
+    number = np.full(int(box.span.prod()), -1, np.int32)
     number[place] = np.arange(len(place))
     cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
     ends: list[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]] = []
     for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
-        there = number[place + int(step @ weights)]
+        there = number[place + int(step @ box.step)]
         here = np.flatnonzero(there >= 0).astype(np.int32)
         there = there[here]
         way = np.float32(cells.grid.size_mm * np.linalg.norm(step))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.carve import Leaves
 from rhizotwin.recon.hull.parsimony import even
 from rhizotwin.recon.roots.rooting import RootSystem
@@ -74,19 +75,16 @@ def _painted(thick: Leaves, filled: Filled) -> Leaves:
     everything = np.concatenate([at, fine, coarse])
     if not len(everything):
         return thick
-    low = everything.min(axis=0)
-    span = everything.max(axis=0) - low + 1
-    weights = np.array([span[1] * span[2], span[2], 1])
-    keys, inverse = np.unique((np.concatenate([at, fine]) - low) @ weights, return_inverse=True)
+    box = Box.around(everything)
+    keys, inverse = np.unique(box.number(np.concatenate([at, fine])), return_inverse=True)
     tube = np.bincount(inverse[: len(at)], weights=filled.volume_mm3 / thick.grid.size_mm**3, minlength=len(keys)).astype(np.float64)
     organ = np.zeros(len(keys))
     organ[inverse[len(at) :]] = thick.occupancy[~large]
     occupancy = np.maximum(levelled(tube), organ)
-    new = (occupancy > 0) & ~np.isin(keys, (coarse - low) @ weights)
-    index = np.stack([keys // weights[0], keys // weights[1] % span[1], keys % span[2]], axis=1) + low
+    new = (occupancy > 0) & ~np.isin(keys, box.number(coarse))
     return Leaves(
         thick.grid,
-        np.concatenate([thick.index[large], index[new].astype(np.int32)]),
+        np.concatenate([thick.index[large], box.cell(keys[new]).astype(np.int32)]),
         np.concatenate([thick.size[large], np.ones(int(new.sum()), np.int32)]),
         np.concatenate([thick.occupancy[large], occupancy[new].astype(np.float32)]),
     )

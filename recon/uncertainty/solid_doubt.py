@@ -86,9 +86,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
             some,
             outlines,
             grid,
-            radius_mm=water.radius_mm,
-            top_mm=water.top_mm,
-            bottom_mm=water.bottom_mm,
+            water,
             min_votes=max(3, math.ceil(parsimony.VOTES * some.count)),
         ).leaves.volume_mm3()
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))

@@ -9,6 +9,7 @@ import pytest
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, surface
+from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import cameras, projection, refraction
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -56,9 +57,7 @@ def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = Fa
         bank,
         maps,
         grid,
-        radius_mm=r,
-        top_mm=-8.0,
-        bottom_mm=-110.0,
+        Water(r, -8.0, -110.0),
         min_votes=5,
         ignore_blindness=ignore_blindness,
     )
@@ -93,7 +92,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     values[:, : int(2 * row)] = silhouettes.UNSEEN_PX
     half = carve.DistanceMaps.of(values)
     grid = carve.Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
-    leaves = carve.carve(bank, half, grid, radius_mm=73.0, top_mm=-38.0, bottom_mm=-62.0, min_votes=5).leaves
+    leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves
     z = np.arange(-50.0, -40.0, 0.05)
     point = mi.Point3f(0.2, 0.2, mi.Float(z))
     votes = sum(np.array(carve.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))

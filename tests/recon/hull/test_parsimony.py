@@ -9,6 +9,7 @@ import pytest
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import cameras, projection, refraction
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -72,7 +73,7 @@ def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, carve.D
     r = optics.inner_radius_mm
     bank, device_maps = projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
     lattice = carve.Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
-    return bank, device_maps, carve.carve(bank, device_maps, lattice, radius_mm=r, top_mm=-8.0, bottom_mm=-100.0, min_votes=6).leaves
+    return bank, device_maps, carve.carve(bank, device_maps, lattice, Water(r, -8.0, -100.0), min_votes=6).leaves
 
 
 def test_trimming_gives_tubes_their_volume_back() -> None:
