@@ -28,6 +28,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 _MISSED_VIEWS = 8
+"""Views that are looked at; they come in an order that spreads neighbours over the turn."""
 _MISSED_LEAVES = 100_000
 """Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the other."""
 _MISSED_PX = 1.5
@@ -35,6 +36,7 @@ _MISSED_PX = 1.5
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
 _MUCH_KEPT = 0.2
+"""Share of the volume that is untrimmed hull, beyond which a warning is given."""
 
 
 @dataclass(frozen=True, kw_only=True)

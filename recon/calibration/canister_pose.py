@@ -28,9 +28,11 @@ MARGIN_MM = 8.0
 REACH_MM = 4.0
 """How far from their places in a canister that stands true the edges are looked for."""
 STEP_PX = 0.25
+"""Spacing of the samples across an edge: two for a blur of half a pixel."""
 LEAST_RISE = 0.25
 """An edge must rise by this share of the brightness outside of it within three pixels."""
 LEAST_EDGES = 200
+"""Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
 LOOSE_MM = 0.1
 """Scale of the robust loss."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])

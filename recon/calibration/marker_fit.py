@@ -20,17 +20,23 @@ TARGET_PX: Final = 90.0
 GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
 BLUR_PX: Final = (0.25, 6.0)
+"""Standard deviations between which the blur is sought: a square pixel alone has 0.29, and 6 is over half a module of the largest markers."""
 RETABLE: Final = 0.03
 """Relative change of the blur after which the pattern is tabulated anew."""
 LEAST_PIXELS: Final = 60
+"""Three for each of the 18 parameters, and some more."""
 MOST_STEPS: Final = 15
+"""Gauss-Newton converges fast or runs away."""
 MOST_MOVE: Final = 0.15
 """A step moves no corner by more than this, in half sides."""
 ENOUGH_PX: Final = 0.003
+"""Steps of the corners below this end the fit: a seventh of what the covariance does not know of (`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
+"""Every wrong module of 64 takes 2/64 off the correlation of balanced black and white: three may be wrong, by dirt or glare."""
 MOST_SHIFT: Final = 0.1
 """A fit whose corners end farther than this from the start, in sides (and 2.5 px), is refused."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""Of a marker in (s, t)."""
 
 
 @dataclass(frozen=True, kw_only=True)

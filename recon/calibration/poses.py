@@ -20,6 +20,7 @@ from rhizotwin.scenes.model import Scene
 WORST_PX = 1.0
 """A view is left out above this reprojection error when it is also above `WORST_FACTOR` times the median of all views."""
 WORST_FACTOR = 6.0
+"""An error is a mean over tens of corners, so that those of views of one scan differ by tens of per cent, not by factors."""
 HOPELESS_PX = 5.0
 """A view is left out above this reprojection error in any case."""
 STILL_PX = 2.0
@@ -29,7 +30,9 @@ LOOSE = np.array([np.deg2rad(3.0), 10.0])
 LEAST_RING = 5
 """Views of a ring among which a moved one can be told."""
 OUTLIER_WEIGHT = 0.1
+"""Cauchy weight of a marker that is nine standard deviations off."""
 AS_CALIBRATED = 1e-7
+"""Prior of the relative change of focus that holds the lens as it is."""
 SURE = 5.0
 """A change of focus since the calibration is believed beyond this many standard deviations."""
 STRANGERS = 3

@@ -12,6 +12,7 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
 
 LEAST_MARKERS = 4
+"""Sixteen corners for six unknowns; with fewer markers one that is misread is not told."""
 FLOOR_PX = 0.02
 """Error of a measured corner that its covariance does not know of: lens model, print, the pattern's model."""
 UNKNOWN_PX = 0.1

@@ -22,8 +22,11 @@ Array = NDArray[np.float64]
 _TRACE = 0.07
 """Blurred coverage above this may be a root: a third of a pixel wide, with the blur below."""
 _TRACE_BLUR_PX = 0.6
+"""Standard deviation of the blur before the threshold, against the noise of single pixels."""
 _TRACE_SLACK_PX = 0.25
+"""By this much the generous outline is moved out: half of a sample of the distance map."""
 _FULL = 0.9
+"""Coverage above this counts as full, noise allowed for."""
 CORE_PX = 1.25
 """Points this deep inside full coverage in every view lie in a thick organ: 3.5 px wide or more."""
 

@@ -23,6 +23,7 @@ UPSAMPLING = 2
 UNSEEN_PX = 1e7
 """Value of a distance map where its picture says nothing."""
 _BLUR_PX = 0.7
+"""Standard deviation of the blur before outlines are drawn; `outline_level` allows for it, however wide a strip is."""
 _SILENT_PX = 4
 """Blur, interpolation and widening reach less far than this."""
 _FLOOR = 0.1
@@ -144,6 +145,7 @@ def outline_level(peak: NDArray[np.floating]) -> Image:
 
 
 _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
+"""`outline_level`, tabulated."""
 
 
 def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:

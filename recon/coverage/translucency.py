@@ -29,13 +29,17 @@ CLEARLY = 1.2
 An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by chance.
 """
 _REACH_PX, _STEP_PX = 14.0, 0.5
+"""Profiles reach so far to each side, beyond the widest strip and its flanks, in steps of half a pixel."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
+"""Places across a strip."""
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """A strip is averaged over these places along it, where its profile must be the same (`_SAME`)."""
 _SAME = 0.12
+"""Opacity along one root differs by less (standard deviation): chosen above noise, and below the step where another root crosses."""
 _WIDTH_PX = (4.0, 11.0)
 """Full widths at half height that are fitted: narrower strips are mostly blur, and too faint ones would be missed."""
 _FLANK_PX = 1.7
+"""Beyond half the width, where a blur of 0.85 px (two standard deviations) has ended."""
 _EMPTY = 0.06
 """Opacity beside a lone strip is less."""
 _GOOD = 0.02
@@ -43,14 +47,19 @@ _GOOD = 0.02
 _MOST = 3000
 """Places of a view that are looked at."""
 _A_BIN, _LEAST = 120, 30
+"""Profiles used of each pixel of width, and fewer than which tell nothing: a median of 30 is uncertain by a quarter of their spread."""
 _MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
+"""Attenuations that are tried: 12 % apart from faint to dark, then nearly opaque and opaque."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
+"""Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""
 _OWN = (0.0, 0.5, 1.0)
 """Shares of the light in the darkest cores that may be the roots' own."""
 _LONGEST_PX = 60.0
 """Things shorter than this are no roots to learn from."""
 _FINE = 16
+"""Samples a pixel of the strips that profiles are compared with."""
 _PEAK_BLUR_PX = 1.0
+"""The peak nearby is looked up in pictures blurred so much, where noise of single pixels is no peak."""
 _SIGMA_PX = 0.5
 """Blur of a picture, square pixel included, that profiles are reckoned with."""
 _THINNEST_MM = 0.08

@@ -21,6 +21,7 @@ from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.scenes.monitor import Monitor
 
 _TEXEL_MM = 1.0
+"""A few sampled pixels wide (`_COLUMNS`), so that a view gives each the mean of several."""
 _STEP = 8
 """Lines of sight are followed for one pixel in so many each way, and interpolated."""
 _COLUMNS = 400
@@ -28,6 +29,7 @@ _COLUMNS = 400
 _QUANTILE = 0.35
 """Of the views of a place: roots pass before it in fewer than the others."""
 _LEAST_VIEWS = 5
+"""Of three views or fewer the quantile is the least."""
 _FAINTEST = 0.03
 """Optical depth of a film that is told from the backlight's errors."""
 _DARKEST = 0.5
@@ -37,9 +39,11 @@ _NARROWEST_TEXELS = 4
 _BUBBLE = 0.06
 """Optical depth of a texel with the least bubble that is told."""
 _WIDEST_BUBBLE_MM = 5.0
+"""Two capillary lengths of water (2.7 mm): larger bubbles do not cling."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
 """A bubble stands alone: in so many views the ring round it is clearer than this."""
 _ROUNDS = 2
+"""The first knows nothing of the other side's film; the second takes it off."""
 
 
 @dataclass(frozen=True)

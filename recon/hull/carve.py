@@ -31,8 +31,11 @@ Index = NDArray[np.int32]
 TELLS_PX = 1e-3 * UNSEEN_PX
 """Interpolated distances above this have a share of `UNSEEN_PX`: the picture says nothing there either."""
 _COARSEST_MM = 4.6
+"""Edge of the first nodes, at most: 33 across the canister."""
 _BLIND_MM = 2.5
+"""Larger nodes that too few views see are cut: some of their parts may be seen."""
 _CHUNK = 1 << 21
+"""Nodes that are looked at in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
 """Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having too little."""
 

@@ -30,14 +30,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SKELETON_MM = 0.5
+"""About this edge have the voxels that are thinned to curves: finer ones grow hairs on rough surfaces."""
 _SPACING_MM = 0.16
+"""Of the points along a curve, at most: balls of 0.5 mm roots overlap by more than half."""
 _BIN_MM = 4.0
+"""Edge of the bins in which balls are looked up: a ball no larger lies in eight at most."""
 _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts not at all, a third
 more in full."""
 VOTES = 0.3
 """Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
+"""Distance at which an outline's slope is read on both sides: a sample and a half of the map."""
 _TIGHT_PX = 0.4
 """A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off. Half
 of this bounds it in full, half as much again not at all."""
@@ -48,6 +52,7 @@ Every view that shows a root alone bounds its ball. A ball in a web between root
 _LEAST_CURVE = 12
 """Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
+"""The 26 directions to neighbouring cells."""
 _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 

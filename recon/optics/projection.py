@@ -26,8 +26,11 @@ from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.scenes import frames
 
 _PARAMETERS = 32
+"""Numbers a view, padded to a power of two."""
 _CELL_MM = 1.0
+"""Cells of the start table; Newton's steps do the rest."""
 NEWTON_STEPS = 3
+"""What they do not bring within 3e-4 mm counts as unseen."""
 
 
 def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:

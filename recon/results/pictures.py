@@ -23,8 +23,11 @@ Box = tuple[float, float, float, float]
 """(left, right, bottom, top) in mm."""
 
 SHAPE_RGB = (0.86, 0.55, 0.25)
+"""Ochre, as a root."""
 TRUTH_RGB = (0.42, 0.62, 0.80)
+"""Blue: told from ochre by everybody."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
+"""Red, over grey pictures."""
 SHRINK = 2
 """Renderings are made this much finer than shown, then averaged."""
 PANEL_PX = 640

@@ -25,7 +25,9 @@ THICKEST_PERCENT = 98.0
 LEAST_WIDTH_PT = 0.7
 """Thinner lines hardly show."""
 PANEL_IN = 4.6
+"""Width of a panel: three stand side by side in 15 inches."""
 MARGIN_MM = 4.0
+"""About the roots, so that none touches the frame."""
 BAR_RGB = "#4c86b0"
 
 

@@ -29,6 +29,7 @@ from rhizotwin.scenes.pictures import decode_grey
 Floats = NDArray[np.float64]
 
 SCHEMA_VERSION = 1
+"""Of ``result.json``; it grows when what a key means changes."""
 
 
 def _number(value: Any) -> bool:
@@ -63,6 +64,7 @@ _RIGHT: dict[str, Callable[[Any], bool]] = {
     "warnings": lambda value: isinstance(value, list),
     "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
 }
+"""What a value of ``result.json`` must be like."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 2_000_000
+"""Triangles times pixels that are held together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,9 @@ class Side:
 
 
 FRONT = Side(name="front (seen from +x)", right=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), right_label="y (mm)")
+"""Seen from +x."""
 SIDE = Side(name="side (seen from -y)", right=(1.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), right_label="x (mm)")
+"""Seen from -y."""
 
 
 @dataclass(frozen=True, kw_only=True)

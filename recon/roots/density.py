@@ -34,11 +34,13 @@ Array = NDArray[np.float64]
 STEPS = 30
 """More steps make roots thinner and darker, 60 take 8 % of their shadow: what the pictures do not tell apart drifts."""
 _VIEWS_A_STEP = 10
+"""Views from which one step of the estimate is made: ordered subsets, so that a pass over all of them is several steps."""
 _THIN_OUT = (6, 12, 20)
 """Steps after which cells that cast next to no shadow are left out."""
 _NOTHING = 1e-5
 """Shadow of a cell as a fraction of its face that counts for nothing."""
 _LEAST_RATIO, _MOST_RATIO = 0.05, 3.0
+"""A step changes no density by more than these factors."""
 _LEAST_COVERAGE = 3e-3
 """Less than this counts as this much at the start: one empty view is no proof."""
 _FLOOR = 1e-3

@@ -23,7 +23,9 @@ _EXPLAINED = 0.5
 _EXPLAINED_PX = 1.0
 """... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
 _END_NODES = 3
+"""Nodes of an end that are weighed together: 2 mm."""
 _NEIGHBOURS = 12
+"""Nodes of other branches that are looked at."""
 _INSIDE = 0.9
 """Share of a root's radius within which another centre line is its own."""
 _SHORT_MM = 1.5

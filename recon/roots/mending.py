@@ -36,6 +36,7 @@ _BRANCH, _DOUBTFUL = 1.0, 2.0
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
 _ROUNDS = 8
+"""Joining may bring other ends together; it ends before."""
 
 
 @dataclass(frozen=True)

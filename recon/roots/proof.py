@@ -18,7 +18,9 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Array = NDArray[np.float64]
 
 _SAMPLES = 9
+"""Places across a tube."""
 _FLANK_PX = 0.5
+"""Beyond a tube's half-width what the tube explains ends."""
 
 
 @dataclass(frozen=True)

@@ -35,11 +35,13 @@ _SURE = 0.25
 _LEAST_VIEWS = 4.0
 """Views (sum of u^2) that must tell something about a place."""
 _THINNEST_MM = 0.05
+"""Radius of the thinnest root that is sought."""
 _LEAST_MM = 0.4
 """A new branch has at least this length outside of the tubes."""
 _BEGIN_MM = 1.0
 """A new branch on the flank of a root costs as much as this much more of a root that goes on at its tip."""
 _TIP_MM = 0.4
+"""So near another root's end, an end is the same."""
 
 
 def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:

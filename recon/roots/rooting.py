@@ -43,14 +43,19 @@ _FLANK_PX = 0.5
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
+"""Standard deviations of blurs that are tried, beside the square pixel's own."""
 _BLUR_VIEWS = 24
 """Views in which blurs are tried: they come in an order that spreads neighbours over the turn."""
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
 _FIRST_STEPS = 3
+"""Steps of the fits, fewer than a whole one (`tube_fit.STEPS`): before the blur is known ..."""
 _BETWEEN_STEPS = 4
+"""... between searches ..."""
 _LAST_STEPS = 4
+"""... before ends are judged ..."""
 _AFTER_STEPS = 2
+"""... and after something that all roots share has changed a little."""
 
 
 @dataclass(frozen=True, kw_only=True)

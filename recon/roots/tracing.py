@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _SMOOTH_CELLS = 0.7
+"""Standard deviation of the smoothing of the density: noise of single cells is no ridge."""
 _CAP = 37.5
 """Density (shadow a volume, 1/mm) above which more tells nothing."""
 _BRIDGE = 0.125
@@ -33,9 +34,11 @@ _DENSE = 0.25
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
 """Density given to cells inside thick organs, and its rise with depth, a mm: paths keep to their middle."""
 CLAIM_CELLS = 1.5
+"""Cells this near to a traced root are its own."""
 _CORE_CLAIM_MM = 0.65
 """Cells this far beyond the core about a path in a thick organ are claimed with it."""
 _LEAST_MM = 1.0
+"""A root shorter than this is not traced."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
 """The plant's top is sought in its highest millimetre; laterals rise so far above what is seen of the stem, at most."""
 

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SAMPLES_A_NODE = 1.8
+"""Points along a node's edge: every node in a tube gets some."""
 _FINEST_SPACING_MM = 0.05
+"""Of the points, for memory."""
 _SLACK_PX = 0.05
 """Uncertainty of a tube's radius that the volume's bounds allow for."""
 

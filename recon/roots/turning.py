@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 _TOUCH_MM = 1.0
 """A tip this near the surface of another root may be where it leaves that root."""
 _ROUNDS = 8
+"""Turning one branch may turn another; it ends before."""
 
 
 def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:

@@ -12,6 +12,7 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import Truth
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
+"""Place of each quantity among tilts and offsets."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 NEAR_MM = 0.5
 """A centre line this near the other counts as found."""
 TIP_MM = 1.0
+"""A tip this near another counts as the same: two to five diameters."""
 _STEP_MM = 0.1
+"""Centre lines are compared at points so far apart: a fifth of `NEAR_MM`."""
 
 
 @dataclass(frozen=True, kw_only=True)

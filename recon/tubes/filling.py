@@ -14,9 +14,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+"""The golden angle, rad."""
 _LEAST_SAMPLES = 6
+"""Points of a cross-section, however thin."""
 _DENSE_MM = 0.15
+"""Spacing of the points on all branches that tell what lies inside of them."""
 _NEAR = 24
+"""Such points that are looked at about a place."""
 _THICK_MM = 0.5
 """Tubes of more than this radius are few: they are looked up by themselves."""
 

@@ -42,7 +42,9 @@ INDEX_LIMITS = 1.32, 1.36
 SURE = 3.0
 """An index is believed beyond this many standard deviations of the given one, and not for fewer than `LEAST_NODES` nodes."""
 LEAST_NODES = 100
+"""Sixty millimetres of root: fewer come from one or two roots, whose scatter tells no uncertainty."""
 MOST_NODES = 1500
+"""More, evenly chosen, tell no more: nodes of one root are off together."""
 TURN_PRIOR_RAD = 7e-5
 """How well markers know a table angle: 0.004 degrees."""
 _LEAST_VIEWS = 8
@@ -55,6 +57,7 @@ LEAST_VARIANCE = 1e-5
 _RIDGE, _ALONG = 1e-3, 0.5
 """Parts of a node's own curvature that hold it in all directions, and along its root, where nothing is seen."""
 _PASSES = 4
+"""The variance of a unit of evidence and the change settle together."""
 _ROUNDS, _STEPS = 4, 3
 """Times that the tubes are fitted anew, and steps of each fit."""
 _SETTLED = 0.2

@@ -32,7 +32,9 @@ _STEPS = 4
 _MOST_PROFILES = 40_000
 """Nodes times views that are compared; of more, only some views are."""
 _LEAST_VIEWS = 12
+"""Views that are compared at least: more directions tell attenuation from width."""
 _OPAQUE = 1e3
+"""Attenuation, 1/mm, of roots that count as opaque."""
 _ALONE = 0.95
 """Share of a lone root that no other hides."""
 _LEAST_SINE = 0.3
@@ -42,7 +44,9 @@ _LEAST_LONE = 500
 _PERHAPS = 1.1
 """Half of `CLEARLY`: opaque roots of the twin left up to 1.01 times as much as the darkest translucent ones."""
 _BLUR_STEP_PX = 0.1
+"""Blurs that differ by less are not told apart."""
 _MOST_BLUR_PX = 0.8
+"""A camera in focus blurs less."""
 
 
 @dataclass(frozen=True)

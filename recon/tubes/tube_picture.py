@@ -29,6 +29,7 @@ from rhizotwin.recon.tubes.tubes import Tubes
 PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
 _NARROWEST_PX = 0.1
+"""An edge along the rows sees a pixel of no width without blur: a box this wide stands for it."""
 _NOTHING, _ENDS = 1e-4, 4.0
 """Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of it."""
 _STEEPEST = 1e-3
@@ -36,6 +37,7 @@ _STEEPEST = 1e-3
 _FAR_PX = 3.0
 """Beyond this from an edge a pixel lies on one side of it, blur and all."""
 FULLEST = 0.995
+"""Coverage is kept below one: its optical depth is infinite."""
 
 
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Float:

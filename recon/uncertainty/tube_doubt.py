@@ -34,6 +34,7 @@ _FLAT, _FLAT_PX = 0.1, 0.1
 _FLATTEST = 0.26
 """Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
 _FLAT_NODES = 5
+"""Nodes along which a section is taken to be alike: 3 mm."""
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
