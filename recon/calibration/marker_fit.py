@@ -20,7 +20,7 @@ TARGET_PX: Final = 90.0
 GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Standard deviations between which the blur is sought: a square pixel alone has 0.29, and 6 is over half a module of the largest markers."""
+"""Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the largest markers."""
 RETABLE: Final = 0.03
 """Relative change of the blur after which the pattern is tabulated anew."""
 LEAST_PIXELS: Final = 60
