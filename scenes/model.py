@@ -72,9 +72,22 @@ class MarkerStrip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera:
-    """Pinhole camera with OpenCV distortion; pixel centres are at integers."""
+class Surroundings:
+    """What stands between the camera and the canister."""
 
+    n: float = bounded(1.0, 1.0, 2.0)
+    """Index: 1 is air. The liquid of a tank about the canister (near the water's index, so that the wall bends little) for a telecentric
+    camera that looks squarely through the tank's flat window: parallel rays pass such a window unbent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Camera with OpenCV distortion; pixel centres are at integers."""
+
+    kind: Literal["pinhole", "telecentric"] = "pinhole"
+    """``telecentric``: parallel rays, ``mm_per_px`` apart; ``focal_px`` and ``distortion`` are not used."""
+    mm_per_px: float = bounded(0.1, 1e-5, 100.0)
+    """Size of a pixel on the specimen; only for a telecentric camera."""
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
     focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
     principal_px: tuple[float, float] = bounded((399.5, 299.5), -1e6, 1e6)
@@ -95,13 +108,14 @@ class Camera:
         return replace(
             self,
             image_wh=image_wh,
+            mm_per_px=self.mm_per_px / scale,
             focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale),
             principal_px=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5 + margin_y),
         )
 
     def focused(self, scale: float) -> "Camera":
         """Return the same camera with focal lengths ``scale`` times as long (lenses breathe when they are focused)."""
-        return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale))
+        return replace(self, focal_px=(self.focal_px[0] * scale, self.focal_px[1] * scale), mm_per_px=self.mm_per_px / scale)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,6 +236,7 @@ class Scene:
     water: Water = Water()
     net_pot: NetPot = NetPot()
     strip: MarkerStrip = MarkerStrip()
+    surroundings: Surroundings = Surroundings()
     camera: Camera = Camera()
     lights: Lights = Lights()
     turntable: Turntable = Turntable()

@@ -109,7 +109,7 @@ def _canister(scene: Scene, n_water: float, water: Any) -> dict[str, Any]:
     can, level = scene.canister, scene.water.level_mm
     inside = {"interior": water} if water is not None else {}
     parts: dict[str, Any] = {
-        "outer_wall": _cylinder(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, 1.0)),
+        "outer_wall": _cylinder(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, scene.surroundings.n)),
         "inner_wall": _cylinder(can.inner_radius_mm, can.floor_z_mm, level, _dielectric(n_water, can.n_wall)) | inside,
         "water_surface": _disk(can.inner_radius_mm, level, _dielectric(n_water, 1.0)) | inside,
         "floor": _disk(can.outer_radius_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),

@@ -44,6 +44,8 @@ def sensor_dict(
     width, height = camera.image_wh
     description: dict[str, Any] = {
         "type": PLUGIN,
+        "telecentric": camera.kind == "telecentric",
+        "mm_per_px": camera.mm_per_px,
         "fx": camera.focal_px[0],
         "fy": camera.focal_px[1],
         "cx": camera.principal_px[0],
@@ -95,18 +97,20 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
-        """Pinhole or thin lens with OpenCV distortion; +z looks forward, +x right, +y down in the image."""
+        """Pinhole or thin lens with OpenCV distortion, or telecentric; +z looks forward, +x right, +y down in the image."""
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.lens = {key: mi.Float(float(props[key])) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
             self.distorted = any(float(props[key]) != 0.0 for key in ("k1", "k2", "p1", "p2", "k3"))
+            self.telecentric = bool(props["telecentric"])
+            self.mm_per_px = mi.Float(float(props["mm_per_px"]))
             self.aperture_radius = float(props["aperture_radius"])
             self.focus = mi.Float(float(props["focus"]))
             self.m_needs_sample_3 = self.aperture_radius > 0.0
             self.rotation = [mi.Vector3f(0.0) for _ in range(3)]
             self.centre = mi.Point3f(0.0)
-            dr.make_opaque(self.lens, self.focus)
+            dr.make_opaque(self.lens, self.mm_per_px, self.focus)
             self.set_pose(np.eye(4))
 
         def set_pose(self, world_from_cam: frames.Array) -> None:
@@ -119,14 +123,19 @@ def _register_for(variant: str) -> None:
             del sample1, active
             width, height = self.film().size()
             lens = self.lens
-            x = (sample2.x * width - 0.5 - lens["cx"]) / lens["fx"]
-            y = (sample2.y * height - 0.5 - lens["cy"]) / lens["fy"]
-            if self.distorted:
-                x, y = undistort(x, y, (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"]))
             right, down, forward = self.rotation
             ray = dr.zeros(mi.Ray3f)
             ray.maxt = dr.largest(mi.Float)
             ray.time = time
+            if self.telecentric:
+                x = (sample2.x * width - 0.5 - lens["cx"]) * self.mm_per_px
+                y = (sample2.y * height - 0.5 - lens["cy"]) * self.mm_per_px
+                ray.o, ray.d = self.centre + right * x + down * y, mi.Vector3f(forward)
+                return ray, mi.Spectrum(1.0)
+            x = (sample2.x * width - 0.5 - lens["cx"]) / lens["fx"]
+            y = (sample2.y * height - 0.5 - lens["cy"]) / lens["fy"]
+            if self.distorted:
+                x, y = undistort(x, y, (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"]))
             if self.aperture_radius > 0.0:
                 on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
                 ray.o = self.centre + right * on_lens.x + down * on_lens.y
