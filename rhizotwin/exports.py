@@ -68,7 +68,7 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
-    camera = dataset.scene.camera.focused(summary.get("rig", {}).get("focal_scale", 1.0))
+    camera = dataset.scene.camera.as_pinhole().focused(summary.get("rig", {}).get("focal_scale", 1.0))
     return _nerfstudio(output, camera, posed) if suffix == ".json" else _colmap(output, camera, posed)
 
 

@@ -32,7 +32,9 @@ class Imported:
     """One sentence for each thing that was chosen, converted or left out."""
 
 
-def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | None = None, masks: bool = False) -> Imported:
+def import_pictures(
+    folder: Path, scene: Scene, out: Path, *, cameras: Path | None = None, masks: bool = False, no_strip: bool = False
+) -> Imported:
     """Copy a folder of pictures into a new dataset.
 
     Parameters
@@ -48,6 +50,8 @@ def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | No
         without a camera are left out and named. None: the poses are to be found from the marker strip.
     masks : bool
         The pictures are silhouettes: white root on black. They need ``cameras``, since they show no markers.
+    no_strip : bool
+        There is no marker strip: the cameras are to be found from the canister's edges and the roots (a telecentric camera, one ring).
 
     Raises
     ------
@@ -57,6 +61,10 @@ def import_pictures(folder: Path, scene: Scene, out: Path, *, cameras: Path | No
     """
     if masks and cameras is None:
         raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
+    if no_strip:
+        if cameras is not None:
+            raise UserError("--no-strip finds the cameras in the pictures, and --cameras gives them; leave one of the two out")
+        scene = replace(scene, strip=replace(scene.strip, rows=0))
     paths = list_pictures(folder)
     given = None if cameras is None else read_cameras(cameras, scene.camera)
     notes: list[str] = []

@@ -10,6 +10,9 @@ from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
 
+TELECENTRIC_TILT_DEG = 1.5
+"""Up to here the pinhole that stands for a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single precision."""
+
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     """Check a scene's values against each other.
@@ -77,6 +80,8 @@ def _check_canister(scene: Scene, place: Place) -> None:
 
 def _check_strip(scene: Scene, place: Place) -> None:
     strip, pot = scene.strip, scene.net_pot
+    if strip.rows == 0:
+        return
     here = place.at("strip")
     capacity = marker_capacity(strip.dictionary)
     if capacity is None:
@@ -110,6 +115,13 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
         )
     if table and (len(table) < 2 or any(b < a for a, b in pairwise(table)) or not table[0] < table[-1]):
         raise place.at("camera", "transfer_table").error("must have two numbers or more that rise from dark to bright")
+    if camera.kind == "pinhole" and scene.surroundings.n > 1.0:
+        must = 'must be 1 (air) for a pinhole camera (only parallel rays pass a flat window unbent), or give camera.kind = "telecentric"'
+        raise place.at("surroundings", "n").error(must, scene.surroundings.n)
+    for index, ring in enumerate(scene.plan.rings):
+        if camera.kind == "telecentric" and abs(ring.tilt_deg) > TELECENTRIC_TILT_DEG:
+            must = f"must be within {TELECENTRIC_TILT_DEG:g} degrees of level for a telecentric camera"
+            raise place.at("plan", "rings", index, "tilt_deg").error(must, ring.tilt_deg)
     for axis, (centre, size) in enumerate(zip(camera.principal_px, camera.image_wh, strict=True)):
         if not -size <= centre <= 2 * size:
             must = f"must lie within one picture size ({size} px) of the picture"

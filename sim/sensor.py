@@ -131,6 +131,10 @@ def _register_for(variant: str) -> None:
                 x = (sample2.x * width - 0.5 - lens["cx"]) * self.mm_per_px
                 y = (sample2.y * height - 0.5 - lens["cy"]) * self.mm_per_px
                 ray.o, ray.d = self.centre + right * x + down * y, mi.Vector3f(forward)
+                if self.aperture_radius > 0.0:  # a cone about the parallel chief ray, its tip in the plane in focus
+                    on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
+                    beside = right * on_lens.x + down * on_lens.y
+                    ray.o, ray.d = ray.o + beside, dr.normalize(forward * self.focus - beside)
                 return ray, mi.Spectrum(1.0)
             x = (sample2.x * width - 0.5 - lens["cx"]) / lens["fx"]
             y = (sample2.y * height - 0.5 - lens["cy"]) / lens["fy"]

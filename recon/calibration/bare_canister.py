@@ -6,8 +6,9 @@ With parallel rays that nothing bends, a point (X, Y, Z) of the canister is seen
     v = v_0 - (Z cos eps - (X cos alpha + Y sin alpha) sin eps) / s    row, s mm a pixel.
 
 The canister's two outer edges give its axis u_axis and lean in every view, and with the diameter that a person knows the scale s. The
-table's angles come from the roots without finding a single one of them: what a row of a picture shows, added up, is the same in every view
-(its zeroth moment), and its centre of mass (its first moment) goes round with the table as one point does. These are the
+table's angles come from the roots without finding a single one of them: what a row of a picture cuts, added up, is the same in every view
+(its zeroth moment), its centre of mass (its first moment) goes round with the table as one point does, and its mean square (its second)
+as an ellipse. These are the
 Helgason-Ludwig conditions of parallel projections (Ludwig 1966, Communications on Pure and Applied Mathematics 19:49). The zeroth
 moments also tell the elevation: points that are nearer stand lower in the picture.
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 
 Array = NDArray[np.float64]
+Stack = NDArray[np.uint8] | NDArray[np.uint16]
 
 LEAST_VIEWS = 12
 """Fewer views round the turn leave the centre of mass of a row, three unknowns and an angle a view, with little to spare."""
@@ -36,18 +39,32 @@ BARE_QUANTILE = 0.85
 """Of a pixel's values over the turn: the panel, where roots pass in less than a seventh of the views."""
 EDGE_REACH_PX = 12
 """About the place that the mean picture shows: a canister that stands a few pixels off the table's axis."""
+EDGE_WIDTH_PX = 4
+"""Pixels over which an edge that is in focus falls from bright to dark."""
+PANEL_SHARE = 0.85
+"""Less than this share of the panel's brightness is no longer the bare panel."""
+WATER_QUANTILE = 0.25
+"""Of a row's brightness across the canister: bright if three quarters of it see the panel."""
 LEAST_COVERAGE = 0.08
 """Less coverage than this is noise, compression and dirt of the panel."""
+TENSOR_PX = 2.0
+"""Over which gradients are gathered for a thread's direction: both its sides, and not its neighbours."""
 BAND = 0.06
 """Share of the water's height that is left out at its surface and floor, where reflections are no roots."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""How far a cheap table's angle may be from equal steps (measured on a real one of 72 steps: 0.8 degrees)."""
+"""How far a cheap table's angle may be from equal steps, to begin with (measured on a real one of 72 steps: 0.8 degrees)."""
+LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
+"""No table is better than this: a tenth of a sixteenth step of a bare motor of 200 steps."""
 SHIFT_SIGMA_PX = 1.0
-"""How far the canister may be lifted from view to view."""
+"""How far the canister may be lifted from view to view, to begin with."""
+LEAST_SHIFT_PX = 0.02
+"""No edge is placed better in a picture."""
 ROWS_TOGETHER = 8.0
 """Rows of a picture that share one root's error and count as one."""
 MOST_AGREEMENT_PX = 3.0
 """Centres of mass that are farther than this from where one turning point would be: bent rays, another canister, or no turn at all."""
+HEIGHTS_AGREE_MM = 1.0
+"""Less is the thickness of a meniscus."""
 _ROUNDS = 200
 
 
@@ -68,6 +85,19 @@ class BareCanister:
     """Height of the floor, where the pictures show it."""
     inner_radius_mm: float
     """Half the width through which the panel is seen."""
+
+    def notes(self, scene: Scene) -> tuple[str, ...]:
+        """Return what a person should know of cameras that were found so, and where the pictures contradict the scene."""
+        can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
+        said = [
+            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm a pixel by its diameter of "
+            f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
+            f"{self.elevation_deg:.2f} degrees; under parallel rays a table that turns the other way shows the mirror image, so check "
+            "turntable.direction"
+        ]
+        if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
+            said.append(f"the pictures show the floor at z = {self.floor_z_mm:.1f} mm, the scene says {can.floor_z_mm:.1f}; correct it")
+        return tuple(said)
 
 
 @dataclass(frozen=True)
@@ -113,9 +143,9 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     bare = _bare(stack)
     edges = _find_edges(stack, bare)
     mm_per_px = 2.0 * scene.canister.outer_radius_mm / edges.width_px
-    mass, centre = _moments(stack, bare, edges)
+    mass, moments = _moments(stack, bare, edges)
     start = -scene.turntable.direction * np.deg2rad(np.asarray(table_deg, np.float64) - table_deg[0])
-    azimuth, place, agreement = _turn(centre, mass, start)
+    azimuth, place, agreement = _turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
             f"the pictures' rows do not turn as one body does under parallel straight rays (off by {agreement:.1f} px, at most "
@@ -145,7 +175,7 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     )
 
 
-def _bare(stack: NDArray[np.generic]) -> NDArray[np.float32]:
+def _bare(stack: Stack) -> NDArray[np.float32]:
     """Return the empty panel (H, W), block by block of rows."""
     bare = np.empty(stack.shape[1:], np.float32)
     for first in range(0, len(bare), 64):
@@ -159,31 +189,31 @@ def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
 
 
-def _find_edges(stack: NDArray[np.generic], bare: NDArray[np.float32]) -> _Edges:
+def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> _Edges:
     """Find the canister's outer edges in every view, and where the water is."""
     height, width = bare.shape
-    level = 0.5 * float(np.quantile(bare, 0.95))
+    panel = float(np.quantile(bare, 0.95))
     profile = np.median(bare[height // 4 : 3 * height // 4], axis=0)
-    runs = [run for run in _runs(profile > level) if run[1] - run[0] > 2 * EDGE_REACH_PX]
+    runs = [run for run in _runs(profile > 0.5 * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     inside = max(runs, key=lambda run: (run[0] <= width // 2 < run[1], run[1] - run[0]), default=(0, 0))
-    left, right = [run for run in runs if run[1] <= inside[0]], [run for run in runs if run[0] >= inside[1]]
+    bright = [run for run in _runs(profile > PANEL_SHARE * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
+    left, right = [run for run in bright if run[1] <= inside[0]], [run for run in bright if run[0] >= inside[1]]
     if not left or not right:
         raise UserError("the canister's two outer edges are not seen; the bright panel must show on both sides of it and through it")
-    middle_columns = slice(inside[0] + (inside[1] - inside[0]) // 4, inside[1] - (inside[1] - inside[0]) // 4)
-    down = np.median(bare[:, middle_columns], axis=1)
-    water = max(_runs(down > level), key=lambda run: run[1] - run[0], default=(0, 0))
+    # beside the middle, where through the air above the water no panel is seen
+    down = np.quantile(bare[:, inside[0] : inside[1]], WATER_QUANTILE, axis=1)
+    water = max(_runs(down > 0.5 * panel), key=lambda run: run[1] - run[0], default=(0, 0))
     if water[0] == 0 or water[1] - water[0] < height // 8:
         raise UserError("the water's surface is not seen, so nobody can tell heights; it must lie within the pictures")
     margin = round(BAND * (water[1] - water[0]))
     rows = np.arange(water[0] + margin, water[1] - margin)
     middle = float(rows.mean())
-    lines = [
-        np.array([_edge_line(picture, rows, middle, at, level, rising=rising) for picture in stack])
-        for at, rising in ((left[-1][1], False), (right[0][0], True))
-    ]
+    from_left = np.array([_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
+    from_right = np.array([_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
+    from_right = np.array([width - 1.0, 0.0]) - from_right
     return _Edges(
-        axis_px=0.5 * (lines[0] + lines[1]),
-        width_px=float(np.median(lines[1][:, 0] - lines[0][:, 0])),
+        axis_px=0.5 * (from_left + from_right),
+        width_px=float(np.median(from_right[:, 0] - from_left[:, 0])),
         inner_px=float(inside[1] - inside[0]),
         middle=middle,
         rows=water,
@@ -192,15 +222,21 @@ def _find_edges(stack: NDArray[np.generic], bare: NDArray[np.float32]) -> _Edges
     )
 
 
-def _edge_line(picture: NDArray[np.generic], rows: NDArray[np.int64], middle: float, at: int, level: float, *, rising: bool) -> Array:
-    """Return the column at the middle row and the slope of an edge near the column ``at``, robustly."""
+def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
+    """Return the column at the middle row, and its change by the row, where the panel ends at the column ``at``, robustly.
+
+    The edge is where the light has fallen half way from the panel to the darkest of the few pixels behind it, which may be less than black.
+    """
     first = max(at - EDGE_REACH_PX, 0)
-    part = picture[rows, first : at + EDGE_REACH_PX].astype(np.float64)
-    bright = part >= level if rising else part < level
-    step = np.argmax(bright[:, 1:] & ~bright[:, :-1], axis=1)
-    crossed = (bright[:, 1:] & ~bright[:, :-1]).any(axis=1)
-    a, b = np.take_along_axis(part, step[:, None], 1)[:, 0], np.take_along_axis(part, step[:, None] + 1, 1)[:, 0]
-    place = first + step + (level - a) / np.where(b == a, 1.0, b - a)
+    part = picture[rows, first : at + 2 * EDGE_REACH_PX].astype(np.float64)
+    begin = np.argmax(part < PANEL_SHARE * panel, axis=1)
+    behind = np.take_along_axis(part, np.minimum(begin[:, None] + np.arange(EDGE_WIDTH_PX), part.shape[1] - 1), 1)
+    level = 0.5 * (panel + behind.min(axis=1))
+    below = part < level[:, None]
+    step = np.maximum(np.argmax(below, axis=1), 1)
+    a, b = (np.take_along_axis(part, step[:, None] + k, 1)[:, 0] for k in (-1, 0))
+    crossed = below.any(axis=1) & (a >= level) & (b < level)
+    place = first + step - 1 + (a - level) / np.where(a > b, a - b, 1.0)
     y, x = rows[crossed] - middle, place[crossed]
     if len(x) < len(rows) // 2:
         raise UserError("the canister's outer edge is lost in a picture; keep the panel beside the canister free")
@@ -212,82 +248,127 @@ def _edge_line(picture: NDArray[np.generic], rows: NDArray[np.int64], middle: fl
     return line
 
 
-def _moments(stack: NDArray[np.generic], bare: NDArray[np.float32], edges: _Edges) -> tuple[Array, Array]:
-    """Return each row's mass (V, R), px, and its centre of mass (V, R), px from the axis, of what the views cover."""
+def _moments(stack: Stack, bare: NDArray[np.float32], edges: _Edges) -> tuple[Array, Array]:
+    """Return each row's mass (V, R), px, and its moments about the axis (2, V, R): the centre of mass, px, and the mean square, px."""
     margin = round(BAND * (edges.rows[1] - edges.rows[0]))
     rows = np.arange(edges.rows[0] + margin, edges.rows[1] - margin)
     side = round(BAND * (edges.columns[1] - edges.columns[0]))
     columns = np.arange(edges.columns[0] + side, edges.columns[1] - side)
-    mass, centre = np.empty((len(stack), len(rows))), np.empty((len(stack), len(rows)))
+    mass, moments = np.empty((len(stack), len(rows))), np.empty((2, len(stack), len(rows)))
     empty = bare[np.ix_(rows, columns)]
     for k, picture in enumerate(stack):
         covered = 1.0 - picture[np.ix_(rows, columns)] / empty
         covered[covered < LEAST_COVERAGE] = 0.0
+        covered *= _upright(covered.astype(np.float32))
         mass[k] = covered.sum(axis=1, dtype=np.float64)
-        axis = edges.axis_px[k, 0] + edges.axis_px[k, 1] * (rows - edges.middle)
-        centre[k] = (covered @ columns.astype(np.float64)) / np.maximum(mass[k], 1e-6) - axis
-    return mass, centre
+        across = columns - (edges.axis_px[k, 0] + edges.axis_px[k, 1] * (rows - edges.middle))[:, None]
+        for n in range(2):
+            moments[n, k] = (covered * across ** (n + 1)).sum(axis=1) / np.maximum(mass[k], 1e-6)
+    return mass, moments
 
 
-def _turn(centre: Array, mass: Array, start: Array) -> tuple[Array, Array, float]:
-    """Find the azimuths (V,), and each row's turning point (2, R), px, from the rows' centres of mass.
+def _upright(covered: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the cosine (R, C) of what a picture's threads lean from the vertical, by the structure tensor.
 
-    Azimuths and points are improved in turn, first with equal steps of any size, then with each view's angle free.
+    A row cuts an opaque thread of diameter d over d / cos(lean), and the lean changes from view to view; times the cosine it is d in all.
+    """
+    across, down = (cv2.Sobel(covered, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
+    horizontal, vertical = (cv2.GaussianBlur(part * part, (0, 0), TENSOR_PX) for part in (across, down))
+    return np.asarray(np.sqrt(horizontal / np.maximum(horizontal + vertical, 1e-9)), np.float32)
+
+
+@dataclass
+class _Moment:
+    """Rows' moments of one order, and how they turn."""
+
+    order: int
+    value: Array
+    """(V, R)"""
+    known: NDArray[np.bool_]
+    weight: Array
+    scatter: float = 1.0
+
+    def basis(self, azimuth: Array) -> tuple[Array, Array]:
+        """Return the shapes (V, order + 1) that a moment goes through with the azimuth, and their derivatives: (-X sin + Y cos)^order."""
+        s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
+        power = np.arange(self.order + 1)[None, :]
+        shape = (-s) ** (self.order - power) * c**power
+        by_s = -(self.order - power) * (-s) ** np.maximum(self.order - power - 1, 0) * c**power
+        by_c = power * (-s) ** (self.order - power) * c ** np.maximum(power - 1, 0)
+        return shape, by_s * c - by_c * s
+
+    def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
+        """Fit every row's own numbers (order + 1, R), renew the weights, and return them, what is left (V, R) and its change by angle."""
+        shape, by_angle = self.basis(azimuth)
+        normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)
+        own = np.linalg.solve(normal, np.einsum("vr,vi,vr->ri", self.weight, shape, self.value)[..., None])[..., 0].T
+        off = self.value - shape @ own
+        self.scatter = max(1.4826 * float(np.median(np.abs(off[self.known]))), 1e-3)
+        self.weight = self.known / (1.0 + (off / (2.0 * self.scatter)) ** 2)
+        return own, off, by_angle @ own
+
+
+def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, float]:
+    """Find the azimuths (V,), and each row's turning point (2, R), px, from the rows' first and second moments.
+
+    Azimuths and what turns are improved by turns, first with equal steps of any size, then with each view's angle free. The second moments
+    help where a view looks along the line from the axis to the centres of mass.
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
         raise UserError("the pictures show hardly anything in the canister, so that the table's angles cannot be found from it")
-    value = np.where(mass > 0.5 * np.median(mass, axis=0), centre, np.nan)[:, shown]
-    known = np.isfinite(value)
-    value = np.nan_to_num(value)
-    azimuth, weight = start.copy(), known.astype(np.float64)
-    ideal, scatter, points = start.copy(), 1.0, np.zeros((2, value.shape[1]))
+    known = (mass > 0.5 * np.median(mass, axis=0))[:, shown]
+    orders = [_Moment(n + 1, np.where(known, moments[n][:, shown], 0.0), known, known.astype(np.float64)) for n in range(len(moments))]
+    azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
+    points = np.zeros((2, int(shown.sum())))
     for turn in range(_ROUNDS):
-        right = np.stack([-np.sin(azimuth), np.cos(azimuth)], axis=1)
-        normal = np.einsum("vr,vi,vj->rij", weight, right, right) + 1e-9 * np.eye(2)
-        points = np.linalg.solve(normal, np.einsum("vr,vi,vr->ri", weight, right, value)[..., None])[..., 0].T
-        off = value - right @ points
-        scatter = max(1.4826 * float(np.median(np.abs(off[known]))), 1e-3)
-        weight = known / (1.0 + (off / (2.0 * scatter)) ** 2)
-        by_angle = -np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ points
+        pull, hold = np.zeros(len(start)), np.zeros(len(start))
+        for moment in orders:
+            own, off, by_angle = moment.improve(azimuth)
+            points = own if moment.order == 1 else points
+            unit = ROWS_TOGETHER * moment.scatter**2
+            pull += (moment.weight * by_angle * off).sum(axis=1) / unit
+            hold += (moment.weight * by_angle**2).sum(axis=1) / unit
         if turn < _ROUNDS // 4:
-            by_step = by_angle * start[:, None]
-            change = float((weight * by_step * off).sum() / max((weight * by_step**2).sum(), 1e-9))
-            azimuth = azimuth + change * start
+            azimuth = azimuth + start * float(pull @ start / max(hold @ start**2, 1e-9))
             ideal = azimuth
         else:
-            unit = ROWS_TOGETHER * scatter**2
-            gain = (weight * by_angle * off).sum(axis=1) / unit - (azimuth - ideal) / ANGLE_SIGMA_RAD**2
-            azimuth = azimuth + gain / ((weight * by_angle**2).sum(axis=1) / unit + ANGLE_SIGMA_RAD**-2)
-            azimuth = azimuth - azimuth[0]
+            off = azimuth - ideal
+            azimuth = azimuth + (pull - off / table_sigma**2) / (hold + table_sigma**-2)
+            # how uneven this table is, by expectation and maximisation: what a view's angle is off by, and how far it is not known
+            table_sigma = max(float(np.sqrt(np.mean(off**2 + 1.0 / (hold + table_sigma**-2)))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
     everywhere[:, shown] = points
-    return azimuth, everywhere, scatter
+    turned = frames.rotation_z(-float(azimuth[0]))[:2, :2]
+    return azimuth - azimuth[0], turned @ everywhere, orders[0].scatter
 
 
 def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
     """Find by how many rows each view is lifted (V,), and the camera's elevation (rad), from the rows' masses.
 
-    ``nearer`` (V, R) is how many pixels nearer than the axis a row's mass lies; a row moves by shift + elevation * nearer.
+    ``nearer`` (V, R) is how many pixels nearer than the axis a row's centre of mass lies. What is nearer by n is seen lower by
+    elevation * n, so that the mass of a row changes by what flows out of it: d(mass * nearer) / d row for a unit of elevation.
     """
     views, rows = mass.shape
     typical = np.median(mass, axis=0)
     slope, row = np.gradient(typical), np.arange(rows, dtype=np.float64)
     unknown = np.zeros(views + 1)
-    prior = np.diag(np.concatenate([np.full(views, SHIFT_SIGMA_PX**-2.0), [1e-6]]))
+    sigma_px = SHIFT_SIGMA_PX
     for _ in range(10):
+        prior = np.diag(np.concatenate([np.full(views, sigma_px**-2.0), [1e-6]]))
         normal, right = prior.copy(), -prior @ unknown
         for k in range(views):
-            moved = np.interp(row + unknown[k] + unknown[-1] * nearer[k], row, mass[k])
-            off = moved - typical
+            by = np.stack([slope, np.gradient(typical * nearer[k])])
+            off = np.interp(row + unknown[k], row, mass[k]) - typical + unknown[-1] * by[1]
             scatter = 1.4826 * float(np.median(np.abs(off))) + 1e-9
             weight = 1.0 / (1.0 + (off / (2.0 * scatter)) ** 2) / (ROWS_TOGETHER * scatter**2)
-            by = np.stack([slope, slope * nearer[k]])
             block = (by * weight) @ by.T
             at = np.ix_([k, views], [k, views])
             normal[at] += block
             right[[k, views]] -= (by * weight) @ off
         unknown += np.linalg.solve(normal, right)
+        left = np.diag(np.linalg.inv(normal))[:-1]
+        sigma_px = max(float(np.sqrt(np.mean(unknown[:-1] ** 2 + left))), LEAST_SHIFT_PX)
     return unknown[:-1], float(unknown[-1])
 
 

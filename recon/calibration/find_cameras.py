@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rhizotwin.recon.calibration import markers, poses
+from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, RigUncertainty
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.optics.cameras import View
@@ -46,8 +46,13 @@ def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, 
     """
     scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
-        given = tuple(_as_given(frame) for frame in pictures.frames)
-        return _usable(pictures, Cameras(lens=scene.camera, optics=optics, all=given, order=_used(given)))
+        poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
+        return _usable(pictures, _exact(pictures, scene.camera, poses_given))
+    if scene.strip.rows == 0:
+        with monitor.stage("canister"):
+            bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
+        lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
+        return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), warnings=bare.notes(scene)))
     with monitor.stage("markers"):
         detected = monitor.each(lambda image: markers.detect_markers(image, scene.strip, measure=measure), "markers", pictures.images)
     with monitor.stage("poses"):
@@ -73,10 +78,24 @@ def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, 
     return _usable(pictures, cameras)
 
 
-def _as_given(frame: Frame) -> Camera:
-    return Camera(
-        file=frame.file, ring=frame.ring, used=True, cam_from_canister=np.array(frame.cam_from_canister), table_deg=frame.table_deg
+def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
+    """Return cameras of one lens at poses (F, 4, 4), which count as exact."""
+    every = tuple(
+        Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
+        for frame, pose in zip(pictures.frames, poses, strict=True)
     )
+    return Cameras(lens=lens.as_pinhole(), optics=Optics.of(pictures.dataset.scene), all=every, order=_used(every))
+
+
+def _table_deg(pictures: Pictures) -> list[float]:
+    """Return the angles that the table was told, which cameras without markers start from."""
+    told = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
+    if len(told) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
+        raise UserError(
+            f"{pictures.dataset.folder}: without markers, pictures of one ring with their table angles are needed; "
+            "give the scene a plan of as many views as there are pictures"
+        )
+    return told
 
 
 def _used(found: Sequence[Camera]) -> tuple[int, ...]:

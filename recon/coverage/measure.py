@@ -193,7 +193,7 @@ def _backgrounds(
     walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
-        if len(members) >= _RING_VIEWS and _still([views[k] for k in members], pictures.dataset.scene.camera.focal_px[0]):
+        if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
             stack = np.stack([images[k] / (gain[k] * walls[k]) for k in members]).astype(np.float32)
             panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]))
             empty.update({k: panel * (gain[k] * walls[k]) for k in members})
@@ -208,9 +208,9 @@ def _backgrounds(
     return empty, glare
 
 
-def _still(views: list[View], focal: float) -> bool:
+def _still(views: list[View]) -> bool:
     """Tell whether a ring's camera stood still: the canister, a few millimetres off the table's axis, hardly moves in the picture."""
-    heights = [float(view.centre_mm[2]) for view in views]
+    focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])
     column, row = focal * axis[:, 0] / axis[:, 2], focal * axis[:, 1] / axis[:, 2]
     few_mm_px = 4.0 * focal / float(np.median(axis[:, 2]))

@@ -50,12 +50,12 @@ class Optics:
     @staticmethod
     def of(scene: Scene) -> "Optics":
         """Return the optics of a scene as it is described."""
-        can = scene.canister
+        can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,
             inner_radius_mm=can.inner_radius_mm,
-            n_wall=can.n_wall,
-            n_water=scene.water.n_water,
+            n_wall=can.n_wall / around,  # only ratios bend rays
+            n_water=scene.water.n_water / around,
             floor_z_mm=can.floor_z_mm,
             water_z_mm=min(scene.water.level_mm, scene.net_pot.grid_z_mm),
             bottom_z_mm=-can.height_mm,

@@ -135,7 +135,7 @@ def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: dict[str,
         picture = np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
     seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
-    camera = dataset.scene.camera
+    camera = dataset.scene.camera.as_pinhole()
     pixels = seen[:, :2] / seen[:, 2:] * np.array(camera.focal_px) + np.array(camera.principal_px)
     middle = pixels.mean(axis=0)
     # the water shows the roots about n times wider, as high as they are

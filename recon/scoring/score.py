@@ -216,7 +216,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         extents_error_max=float(np.abs(extents_error).max()),
         voxels=voxels,
         surface=compare_surfaces(surface, true_solid),
-        poses=compare_poses(found.cameras, truth, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
+        poses=compare_poses(found.cameras, truth, dataset.scene.camera, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
         rig=compare_rig(found.rig, found.cameras, truth),
         masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results.result_files import picture_path, read_grey
-from rhizotwin.scenes import frames
+from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import Truth
 
@@ -57,12 +57,12 @@ class MaskScore:
     """The same four numbers by file."""
 
 
-def compare_poses(cameras: Sequence[Camera], truth: Truth, *, centre_mm: frames.Array) -> PoseScore | None:
+def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *, centre_mm: frames.Array) -> PoseScore | None:
     """Return the pose errors of the used views of a result; None where no view was used.
 
     ``centre_mm`` is the specimen's centre (3,) in the canister frame, where shifts of the frame are stated.
     """
-    true_poses = {view.file: np.array(view.cam_from_canister) for view in truth.views}
+    true_poses = {view.file: lens.pinhole_pose(np.array(view.cam_from_canister)) for view in truth.views}
     poses = {view.file: view.cam_from_canister for view in cameras if view.used and view.cam_from_canister is not None}
     unknown = [file for file in poses if file not in true_poses]
     if unknown:

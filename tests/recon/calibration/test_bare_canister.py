@@ -1,0 +1,127 @@
+"""Cameras without markers, from pictures that a few lines of NumPy draw: a canister's edges and opaque threads, parallel straight rays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.calibration.bare_canister import find_cameras
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Ring, Scene, Surroundings, Water
+
+WIDTH, HEIGHT, MM_PER_PX = 300, 220, 0.4
+SCENE = Scene(
+    canister=Canister(outer_radius_mm=45.0, wall_mm=4.0, height_mm=84.0, base_mm=4.0),
+    water=Water(level_mm=-4.0),
+    surroundings=Surroundings(n=1.333),
+    camera=Camera(kind="telecentric", mm_per_px=1.0, image_wh=(WIDTH, HEIGHT), principal_px=((WIDTH - 1) / 2, (HEIGHT - 1) / 2)),
+    plan=CapturePlan(rings=(Ring(views=30, distance_mm=300.0),)),
+)
+TABLE_DEG = [12.0 * k for k in range(30)]
+
+
+def threads() -> np.ndarray:
+    """Return points (N, 3) along five opaque threads, mm."""
+    rng = np.random.default_rng(3)
+    lines = []
+    for _ in range(5):
+        start, end = rng.uniform([-8, -8, -14], [8, 8, -10]), rng.uniform([-30, -30, -76], [30, 30, -40])
+        t = np.linspace(0.0, 1.0, 900)[:, None]
+        lines.append(start + t * (end - start) + np.sin(9.0 * t) * rng.uniform(-3, 3, 3))
+    return np.concatenate(lines)
+
+
+def cam_from_canister(azimuth: float, elevation: float, offset_px: float) -> np.ndarray:
+    """Return the camera's pose: at an azimuth and above the horizon, the axis some pixels beside the picture's middle."""
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    forward = -np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    turn = np.stack([right, np.cross(forward, right), forward])
+    middle = np.array([offset_px * MM_PER_PX, 0.0, 300.0])
+    return frames.from_rotation_translation(turn, middle - turn @ np.array([0.0, 0.0, -42.0]))
+
+
+def draw(pose: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+    """Draw a picture (H, W): bright panel, dark canister walls, water between surface and floor, threads one pixel and a half wide."""
+    cx, cy = SCENE.camera.principal_px
+    axis = frames.apply(pose, np.array([[0.0, 0.0, -4.0], [0.0, 0.0, -80.0]]))[:, :2] / MM_PER_PX + [cx, cy]
+    column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    away = np.abs(column - (axis[0, 0] + (axis[1, 0] - axis[0, 0]) * (row - axis[0, 1]) / (axis[1, 1] - axis[0, 1])))
+    wall = np.clip(45.0 / MM_PER_PX - away + 0.5, 0.0, 1.0)
+    through = (
+        np.clip(41.0 / MM_PER_PX - away + 0.5, 0.0, 1.0) * np.clip(row - axis[0, 1] + 0.5, 0, 1) * np.clip(axis[1, 1] - row + 0.5, 0, 1)
+    )
+    light = 1.0 - wall + through
+    px = frames.apply(pose, points_mm)[:, :2] / MM_PER_PX + [cx, cy]
+    clear = np.ones((HEIGHT, WIDTH))
+    for shift_x, shift_y in np.ndindex(5, 5):
+        near = np.floor(px).astype(int) + np.array([shift_x - 2, shift_y - 2])
+        distance = np.hypot(*(near - px).T)
+        inside = (near >= 0).all(axis=1) & (near < [WIDTH, HEIGHT]).all(axis=1)
+        np.minimum.at(clear, (near[inside, 1], near[inside, 0]), np.clip(distance[inside] - 0.25, 0.0, 1.0))
+    return np.round(230.0 * light * clear).astype(np.uint8)
+
+
+def pictures(azimuths: np.ndarray, *, elevation: float = 0.0, offset_px: float = 3.0) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [draw(cam_from_canister(float(azimuth), elevation, offset_px + float(rng.normal(0.0, 0.5))), threads()) for azimuth in azimuths]
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_uneven_steps_scale_and_elevation_are_found(direction):
+    uneven = np.random.default_rng(1).normal(0.0, 0.8, 30)
+    uneven[0] = 0.0
+    azimuth = -direction * np.deg2rad(0.99 * np.array(TABLE_DEG) + uneven)
+    scene = replace(SCENE, turntable=replace(SCENE.turntable, direction=direction))
+    found = find_cameras(pictures(azimuth, elevation=np.deg2rad(0.5)), scene, TABLE_DEG)
+    assert found.mm_per_px == pytest.approx(MM_PER_PX, rel=0.003)
+    off = found.azimuth_deg - np.rad2deg(azimuth)
+    assert np.std(off) < 0.25
+    assert np.abs(off).max() < 0.6
+    assert found.elevation_deg == pytest.approx(0.5, abs=0.2)
+    assert found.floor_z_mm == pytest.approx(-80.0, abs=0.5)
+    assert found.inner_radius_mm == pytest.approx(41.0, abs=0.5)
+
+
+def test_the_poses_put_points_where_the_pictures_have_them():
+    azimuth = -np.deg2rad(np.array(TABLE_DEG))
+    found = find_cameras(pictures(azimuth), SCENE, TABLE_DEG)
+    points = threads()[::100]
+    rng = np.random.default_rng(0)
+    errors = []
+    for k, pose in enumerate(found.cam_from_canister):
+        true = cam_from_canister(float(azimuth[k]), 0.0, 3.0 + float(rng.normal(0.0, 0.5)))
+        errors.append(frames.apply(pose, points)[:, :2] / found.mm_per_px - frames.apply(true, points)[:, :2] / MM_PER_PX)
+    # rows may be off together, by what the water's surface is blurred; z = 0 hangs on it
+    errors = np.array(errors) - [0.0, np.median(np.array(errors)[..., 1])]
+    assert np.sqrt(np.mean(errors**2)) < 0.25
+
+
+def test_the_other_sense_of_turning_is_the_mirror_image():
+    azimuth = -np.deg2rad(np.array(TABLE_DEG))
+    drawn = pictures(azimuth)
+    other = replace(SCENE, turntable=replace(SCENE.turntable, direction=-1))
+    one, two = (find_cameras(drawn, scene, TABLE_DEG) for scene in (SCENE, other))
+    assert two.azimuth_deg == pytest.approx(-one.azimuth_deg, abs=0.05)
+    assert two.agreement_px == pytest.approx(one.agreement_px, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda drawn: (drawn[:5], TABLE_DEG[:5]), "too few"),
+        (lambda drawn: ([drawn[0]] * 30, TABLE_DEG), "do not turn"),
+        (lambda drawn: ([np.where(picture > 250, picture, 0) for picture in drawn], TABLE_DEG), "edges"),
+        (lambda drawn: ([picture[60:] for picture in drawn], TABLE_DEG), "surface"),
+    ],
+    ids=["five views", "a table that stands still", "no panel", "no surface"],
+)
+def test_what_cannot_be_found_is_said(change, sentence):
+    drawn, table_deg = change(pictures(-np.deg2rad(np.array(TABLE_DEG))))
+    with pytest.raises(UserError, match=sentence):
+        find_cameras(drawn, SCENE, table_deg)
+
+
+def test_a_pinhole_camera_is_refused():
+    with pytest.raises(UserError, match="telecentric"):
+        find_cameras([np.zeros((20, 20), np.uint8)] * 20, replace(SCENE, camera=Camera()), TABLE_DEG[:20])
