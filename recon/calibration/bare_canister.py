@@ -31,7 +31,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 
 Array = NDArray[np.float64]
-Stack = NDArray[np.uint8] | NDArray[np.uint16]
+Stack = NDArray[np.uint8 | np.uint16]
 
 LEAST_VIEWS = 12
 """Fewer views round the turn leave the centre of mass of a row, three unknowns and an angle a view, with little to spare."""
@@ -330,7 +330,7 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
             pull += (moment.weight * by_angle * off).sum(axis=1) / unit
             hold += (moment.weight * by_angle**2).sum(axis=1) / unit
         if turn < _ROUNDS // 4:
-            azimuth = azimuth + start * float(pull @ start / max(hold @ start**2, 1e-9))
+            azimuth = azimuth + start * float(pull @ start / max(float(hold @ start**2), 1e-9))
             ideal = azimuth
         else:
             off = azimuth - ideal

@@ -15,7 +15,7 @@ RADISHES = [f"radish_day{day:02d}{plant}" for day in range(5, 31, 5) for plant i
 
 
 def test_the_library_is_complete() -> None:
-    assert sorted(name for name, _ in library()) == sorted(["sphere_20mm", "printed_8ml", "fallen_plant", *RADISHES])
+    assert sorted(name for name, _ in library()) == sorted(["sphere_20mm", "printed_8ml", "fallen_plant", "gel_cylinder", *RADISHES])
 
 
 @pytest.mark.parametrize("name", [name for name, _ in library()])
