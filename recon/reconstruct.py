@@ -20,7 +20,7 @@ from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.scenes.dataset import Dataset, load_dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import peak_memory_mib, versions
 from rhizotwin.scenes.schema import to_plain
@@ -116,7 +116,7 @@ def gather(
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
         dataset=str(dataset.folder),
-        dataset_sha256=sha256_of(dataset.folder / "dataset.json"),
+        dataset_sha256=dataset.sha256,
         scene=dataset.scene.name,
         solid=solid,
         mass_g=mass_g,

@@ -7,6 +7,7 @@ from pathlib import Path
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import beside, write_json
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents, held
 from rhizotwin.steps import change_scene, reconstruct_whole
 
 SCENE = "printed_8ml"
@@ -33,6 +34,12 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
     UserError
         If the folder holds anything else than an earlier demonstration.
     """
+    with held(folder):
+        _demo(folder, profile=profile, say=say)
+
+
+def _demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
+    """Do what `demo` says in a folder that nobody else works in."""
     from rhizotwin.recon.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
@@ -63,10 +70,8 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
 
 def _clear(folder: Path) -> None:
     """Remove a finished demonstration, of a stopped one all but its dataset; refuse a folder that holds anything else."""
-    if not folder.exists():
-        return
     known = {"dataset", "result", "score.json"}
-    if not folder.is_dir() or any(path.name not in known for path in folder.iterdir() if not path.name.endswith(".tmp")):
+    if any(name not in known for name in contents(folder)):
         raise UserError(f"{folder} holds something that is no earlier demo; choose another folder with -o")
     dataset = folder / "dataset"
     if any(path.is_file() for path in dataset.rglob("*")) and not (dataset / "truth" / "simulate.json").is_file():

@@ -5,6 +5,7 @@ as if it were magnified and bent: their pictures can be undistorted by no lens m
 shoot, or for programs that trace the refraction themselves; each file says so.
 """
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
@@ -136,13 +138,9 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
         "encoding": "gzip",
         "content": "root occupancy, 0 to 255, canister frame (z up)",
     }
-    temporary = atomic.beside(output)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        nrrd.write(str(temporary), block, header, index_order="F")
-        temporary.replace(output)
-    finally:
-        temporary.unlink(missing_ok=True)
+    written = io.BytesIO()
+    nrrd.write(written, block, header, index_order="F")
+    atomic.write_bytes(output, written.getvalue())
     return [output]
 
 
@@ -182,7 +180,7 @@ def _colmap(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.floa
         pose = " ".join(f"{value:.17g}" for value in (w, x, y, z, *cam_from_canister[:3, 3]))
         lines += [f"{number} {pose} 1 {file}", ""]
     written = {"cameras.txt": [lens], "images.txt": lines, "points3D.txt": []}
-    with atomic.new_folder(output) as building:
+    with new_folder(output) as building:
         for name, rows in written.items():
             atomic.write_text(building / name, "\n".join([f"# {REFRACTION}", *rows]) + "\n")
     return [output / name for name in written]

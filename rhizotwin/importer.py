@@ -9,9 +9,10 @@ import numpy as np
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import list_pictures
 from rhizotwin.scenes import files, frames, plan
-from rhizotwin.scenes.atomic import new_folder, write_bytes
+from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey, decode_grey
 from rhizotwin.scenes.provenance import versions
@@ -96,7 +97,7 @@ def import_pictures(
             )
         origin = {"program": "rhizotwin import", "pictures": str(folder), "cameras": None if cameras is None else str(cameras)}
         dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin | {"versions": versions()})
-        save_dataset(dataset)
+        dataset = save_dataset(dataset)
     return Imported(dataset=replace(dataset, folder=out), notes=tuple(notes))
 
 
@@ -166,14 +167,7 @@ def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
         data = path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    grey = decode_grey(data, where=str(path))
-    width, height = scene.camera.image_wh
-    if grey.shape != (height, width):
-        raise UserError(
-            f"{path} is {grey.shape[1]}x{grey.shape[0]} pixels, but the scene's camera takes {width}x{height} (camera.image_wh); "
-            "correct the scene, or remove the picture"
-        )
-    return data, grey
+    return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
 
 
 def _white_level(paths: list[Path], scene: Scene) -> int:

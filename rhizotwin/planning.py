@@ -6,8 +6,8 @@ that plans are compared and not chance. The table and the figure are in `rhizotw
 
 import itertools
 import json
+import shutil
 import statistics
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,6 +22,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents, held
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.provenance import versions
 
@@ -32,6 +33,8 @@ RING_TIME_S = 10.0
 SECOND_RING_MM = 52.0
 """A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which from -42 mm is seen
 before the dark net pot, stands before the backlight."""
+RUN = "unfinished"
+"""Folder of the run under way; its pictures are taken up when it was stopped."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
 
 
@@ -50,7 +53,7 @@ def run_plans(
     Parameters
     ----------
     scene : with its specimen and the profile's disturbances.
-    folder : gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``.
+    folder : gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; `RUN` while a run is under way.
     seeds : runs of each variant, seeds 0, 1, ...
 
     Raises
@@ -67,10 +70,26 @@ def run_plans(
         "versions": versions(_VERSIONED),
         "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score")),
     }
+    with held(folder):
+        return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, progress=progress)
+
+
+def _run(
+    scene: Scene,
+    variants: Sequence[tuple[Variant, Scene]],
+    folder: Path,
+    settings: dict[str, Any],
+    profile_name: str,
+    seeds: int,
+    say: Callable[[str], None],
+    *,
+    progress: bool,
+) -> list[Row]:
+    """Do what `run_plans` says in a folder that nobody else works in."""
     _refuse_strangers(folder)
-    found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant in variants}
-    runs = list(itertools.product(range(seeds), zip(variants, wanted, strict=True)))
-    pictures = sum(variant.views * len(variant.heights) for variant in variants) * seeds
+    found: dict[Variant, list[dict[str, Any]]] = {variant: [] for variant, _ in variants}
+    runs = list(itertools.product(range(seeds), variants))
+    pictures = sum(variant.views * len(variant.heights) for variant, _ in variants) * seeds
     say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; a stopped run is taken up by the same command")
     # The bar counts pictures: a plan of twice as many takes about twice as long.
     with tqdm(total=pictures, desc="plans", unit="picture", disable=not progress, dynamic_ncols=True) as bar:
@@ -80,7 +99,7 @@ def run_plans(
             found[variant].append(_scored(changed, path, settings, profile_name, seed))
             bar.update(variant.views * len(variant.heights))
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
-    rows = [_row(variant, found[variant]) for variant in variants if variant.name not in failed]
+    rows = [_row(variant, found[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
         say(f"{name} cannot be reconstructed: {reason}")
     if not rows:
@@ -102,8 +121,8 @@ def best(rows: Sequence[Row], *, within: float) -> Row | None:
 
 
 def _refuse_strangers(folder: Path) -> None:
-    known = {"scores", "plan.csv", "plan.json", "plan.png"}
-    if folder.is_file() or (folder.is_dir() and any(path.name not in known for path in folder.iterdir() if not path.name.startswith("."))):
+    known = {"scores", "plan.csv", "plan.json", "plan.png", RUN}
+    if any(name not in known for name in contents(folder)):
         raise UserError(f"{folder} holds something that is no earlier plan; choose another folder with -o")
 
 
@@ -111,7 +130,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     """Return the score of one run, from its file when the same run was made before."""
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.scoring.score import score
-    from rhizotwin.sim.simulate import simulate
+    from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     made_with = json.loads(json.dumps({**settings, "run": files.scene_to_dict(scene), "seed": seed}))
     if path.is_file():
@@ -121,16 +140,22 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
             raise UserError(f"{path} is damaged ({error}); delete it and run again") from error
         if isinstance(before, dict) and before.get("made_with") == made_with:
             return dict(before["score"])
-    with tempfile.TemporaryDirectory(prefix="rhizotwin-plan-") as working:
-        dataset, result = Path(working) / "dataset", Path(working) / "result"
+    working = path.parents[1] / RUN
+    dataset, result = working / "dataset", working / "result"
+    try:
         simulate(scene, dataset, profile_name=profile_name, seed=seed, progress=False)
-        result.mkdir()
-        try:
-            reconstruct(dataset).save(result)
-            found = score(result, dataset).to_dict()
-        except UserError as error:  # too few views, a strip out of sight: that is what is to be found out
-            found = {"failed": str(error).replace(f"{working}/", "")}
+    except CannotContinueError:  # pictures of another plan, whose run was stopped
+        shutil.rmtree(working)
+        simulate(scene, dataset, profile_name=profile_name, seed=seed, progress=False)
+    shutil.rmtree(result, ignore_errors=True)
+    result.mkdir()
+    try:
+        reconstruct(dataset).save(result)
+        found = score(result, dataset).to_dict()
+    except UserError as error:  # too few views, a strip out of sight: that is what is to be found out
+        found = {"failed": str(error).replace(f"{working}/", "")}
     write_text(path, json.dumps({"made_with": made_with, "score": found}, indent=1) + "\n")
+    shutil.rmtree(working)
     return found
 
 

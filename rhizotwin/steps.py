@@ -7,6 +7,7 @@ from rhizotwin import engine
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents, new_folder, tidy
 from rhizotwin.scenes.model import CapturePlan, Scene
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
 
@@ -62,7 +63,8 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
-    there = sorted(path.name for path in output.iterdir()) if output.is_dir() else []
+    tidy(output)
+    there = contents(output)
     if there and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
     strange = [name for name in there if name not in _RESULT_NAMES]
@@ -75,14 +77,15 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
     from rhizotwin.recon.results.result_files import read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
     from rhizotwin.recon.settings import Settings
-    from rhizotwin.scenes.atomic import new_folder
+    from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scenes.monitor import Monitor
 
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
-    with new_folder(output, replace=True) as building:
-        reconstruct(dataset, settings=Settings(voxel_mm=voxel_mm), mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
-        written = report.write_pictures(building, dataset, truth_mesh=truth_mesh)
+    loaded = load_dataset(dataset)  # once: what happens to the folder meanwhile does not change what the result was made from
+    with new_folder(output, replaces=_RESULT_NAMES) as building:
+        reconstruct(loaded, settings=Settings(voxel_mm=voxel_mm), mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
+        written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

@@ -1,15 +1,14 @@
-"""Files and folders that appear whole or not at all: a temporary name beside the goal, flushed to the disk, then renamed.
+"""Files that appear whole or not at all: a temporary name beside the goal, flushed to the disk, then renamed.
 
-On any exit before the rename, Ctrl-C included, the temporary file or folder is removed.
+On any exit before the rename, Ctrl-C included, the temporary file is removed; what a kill left is removed by the next writer of the name.
 """
 
 import errno
 import json
 import os
+import re
 import secrets
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,38 +17,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import try_lock
 
-_FULL_DISK = {errno.ENOSPC, errno.EDQUOT}
+TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
+"""What the names of `beside` look like."""
 
 
-def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file atomically; missing parent folders are made.
+def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
+    """Write a file atomically; missing parent folders are made, a link is followed, a device or pipe is written to as it is.
+
+    Parameters
+    ----------
+    new
+        Refuse to replace a file, also one that appears at this very moment.
 
     Raises
     ------
     UserError
         When the disk is full or the place cannot be written; a file that was there before is left as it was.
     """
-    path = Path(path)
-    temporary = beside(path)
+    path, asked = Path(os.path.realpath(path)), path
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            if new:
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+            path.write_bytes(data)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        _sync_folder(path.parent)
+        _remove_left(path)
+        temporary, descriptor = _open_beside(path)
+        try:
+            with open(descriptor, "wb") as stream:  # noqa: PTH123 - of a descriptor
+                stream.write(data)
+                stream.flush()
+                os.fsync(descriptor)
+                if new:
+                    _link(temporary, path)
+                else:
+                    temporary.replace(path)
+            sync_folder(path.parent)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise _explained(error, path) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if new and isinstance(error, FileExistsError) and os.path.lexists(path):
+            raise UserError(f"{asked}: exists already; choose another name") from error
+        raise explained(error, asked) from error
 
 
-def write_text(path: Path | str, text: str) -> None:
+def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
     """Write a UTF-8 text file atomically; see `write_bytes`."""
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8"), new=new)
 
 
 def write_json(path: Path | str, value: Any) -> None:
@@ -62,7 +80,12 @@ def write_json(path: Path | str, value: Any) -> None:
     TypeError
         When the value holds something that is not JSON.
     """
-    write_text(path, json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    write_bytes(path, json_bytes(value))
+
+
+def json_bytes(value: Any) -> bytes:
+    """Return what `write_json` writes."""
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def write_image(path: Path | str, image: NDArray[Any], *, jpeg_quality: int | None = None) -> None:
@@ -88,64 +111,12 @@ def write_image(path: Path | str, image: NDArray[Any], *, jpeg_quality: int | No
     write_bytes(path, data.tobytes())
 
 
-@contextmanager
-def new_folder(path: Path | str, *, replace: bool = False) -> Iterator[Path]:
-    """Build a folder beside its goal and rename it into place when the block ends well; remove it when it does not.
-
-    Parameters
-    ----------
-    path
-        The goal. An empty folder there is replaced.
-    replace
-        Whether a folder that is there with something in it is replaced; it stays as it was until the new one is whole.
-
-    Yields
-    ------
-    Path
-        The temporary folder to write into.
-
-    Raises
-    ------
-    UserError
-        When something is at the goal already, the disk is full, or the place cannot be written.
-    """
-    path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise UserError(f"{path}: is a file, but a folder of this name is to be written; choose another name")
-    if path.is_dir() and any(path.iterdir()) and not replace:
-        raise UserError(f"{path}: exists already and is not empty; choose another name or remove it")
-    path = path.absolute()
-    temporary, old = beside(path), beside(path)
-    try:
-        try:
-            temporary.mkdir(parents=True)
-        except OSError as error:
-            raise _explained(error, path) from error
-        yield temporary
-        _sync_folder(temporary)
-        if path.is_dir():
-            path.rename(old)
-        temporary.rename(path)
-        _sync_folder(path.parent)
-    except UserError as error:  # named as it would be in the end
-        raise UserError(str(error).replace(str(temporary), str(path))) from error
-    except OSError as error:
-        if error.errno in _FULL_DISK or str(temporary) in str(error.filename):
-            raise _explained(error, path) from error
-        raise
-    finally:
-        if old.is_dir() and not path.exists():
-            old.rename(path)
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
-
-
 def beside(path: Path) -> Path:
-    """Return a hidden name in the same folder that nobody else uses."""
+    """Return a hidden name in the same folder that nobody else uses; it matches `TEMPORARY`."""
     return path.with_name(f".{path.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Flush a rename to the disk, where the system can (Windows cannot open folders)."""
     if os.name != "posix":
         return
@@ -159,9 +130,50 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _explained(error: OSError, path: Path) -> UserError:
+def is_full(error: OSError) -> bool:
+    """Tell whether nothing more fits on the disk."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def explained(error: OSError, path: Path | str) -> UserError:
     """Turn a failed write into one sentence."""
-    if error.errno in _FULL_DISK:
+    if is_full(error):
         return UserError(f"{path}: the disk is full; nothing was written under this name; free some space and run again")
     reason = error.strerror or str(error)
     return UserError(f"{path}: cannot be written ({reason}); choose a place where you may write")
+
+
+def _open_beside(path: Path) -> tuple[Path, int]:
+    """Open a new file beside a path, locked, so that others see that it is in use."""
+    while True:
+        temporary = beside(path)
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        if try_lock(descriptor) is not False and os.fstat(descriptor).st_nlink:
+            return temporary, descriptor
+        os.close(descriptor)  # another writer took it for one that was left, before it was locked
+
+
+def _remove_left(path: Path) -> None:
+    """Remove what killed writers of a file left beside it: what nobody holds the lock of."""
+    begin = f".{path.name[:100]}."
+    for name in os.listdir(path.parent):  # noqa: PTH208 - names are enough
+        if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
+            with suppress(OSError):
+                descriptor = os.open(path.parent / name, os.O_WRONLY | os.O_CLOEXEC)
+                try:
+                    if try_lock(descriptor):
+                        (path.parent / name).unlink()
+                finally:
+                    os.close(descriptor)
+
+
+def _link(temporary: Path, path: Path) -> None:
+    """Give a file its name unless that is taken."""
+    try:
+        path.hardlink_to(temporary)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        temporary.replace(path)

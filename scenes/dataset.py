@@ -9,15 +9,16 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from rhizotwin.scenes.atomic import write_json
+from rhizotwin.scenes.atomic import json_bytes, write_bytes
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import tidy
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey, decode_light
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
@@ -70,6 +71,8 @@ class Dataset:
     """The pictures are silhouettes already: white is root."""
     origin: dict[str, Any] = field(default_factory=dict)
     """Program, versions, settings and profile that made the pictures."""
+    sha256: str = field(default="", compare=False)
+    """Of the bytes of dataset.json that were read, in hexadecimal; empty: it was not read from a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +99,13 @@ def load_dataset(folder: Path | str) -> Dataset:
     path = folder / "dataset.json"
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder; a dataset is made by `rhizotwin simulate` or `rhizotwin import`")
+    tidy(folder)
     if not path.is_file():
         raise UserError(
             f"{folder}: has no dataset.json, so it is no dataset (unfinished?); make one with `rhizotwin simulate` or `rhizotwin import`"
         )
-    mapping = read_versioned_json(path, SCHEMA_VERSION)
+    data = read_file(path)
+    mapping = parse_versioned_json(data, path, SCHEMA_VERSION)
     place = Place(str(path))
     manifest = from_plain(_Manifest, mapping, place)
     check_scene(manifest.scene, where=f"{path}, scene")
@@ -111,12 +116,23 @@ def load_dataset(folder: Path | str) -> Dataset:
     _check_names(manifest.frames, place)
     _check_poses(manifest.frames, place)
     return Dataset(
-        folder=folder, scene=manifest.scene, frames=manifest.frames, seed=manifest.seed, masks=manifest.masks, origin=manifest.origin
+        folder=folder,
+        scene=manifest.scene,
+        frames=manifest.frames,
+        seed=manifest.seed,
+        masks=manifest.masks,
+        origin=manifest.origin,
+        sha256=hashlib.sha256(data).hexdigest(),
     )
 
 
-def save_dataset(dataset: Dataset) -> None:
+def save_dataset(dataset: Dataset) -> Dataset:
     """Write dataset.json of ``dataset.folder`` atomically; `load_dataset` gives an equal dataset back.
+
+    Returns
+    -------
+    Dataset
+        The same with the hash of what was written.
 
     Raises
     ------
@@ -131,7 +147,9 @@ def save_dataset(dataset: Dataset) -> None:
         masks=dataset.masks,
         origin=dataset.origin,
     )
-    write_json(dataset.folder / "dataset.json", to_plain(manifest))
+    data = json_bytes(to_plain(manifest))
+    write_bytes(dataset.folder / "dataset.json", data)
+    return replace(dataset, sha256=hashlib.sha256(data).hexdigest())
 
 
 def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) -> Grey:
@@ -161,13 +179,8 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
         raise UserError(f"{path}: the picture cannot be read ({error.strerror})") from error
     if dataset.masks:
         curve = LINEAR
-    image = decode_light(data, curve or stated_in(data) or of_camera(dataset.scene.camera), where=str(path))
-    width, height = dataset.scene.camera.image_wh
-    if image.shape != (height, width):
-        raise UserError(
-            f"{path}: the picture is {image.shape[1]}x{image.shape[0]} pixels, but the scene's camera has image_wh {width}x{height}; "
-            "correct the scene or take the picture out"
-        )
+    stated = curve or stated_in(data) or of_camera(dataset.scene.camera)
+    image = decode_light(data, stated, where=str(path), image_wh=dataset.scene.camera.image_wh)
     if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256.lower():
         raise UserError(
             f"{path}: is not the picture that was recorded (its sha256 differs from dataset.json); restore it or record it again"
@@ -186,10 +199,21 @@ def sha256_of(path: Path | str) -> str:
 
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
     """Read a JSON object with a ``schema_version``; refuse other versions and damaged files by name."""
+    return parse_versioned_json(read_file(path), path, version)
+
+
+def read_file(path: Path) -> bytes:
+    """Return a file's bytes; UserError where it cannot be read."""
     try:
-        mapping = json.loads(path.read_bytes().decode("utf-8"))
+        return path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
+    """Return the JSON object with a ``schema_version`` that a file's bytes hold; see `read_versioned_json`."""
+    try:
+        mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: is damaged, it is not valid JSON ({error}); restore it or make it again") from error
     if not isinstance(mapping, Mapping):

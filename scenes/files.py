@@ -49,13 +49,16 @@ def load_scene(name_or_path: str | Path) -> Scene:
     return scene
 
 
-def save_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths)."""
+def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
+    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths).
+
+    With ``new`` a file that is there is not replaced.
+    """
     plain = scene_to_dict(scene)
     specimen = plain["specimen"]
     if specimen and "file" in specimen:
         specimen["file"] = str(Path(specimen["file"]).resolve())
-    write_text(path, toml_text.dumps(_without_none(plain)))
+    write_text(path, toml_text.dumps(_without_none(plain)), new=new)
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:

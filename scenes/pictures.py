@@ -1,19 +1,12 @@
 """Pictures from bytes, refusing what OpenCV would silently repair: a truncated file comes back padded, not as an error."""
 
-import re
-import struct
-import zlib
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.picture_damage import UnfitError, checked
 from rhizotwin.scenes.transfer import LINEAR, Curve
-
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
-_NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # OpenCV's own complaints: `decode_grey` says them in a sentence
 
@@ -28,15 +21,17 @@ def encode_png(image: Grey) -> bytes:
     return data.tobytes()
 
 
-def decode_grey(data: bytes, *, where: str) -> Grey:
+def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = None) -> Grey:
     """Decode a picture to grey levels.
 
     Parameters
     ----------
     data
-        Content of a PNG, JPEG, TIFF or other file that OpenCV reads.
+        Content of a PNG, JPEG or TIFF file.
     where
         File name, for messages.
+    image_wh
+        The size that it must have, which is looked at before anything is decoded.
 
     Returns
     -------
@@ -46,20 +41,20 @@ def decode_grey(data: bytes, *, where: str) -> Grey:
     Raises
     ------
     UserError
-        When the data are empty, truncated, damaged, or no picture of 8 or 16 bits.
+        When the data are empty, truncated, damaged, of another size, or no picture of 8 or 16 bits.
     """
-    image = _decoded(data, where)
+    image = _decoded(data, where, image_wh)
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def decode_light(data: bytes, curve: Curve, *, where: str) -> Grey:
+def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, int] | None = None) -> Grey:
     """Decode a picture to light.
 
     Parameters
     ----------
-    data, where
+    data, where, image_wh
         As in `decode_grey`.
     curve
         What its numbers stand for.
@@ -75,7 +70,7 @@ def decode_light(data: bytes, curve: Curve, *, where: str) -> Grey:
     UserError
         As `decode_grey`.
     """
-    image = _decoded(data, where)
+    image = _decoded(data, where, image_wh)
     light = image if curve == LINEAR else curve.decode(image)
     if light.ndim == 2:
         return light
@@ -84,13 +79,14 @@ def decode_light(data: bytes, curve: Curve, *, where: str) -> Grey:
     return np.asarray(grey)
 
 
-def _decoded(data: bytes, where: str) -> NDArray[np.uint8 | np.uint16]:
+def _decoded(data: bytes, where: str, image_wh: tuple[int, int] | None) -> NDArray[np.uint8 | np.uint16]:
     """Decode a picture to (H, W) grey or (H, W, 3) blue, green, red."""
-    damage = _damage(data)
-    if damage:
-        raise UserError(f"{where}: the picture is {damage}; copy or take it again, or leave it out")
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        whole = checked(data, image_wh=image_wh)
+    except UnfitError as error:
+        raise UserError(f"{where}: {error}") from error
+    try:
+        image = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:
@@ -104,49 +100,3 @@ def _decoded(data: bytes, where: str) -> NDArray[np.uint8 | np.uint16]:
     if image.shape[2] == 2:  # grey and alpha
         return np.ascontiguousarray(image[:, :, 0])
     return np.ascontiguousarray(image[:, :, :3])
-
-
-def _damage(data: bytes) -> str:
-    """Say what is wrong with a file's structure, or nothing."""
-    if not data:
-        return "empty (0 bytes)"
-    if data.startswith(_PNG):
-        return _png_damage(data)
-    if data.startswith(_JPEG):
-        return _jpeg_damage(data)
-    return ""
-
-
-def _png_damage(data: bytes) -> str:
-    """Walk the chunks of a PNG up to IEND, checking each one's CRC (ISO/IEC 15948, section 5)."""
-    at = len(_PNG)
-    while at + 12 <= len(data):
-        (length,) = struct.unpack_from(">I", data, at)
-        end = at + 12 + length
-        if end > len(data):
-            break
-        (crc,) = struct.unpack_from(">I", data, end - 4)
-        if crc != zlib.crc32(memoryview(data)[at + 4 : end - 4]):
-            return "damaged (a checksum inside the PNG file is wrong)"
-        if data[at + 4 : at + 8] == b"IEND":
-            return ""
-        at = end
-    return "truncated (the PNG file ends too early)"
-
-
-def _jpeg_damage(data: bytes) -> str:
-    """Walk the segments and scans of a JPEG up to its end marker (ITU-T T.81, annex B); what follows it is ignored."""
-    truncated = "truncated (the JPEG file ends too early)"
-    at = 2
-    while found := _NEXT_MARKER.search(data, at):
-        code = data[found.end() - 1]
-        at = found.end()
-        if code == 0xD9:
-            return ""
-        if code == 0x01:  # stands alone, without a length
-            continue
-        if at + 2 > len(data):
-            break
-        (length,) = struct.unpack_from(">H", data, at)
-        at += length
-    return truncated

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.atomic import new_folder, write_image, write_json
+from rhizotwin.scenes.atomic import write_image, write_json
 from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, save_board
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.sim import sensor

@@ -15,6 +15,7 @@ from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_image, write_json
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents, held
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
@@ -82,15 +83,15 @@ def simulate(
         "variant": mi.variant(),
         "versions": versions(_VERSIONED),
     }
-    done = _take_up(folder, settings)
-    world = draw_world(scene, seed=seed)
-    write_specimen(folder, solid)
-    frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
-    save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
-    origin = {"program": "rhizotwin simulate", **settings}
-    dataset = Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin)
-    save_dataset(dataset)
-    return dataset
+    with held(folder):
+        done = _take_up(folder, settings)
+        world = draw_world(scene, seed=seed)
+        write_specimen(folder, solid)
+        frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
+        save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
+        origin = {"program": "rhizotwin simulate", **settings}
+        dataset = Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin)
+        return save_dataset(dataset)
 
 
 def _render_frames(
@@ -141,8 +142,6 @@ def _render_frames(
 def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
     """Return the frames that an earlier run with the same settings finished, by name; refuse a folder that holds anything else."""
     progress_path = folder / PROGRESS_FILE
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder} is a file, give the name of a new folder for the dataset")
     if progress_path.is_file():
         try:
             before = json.loads(progress_path.read_text(encoding="utf-8"))
@@ -155,7 +154,8 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
                 f"{folder} holds a set made with another {', '.join(different)}: choose a new folder, or delete this one to start afresh"
             )
         return done
-    if folder.is_dir() and any(not path.is_dir() for path in folder.rglob("*")):  # stopped before its first file: folders only
+    if any(not path.is_dir() for name in contents(folder) for path in [folder / name, *(folder / name).rglob("*")]):
+        # not only folders, as a run leaves that was stopped before its first file
         raise UserError(f"{folder} is not empty and holds no interrupted set: choose a new folder for the dataset")
     write_json(progress_path, {"settings": settings, "frames": {}})
     return {}

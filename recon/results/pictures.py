@@ -1,5 +1,6 @@
 """The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides. Matplotlib without a screen."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rhizotwin.recon.results import shading, surface_distance
 from rhizotwin.recon.results.result_files import Mesh, picture_path, read_grey
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 
 Floats = NDArray[np.float64]
@@ -48,21 +50,18 @@ def inputs_and_silhouettes(summary: dict[str, Any], result_folder: Path, dataset
     if not used:
         return None
     chosen = [used[i] for i in np.unique(np.linspace(0, len(used), min(count, len(used)), endpoint=False).astype(int))]
-    by_file = {frame.file: frame for frame in dataset.frames}
     width, height = dataset.scene.camera.image_wh
     drawn = figure(3.6 * len(chosen), 7.2 * height / width + 0.9)
     axes = drawn.subplots(2, len(chosen), squeeze=False)
     for column, view in enumerate(chosen):
-        picture = read_image(dataset, by_file[view["file"]]).astype(np.float64)
-        picture /= max(np.percentile(picture, 99.8), 1.0)
-        if not dataset.masks:
-            picture = np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)  # the pictures are linear in light, screens are not
+        picture = for_screen(dataset, view["file"])
         coverage = read_grey(picture_path(result_folder / "silhouettes", view["file"])).astype(np.float64)
         seen_path = picture_path(result_folder / "seen", view["file"])
         seen = read_grey(seen_path) > 0.5 if seen_path.is_file() else np.ones(coverage.shape, np.bool_)
         silhouette = np.repeat(coverage[..., None], 3, axis=2)
         silhouette[~seen] = 0.55 * silhouette[~seen] + 0.45 * UNSEEN_RGB
-        axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
+        if picture is not None:
+            axes[0, column].imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased")
         axes[1, column].imshow(np.clip(silhouette, 0.0, 1.0), interpolation="antialiased")
         angle = "" if view.get("table_deg") is None else f", table {round(view['table_deg']) % 360} deg"
         axes[0, column].set_title(f"{Path(view['file']).name}{angle}", fontsize=9)
@@ -73,6 +72,17 @@ def inputs_and_silhouettes(summary: dict[str, Any], result_folder: Path, dataset
             axis.set_yticks([])
     drawn.supxlabel("silhouette: white is root; red tint: the picture says nothing there", fontsize=9)
     return drawn
+
+
+def for_screen(dataset: Dataset, file: str) -> Floats | None:
+    """Return a picture of the dataset (H, W) as screens show it, 0..1; None, with a warning, where it cannot be read any more."""
+    try:
+        picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
+    except UserError as error:
+        logging.getLogger(__name__).warning("%s; the report leaves this picture out", error)
+        return None
+    picture /= max(np.percentile(picture, 99.8), 1.0)
+    return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)  # linear in light, which screens are not
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:

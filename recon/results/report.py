@@ -38,11 +38,15 @@ CAPTIONS = {
 }
 
 
-def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Path | None = None) -> list[Path]:
+def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
     """Write ``pictures/*.png`` and ``report.html`` into a result folder.
+
+    A picture of the dataset that cannot be read any more is left out: the result is made already, and must not be lost with it.
 
     Parameters
     ----------
+    dataset
+        That the result was made from: its folder, or as it was loaded then.
     truth_mesh
         File of the true solid; where given, the shape is drawn beside it (``shape_and_truth.png``). Simulated data only.
 
@@ -58,7 +62,7 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
     """
     result_folder = Path(result_folder)
     summary = result_files.read_summary(result_folder)
-    dataset = load_dataset(Path(dataset_folder))
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     shape = result_files.read_mesh(result_folder / "shape.ply")
 
@@ -70,7 +74,7 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
     title = f"{summary['scene']}: {summary['volume_mm3']:.1f} mm3, voxels of {summary['voxel_mm']:g} mm"
     written.append(_save(pictures.shape_in_canister(shape, dataset.scene, title=title), result_folder, "shape.png"))
     if truth_mesh is not None:
-        written.append(write_shape_and_truth(result_folder, Path(dataset_folder), truth_mesh=truth_mesh))
+        written.append(write_shape_and_truth(result_folder, dataset, truth_mesh=truth_mesh))
     traits = result_traits.read(result_folder)
     if (result_folder / "roots.rsml").is_file():
         roots = rsml.read_rsml(result_folder / "roots.rsml")
@@ -81,14 +85,13 @@ def write_pictures(result_folder: Path, dataset_folder: Path, *, truth_mesh: Pat
     return [*written, page]
 
 
-def write_shape_and_truth(result_folder: Path, dataset_folder: Path, *, truth_mesh: Path) -> Path:
+def write_shape_and_truth(result_folder: Path, dataset: Dataset, *, truth_mesh: Path) -> Path:
     """Write ``pictures/shape_and_truth.png`` into a result folder and return its path."""
     result_folder = Path(result_folder)
     summary = result_files.read_summary(result_folder)
-    scene = load_dataset(Path(dataset_folder)).scene
     shape, truth = result_files.read_mesh(result_folder / "shape.ply"), result_files.read_mesh(Path(truth_mesh))
     title = f"{summary['scene']}: {summary['volume_mm3']:.1f} mm3, voxels of {summary['voxel_mm']:g} mm"
-    return _save(pictures.shape_and_truth(shape, truth, scene, title=title), result_folder, "shape_and_truth.png")
+    return _save(pictures.shape_and_truth(shape, truth, dataset.scene, title=title), result_folder, "shape_and_truth.png")
 
 
 def _save(drawn: Figure, result_folder: Path, name: str) -> Path:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results import pictures, shading
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.dataset import Dataset, read_image
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
@@ -129,10 +129,10 @@ def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: dict[str,
         return
     near = int(np.argmax([centre @ toward / np.linalg.norm(centre) for centre in frontal]))
     view = used[near]
-    picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == view["file"])).astype(np.float64)
-    picture /= max(np.percentile(picture, 99.8), 1.0)
-    if not dataset.masks:
-        picture = np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
+    picture = pictures.for_screen(dataset, view["file"])
+    if picture is None:
+        axes.set_title(f"{view['file']} cannot be read any more", fontsize=9)
+        return
     corners = np.array([[box[i], box[j], 0.0] for i in (0, 1) for j in (2, 3)]) @ side.axes
     seen = frames.apply(np.array(view["cam_from_canister"], np.float64), corners)
     camera = dataset.scene.camera.as_pinhole()

@@ -22,8 +22,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from rhizotwin.scenes.dataset import Dataset, sha256_of
+from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import tidy
 from rhizotwin.scenes.pictures import decode_grey
 
 Floats = NDArray[np.float64]
@@ -94,6 +95,7 @@ class Mesh:
 def read_summary(folder: Path) -> dict[str, Any]:
     """Return ``result.json`` of a result folder; UserError where it is missing, damaged or of another version."""
     path = Path(folder) / "result.json"
+    tidy(Path(folder))
     if not path.is_file():
         raise UserError(f"{path} does not exist; give the folder that `rhizotwin reconstruct DATASET -o RESULT` wrote.")
     try:
@@ -170,7 +172,7 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
     """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells."""
-    if dataset_sha256 != sha256_of(dataset.folder / "dataset.json"):
+    if dataset_sha256 != dataset.sha256:
         raise UserError(
             f"{where} was not reconstructed from {dataset.folder} as it is now (its scene was {scene!r}); "
             "give the dataset that the result was made from, or reconstruct again."

@@ -105,7 +105,7 @@ def camera(
     from rhizotwin.rig.lens.calibration import calibrate as fit
     from rhizotwin.rig.lens.calibration import model_text, write_calibration
     from rhizotwin.rig.lens.calibration_report import write_report
-    from rhizotwin.scenes.atomic import new_folder
+    from rhizotwin.scenes.folders import new_folder
 
     paths = list_pictures(pictures)
     given = None if scene is None else files.load_scene(scene)

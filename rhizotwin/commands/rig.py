@@ -124,7 +124,7 @@ def example(*, output: OutputFile) -> None:
 
     if output.exists():
         raise UserError(f"{output} exists already; choose another name")
-    write_text(output, EXAMPLE)
+    write_text(output, EXAMPLE, new=True)
     print(f"wrote {output}; change it, then try: rhizotwin rig check {output}")
 
 

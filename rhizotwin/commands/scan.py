@@ -78,9 +78,8 @@ def scan(
     bench = rigs.open_bench(rig, scene, errors=twin, plan=plan)
     settings: dict[str, Any] = {"twin": None}
     if emulated:
-        # what its pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before, too
-        bench.twin.record.keep_in(output.with_name(f".{output.name}.twin.jsonl"))
         settings = {"twin": {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": _hash(bench.twin.scene)}}
+    # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before, too
     rendered = emulated and twin.fidelity == "render"
     with ExitStack() as stack:
         stack.enter_context(rigs.hang_up_stops())

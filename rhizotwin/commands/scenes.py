@@ -32,7 +32,7 @@ def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, out
     if name is not None and copy is not None:
         if copy.exists():
             raise UserError(f"{copy} exists already; choose another name")
-        files.save_scene(files.load_scene(name), copy)
+        files.save_scene(files.load_scene(name), copy, new=True)
         print(f"wrote {copy}; change it, then try: rhizotwin simulate {copy} -o my_dataset")
         return
     for title, rows in (("scenes", files.library()), ("profiles (simulate --profile)", files.profiles())):

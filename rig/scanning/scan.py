@@ -27,6 +27,7 @@ from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import held
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.plan import View
@@ -85,12 +86,13 @@ def scan(
     folder = Path(folder)
     planned = plan.views(scene)
     _refuse_plan(scene, planned)
-    session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
-    try:
-        begun()
-        return _Scan(devices, scene, session, table_angle_deg=table_angle_deg, ask=ask, say=say, progress=progress).run(planned)
-    finally:
-        session.close()
+    with held(folder):
+        session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
+        try:
+            begun()
+            return _Scan(devices, scene, session, table_angle_deg=table_angle_deg, ask=ask, say=say, progress=progress).run(planned)
+        finally:
+            session.close()
 
 
 class _Scan:

@@ -17,6 +17,7 @@ from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import contents
 from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.scenes.pictures import Grey, encode_png
 from rhizotwin.scenes.plan import View
@@ -123,9 +124,7 @@ class Session:
         if complete:
             self._dataset = replace(self._dataset, origin={**self._dataset.origin, "complete": True})
         dataset = self._snapshot()
-        if dataset.frames:  # a dataset has at least one
-            save_dataset(dataset)
-        return dataset
+        return save_dataset(dataset) if dataset.frames else dataset  # a dataset has at least one
 
     def close(self) -> None:
         """Wait for the writer."""
@@ -156,7 +155,7 @@ def take_up(
 
     Parameters
     ----------
-    folder : new or empty; or left by a scan that was stopped, with ``resume``.
+    folder : new or empty; or left by a scan that was stopped, with ``resume``; held by the caller (`scenes.folders.held`).
     scene : as given; what stands in the canister is left out of the dataset.
     planned : the views to take.
     rig, settings : what the scan is made with, compared with what it was begun with.
@@ -181,10 +180,8 @@ def take_up(
     known = replace(scene, description="", specimen=None, disturbances=Disturbances())
     new = Dataset(folder=folder, scene=known, frames=(), seed=seed, origin=origin)
     if not (folder / "dataset.json").is_file():
-        if folder.exists() and not folder.is_dir():
-            raise UserError(f"{folder} is a file, give the name of a new folder for the dataset")
-        _remove_temporary(folder)
-        if folder.is_dir() and any(path.is_file() and path.relative_to(folder).parts[0] != "truth" for path in folder.rglob("*")):
+        inside = [path for name in contents(folder) if name != "truth" for path in [folder / name, *(folder / name).rglob("*")]]
+        if any(path.is_file() for path in inside):
             raise UserError(f"{folder} is not empty and holds no stopped scan: choose a new folder for the dataset")
         return Session(new, planned)
     before = load_dataset(folder)
@@ -195,7 +192,6 @@ def take_up(
         hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
         raise UserError(f"{folder} holds {state}: {hint}choose a new folder")
     _refuse_differences(before, new)
-    _remove_temporary(folder)
     kept = tuple(frame for frame in before.frames if _is_whole(folder, frame))
     strange = {frame.file for frame in kept} - {file_of(view) for view in planned}
     if strange:
@@ -207,12 +203,6 @@ def take_up(
 def file_of(view: View) -> str:
     """Return the path of a view's picture in the dataset."""
     return f"images/view_{view.index:03d}.png"
-
-
-def _remove_temporary(folder: Path) -> None:
-    """Remove what a killed scan left half-written under a temporary name (`scenes.atomic.beside`)."""
-    for path in [*folder.glob(".dataset.json.*.tmp"), *folder.glob("images/.view_*.tmp")]:
-        path.unlink(missing_ok=True)
 
 
 def _is_whole(folder: Path, frame: Frame) -> bool:

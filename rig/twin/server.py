@@ -161,8 +161,8 @@ def run_twin(
             say(f"camera: {rig.camera.address}")
             if write_rig is not None:
                 scene_path = write_rig.with_name(f"{write_rig.stem}_scene.toml")
-                write_text(write_rig, rig_text(rig))
-                save_scene(twin.calibrated_scene(), scene_path)
+                write_text(write_rig, rig_text(rig), new=True)
+                save_scene(twin.calibrated_scene(), scene_path, new=True)
                 say(f"rig file: {write_rig}, scene with the calibrated lens: {scene_path}")
             server.start()
             say(f"running at {speed:g} times real time; Ctrl-C stops. Commands: {HELP}")

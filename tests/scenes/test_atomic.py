@@ -25,11 +25,6 @@ def raising(error: BaseException) -> Any:
     return fail
 
 
-def fail_after_writing(folder: Path, error: BaseException) -> NoReturn:
-    (folder / "a").write_text("x")
-    raise error
-
-
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
     atomic.write_bytes(tmp_path / "a" / "b.bin", b"\x00\x01")
     assert (tmp_path / "a" / "b.bin").read_bytes() == b"\x00\x01"
@@ -89,70 +84,50 @@ def test_what_is_no_picture_is_refused(tmp_path: Path, image: Any) -> None:
         atomic.write_image(tmp_path / "a.png", image)
 
 
-def test_folder_appears_when_done(tmp_path: Path) -> None:
-    with atomic.new_folder(tmp_path / "deep" / "out") as building:
-        atomic.write_bytes(building / "a", b"x")
-        assert not (tmp_path / "deep" / "out").exists()
-    assert names(tmp_path / "deep") == ["out"]
-    assert names(tmp_path / "deep" / "out") == ["a"]
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "link.txt").symlink_to(tmp_path / "disk" / "there.txt")
+    for text in ("new", "newer"):
+        atomic.write_text(tmp_path / "link.txt", text)
+        assert (tmp_path / "link.txt").is_symlink()
+        assert (tmp_path / "disk" / "there.txt").read_text() == text
+    assert names(tmp_path / "disk") == ["there.txt"]
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), UserError("no"), RuntimeError()], ids=repr)
-def test_folder_is_removed_on_failure(tmp_path: Path, error: BaseException) -> None:
-    with pytest.raises(type(error)), atomic.new_folder(tmp_path / "out") as building:
-        fail_after_writing(building, error)
-    assert names(tmp_path) == []
+def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    atomic.write_bytes(tmp_path / "pipe", b"through")
+    assert os.read(reader, 100) == b"through"
+    os.close(reader)
+    assert names(tmp_path) == ["pipe"]
+    with pytest.raises(UserError, match="null: exists already"):
+        atomic.write_bytes("/dev/null", b"x", new=True)
 
 
-def test_full_disk_inside_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="out: the disk is full"), atomic.new_folder(tmp_path / "out"):
-        raise OSError(errno.ENOSPC, "full")
-    assert names(tmp_path) == []
+def test_a_new_file_replaces_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither one that is there nor one that another process makes at the last moment, with links or without."""
+    path = tmp_path / "a.toml"
+    atomic.write_text(path, "mine", new=True)
+    with pytest.raises(UserError, match=r"a\.toml: exists already"):
+        atomic.write_text(path, "other", new=True)
+    monkeypatch.setattr(os, "link", raising(OSError(errno.EPERM, "no links here")))
+    with pytest.raises(UserError, match=r"a\.toml: exists already"):
+        atomic.write_text(path, "other", new=True)
+    atomic.write_text(tmp_path / "b.toml", "b", new=True)
+    assert path.read_text() == "mine"
+    assert names(tmp_path) == ["a.toml", "b.toml"]
 
 
-def test_foreign_errors_pass_through_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), atomic.new_folder(tmp_path / "out"):
-        (tmp_path / "nothing").read_bytes()
-
-
-def test_folder_that_is_there(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    with atomic.new_folder(out) as building:  # empty: taken
-        (building / "a").write_text("1")
-    with pytest.raises(UserError, match="exists already"), atomic.new_folder(out):
-        pass
-    with pytest.raises(RuntimeError), atomic.new_folder(out, replace=True):
-        raise RuntimeError
-    assert names(out) == ["a"]
-    with atomic.new_folder(out, replace=True) as building:
-        (building / "b").write_text("2")
-    assert names(out) == ["b"]
-    assert names(tmp_path) == ["out"]
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="is a file"), atomic.new_folder(tmp_path / "file"):
-        pass
-
-
-def test_folder_in_a_place_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="out: cannot be written"), atomic.new_folder(tmp_path / "file" / "deep" / "out"):
-        pass
-
-
-def test_old_folder_returns_when_the_exchange_is_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "a").write_text("1")
-    rename = Path.rename
-
-    def interrupted(self: Path, target: Path) -> Path:
-        if target == out and "b" in names(self):
-            raise KeyboardInterrupt
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt), atomic.new_folder(out, replace=True) as building:
-        (building / "b").write_text("2")
-    assert names(out) == ["a"]
-    assert names(tmp_path) == ["out"]
+def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    left = atomic.beside(path)
+    left.write_text("half")
+    other = atomic.beside(tmp_path / "b.json")
+    other.write_text("of another file")
+    in_use, descriptor = atomic._open_beside(path)
+    atomic.write_json(path, [1])
+    assert names(tmp_path) == sorted([other.name, in_use.name, "a.json"])
+    os.close(descriptor)
+    atomic.write_json(path, [2])
+    assert names(tmp_path) == sorted([other.name, "a.json"])

@@ -1,6 +1,7 @@
 """Pictures: grey levels kept, damage named."""
 
 import struct
+import tracemalloc
 import zlib
 from typing import Any
 
@@ -96,3 +97,103 @@ def test_colours_by_luminance_without_alpha(kind: type) -> None:
 def test_floating_point_pictures_are_refused() -> None:
     with pytest.raises(UserError, match="8 or 16 bit"):
         decode_grey(encoded(np.ones((4, 4), np.float32), ".tiff"), where="a")
+
+
+COMPRESSIONS = {"bare": 1, "LZW": 5, "Deflate": 8, "old Deflate": 32946, "PackBits": 32773}
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS.values(), ids=COMPRESSIONS.keys())
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_tiffs_are_read_whole_and_refused_truncated(compression: int, kind: type) -> None:
+    grey = RNG.integers(0, np.iinfo(kind).max, (40, 60), dtype=kind, endpoint=True)
+    data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, compression)
+    np.testing.assert_array_equal(decode_grey(data, where="a"), grey)
+    for kept in (0.2, 0.5, 0.9):
+        with pytest.raises(UserError, match=r"the picture is (truncated|damaged)"):
+            decode_grey(data[: int(kept * len(data))], where="a")
+
+
+def test_flipped_bytes_in_a_compressed_tiff() -> None:
+    """OpenCV gives the rows black that it cannot unpack."""
+    data = bytearray(encoded(RNG.integers(100, 140, (120, 160), dtype=np.uint8), ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, 8))
+    assert decode_grey(bytes(data), where="a").min() >= 100
+    for at in range(100, len(data) - 500, 997):
+        flipped = data.copy()
+        flipped[at] ^= 0x41
+        flipped[at + 1] ^= 0x41
+        with pytest.raises(UserError, match=r"a\.tiff: the picture is damaged"):
+            decode_grey(bytes(flipped), where="a.tiff")
+
+
+def test_half_a_jpeg_with_an_end_marker() -> None:
+    whole = WHOLE["jpeg"]
+    for kept in (0.6, 0.8, 0.95):
+        with pytest.raises(UserError, match=r"a\.jpg: the picture is damaged"):
+            decode_grey(whole[: int(kept * len(whole))] + b"\xff\xd9", where="a.jpg")
+
+
+def png_of(header: bytes, pixels: bytes) -> bytes:
+    """Return a PNG whose checksums are all right."""
+    chunks = [(b"IHDR", header), (b"tEXt", b"Comment\0x" * 20), (b"iCCP", b"nonsense"), (b"IDAT", pixels), (b"IEND", b"")]
+    coded = [struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(c, zlib.crc32(k))) for k, c in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(coded)
+
+
+def test_a_png_that_lies_with_right_checksums(capfd: pytest.CaptureFixture[str]) -> None:
+    rows = b"".join(b"\0" + bytes(range(60)) for _ in range(40))
+    header = struct.pack(">IIBBBBB", 60, 40, 8, 0, 0, 0, 0)
+    assert decode_grey(png_of(header, zlib.compress(rows)), where="a").shape == (40, 60)
+    for bad in (
+        png_of(header, zlib.compress(rows[:-5])),
+        png_of(header, zlib.compress(rows + b"more")),
+        png_of(header, zlib.compress(rows)[:-4]),
+        png_of(header, zlib.compress(b"\x09" + rows[1:])),
+        png_of(struct.pack(">IIBBBBB", 60, 40, 7, 0, 0, 0, 0), zlib.compress(rows)),
+        png_of(struct.pack(">IIBBBBB", 60, 40, 8, 3, 0, 0, 0), zlib.compress(rows)),
+        png_of(header[:5], zlib.compress(rows)),
+    ):
+        with pytest.raises(UserError, match=r"the picture is (damaged|truncated)"):
+            decode_grey(bad, where="a")
+    said = capfd.readouterr()
+    assert said.out == said.err == ""  # libpng's own lines
+
+
+def test_interlaced_and_palette_pngs_are_read() -> None:
+    from io import BytesIO
+
+    from PIL import Image
+
+    for wide, high in ((60, 40), (1, 1), (3, 9)):
+        picture = Image.fromarray(GREY[:high, :wide]).convert("P")
+        stored = BytesIO()
+        picture.save(stored, "PNG")
+        np.testing.assert_allclose(decode_grey(stored.getvalue(), where="a"), GREY[:high, :wide], atol=1.0)
+    # Adam7 with one bit a pixel, the passes of an 8x8 chessboard written by hand
+    board = np.indices((8, 8)).sum(axis=0) % 2
+    passes = [board[y::down, x::across] for x, y, across, down in
+              ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))]  # fmt: skip
+    rows = b"".join(b"\0" + np.packbits(row.astype(np.uint8)).tobytes() for part in passes for row in part)
+    header = struct.pack(">IIBBBBB", 8, 8, 1, 0, 0, 0, 1)
+    np.testing.assert_array_equal(decode_grey(png_of(header, zlib.compress(rows)), where="a"), 255 * board)
+
+
+def test_size_is_looked_at_before_the_pixels() -> None:
+    """A small file of a huge picture is refused at once; a decoder would fill the memory."""
+    tracemalloc.start()
+    huge = struct.pack(">IIBBBBB", 30000, 30000, 16, 2, 0, 0, 0)
+    jpeg = WHOLE["jpeg"]
+    frame = jpeg.index(b"\xff\xc0") + 5
+    large = cv2.imencode(".tiff", GREY, [cv2.IMWRITE_TIFF_COMPRESSION, 8])[1].tobytes()
+    for data in (
+        png_of(huge, zlib.compress(bytes(1000))),
+        jpeg[:frame] + struct.pack(">HH", 30000, 30000) + jpeg[frame + 4 :],
+        large.replace(struct.pack("<HHIHH", 256, 3, 1, 60, 0), struct.pack("<HHIHH", 256, 3, 1, 60000, 0)).replace(
+            struct.pack("<HHIHH", 257, 3, 1, 40, 0), struct.pack("<HHIHH", 257, 3, 1, 60000, 0)
+        ),
+    ):
+        with pytest.raises(UserError, match=r"[36]0000x[36]0000 pixels"):
+            decode_grey(data, where="a")
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
+    with pytest.raises(UserError, match=r"60x40 pixels, but the scene's camera has image_wh 64x48"):
+        decode_grey(WHOLE["png"], where="a", image_wh=(64, 48))

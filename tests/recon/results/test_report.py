@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import trimesh
 from rhizotwin.recon.results import pictures, report, shading
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root, write_rsml
 
@@ -160,3 +162,17 @@ def test_a_result_of_another_dataset_is_refused(scan):
     with pytest.raises(UserError, match="radish"):
         report.write_pictures(made.result, made.dataset)
     assert not (made.result / "pictures").exists()
+
+
+def test_a_dataset_that_changes_meanwhile_does_not_spoil_the_report(scan, caplog):
+    """A resumed scan takes a frame out, and a person deletes a picture, while the shape is being found."""
+    made = scan()
+    loaded = load_dataset(made.dataset)
+    save_dataset(replace(loaded, frames=loaded.frames[1:]))
+    (made.dataset / loaded.frames[0].file).unlink()
+    written = report.write_pictures(made.result, loaded)
+    assert "inputs.png" in [path.name for path in written]
+    assert "view_000.png: the picture is missing" in caplog.text
+    assert "leaves this picture out" in caplog.text
+    with pytest.raises(UserError, match="was not reconstructed from"):
+        report.write_pictures(made.result, made.dataset)

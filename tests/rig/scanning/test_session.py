@@ -14,6 +14,7 @@ from rhizotwin.rig.scanning.session import Session, file_of, take_up
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Frame, load_dataset, read_image, save_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import LOCK, held
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.pictures import decode_grey, encode_png
 
@@ -134,9 +135,6 @@ def test_a_device_that_was_plugged_in_again_may_have_another_port(tmp_path: Path
 
 
 def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(UserError, match="is a file"):
-        begin(tmp_path / "file")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("x")
     with pytest.raises(UserError, match="not empty and holds no stopped scan"):
@@ -151,16 +149,14 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_scan_left_half_written_is_removed(tmp_path: Path) -> None:
-    (tmp_path / "d" / "images").mkdir(parents=True)
-    (tmp_path / "d" / ".dataset.json.77-ab12cd34.tmp").write_text("{")
-    made = begin(tmp_path / "d", resume=True)
-    assert len(made.remaining()) == 4
-    made.record(frame(0), picture(0))
-    made.close()
-    leftover = tmp_path / "d" / "images" / ".view_001.png.77-ab12cd34.tmp"
-    leftover.write_bytes(b"half")
-    begin(tmp_path / "d", resume=True).close()
-    assert not leftover.exists()
+    taken(tmp_path / "d", 0)
+    left = [tmp_path / "d" / ".dataset.json.77-ab12cd34.tmp", tmp_path / "d" / "images" / ".view_001.png.77-ab12cd34.tmp"]
+    for path in left:
+        path.write_bytes(b"half")
+    (tmp_path / "d" / LOCK).write_text('{"pid": 77, "host": "bench", "since": "yesterday"}')
+    with held(tmp_path / "d"):
+        begin(tmp_path / "d", resume=True).close()
+        assert not any(path.exists() for path in left)
 
 
 def test_pictures_that_turned_out_wrong_are_taken_out(tmp_path: Path) -> None:

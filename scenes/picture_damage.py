@@ -1,0 +1,207 @@
+"""Is a picture's file whole, and how large is it: told from its bytes before it is decoded, by its own checksums and strict decoders.
+
+OpenCV's decoders repair silently: what is missing comes back grey or black. PNG has a CRC a chunk and one over all pixels, and Deflate in
+TIFF too; JPEG, LZW and PackBits have none, and there what their coding forbids is found; bare pixels in a TIFF can be too few, no more.
+"""
+
+import io
+import logging
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+import simplejpeg
+import tifffile
+
+MOST_PIXELS = 2**27
+"""More than the largest sensors have (some 100 to 150 million); colours of 16 bits take 0.8 GB then."""
+_NO_PICTURE = "is not a picture that can be read; PNG, JPEG and TIFF can"
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+"""First column and row of an interlaced PNG's passes, and their steps (ISO/IEC 15948, section 8.2)."""
+
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it has to say is said in a sentence
+
+
+class UnfitError(Exception):
+    """A file that is no picture of the right kind and size; the message goes behind the file's name."""
+
+
+class DamagedError(UnfitError):
+    """A picture that is not whole."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"the picture is {what}; copy or take it again, or leave it out")
+
+
+def checked(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
+    """Check a picture's file.
+
+    Parameters
+    ----------
+    data
+        Content of a PNG, JPEG or TIFF.
+    image_wh
+        The size it must have; None: any up to `MOST_PIXELS`.
+
+    Returns
+    -------
+    bytes
+        The file, a PNG without what does not belong to its pixels (libpng complains of some of that past Python).
+
+    Raises
+    ------
+    UnfitError
+        When it is empty, truncated, damaged, of another size or kind.
+    """
+    if not data:
+        raise DamagedError("empty (0 bytes)")
+    if data.startswith(_PNG):
+        return _png(data, image_wh)
+    if data.startswith(_JPEG):
+        _jpeg(data, image_wh)
+    elif data.startswith(_TIFF):
+        _tiff(data, image_wh)
+    else:
+        raise UnfitError(_NO_PICTURE)
+    return data
+
+
+def _check_size(width: int, height: int, image_wh: tuple[int, int] | None) -> None:
+    if image_wh is not None and (width, height) != image_wh:
+        raise UnfitError(
+            f"the picture is {width}x{height} pixels, but the scene's camera has image_wh {image_wh[0]}x{image_wh[1]}; correct the scene "
+            "or take the picture out"
+        )
+    if width < 1 or height < 1 or width * height > MOST_PIXELS:
+        raise UnfitError(f"the picture is {width}x{height} pixels, and 1 to {MOST_PIXELS / 1e6:.0f} million can be read; make it smaller")
+
+
+def _png(data: bytes, image_wh: tuple[int, int] | None) -> bytes:
+    """Walk the chunks of a PNG up to IEND, then unpack the pixels (ISO/IEC 15948, sections 5, 9 and 10)."""
+    damaged = DamagedError("damaged (what is inside the PNG file contradicts itself)")
+    chunks: dict[bytes, list[memoryview]] = {}
+    for kind, content in _chunks(data):
+        if kind == b"IHDR":
+            if chunks or len(content) != 13:
+                raise damaged
+            width, height = struct.unpack(">II", content[:8])
+            _check_size(width, height, image_wh)
+        elif b"IHDR" not in chunks:
+            raise damaged
+        chunks.setdefault(kind, []).append(content)
+    if b"IHDR" not in chunks:
+        raise UnfitError(_NO_PICTURE)
+    width, height, depth, colour, compression, filters, interlace = struct.unpack(">IIBBBBB", chunks[b"IHDR"][0])
+    if depth not in _DEPTHS.get(colour, ()) or compression or filters or interlace > 1 or (colour == 3 and b"PLTE" not in chunks):
+        raise damaged
+    if len(chunks.get(b"PLTE", [b""])[0]) % 3:
+        raise damaged
+    sizes = [(width, height)]
+    if interlace:
+        sizes = [(-(-(width - x) // across), -(-(height - y) // down)) for x, y, across, down in _ADAM7]
+    rows = [(1 + -(-wide * _CHANNELS[colour] * depth // 8), high) for wide, high in sizes if wide > 0 and high > 0]
+    pixels = _inflated(chunks.get(b"IDAT", []), sum(row * high for row, high in rows))
+    at = 0
+    for row, high in rows:
+        if pixels[at : at + row * high : row].max() > 4:  # the filter of each row
+            raise damaged
+        at += row * high
+    kept = [(b"IHDR", chunks[b"IHDR"][0]), *((kind, chunks[kind][0]) for kind in (b"PLTE", b"tRNS") if colour == 3 and kind in chunks)]
+    packed = b"".join(chunks[b"IDAT"])
+    return _PNG + b"".join(_chunk(kind, bytes(content)) for kind, content in [*kept, (b"IDAT", packed), (b"IEND", b"")])
+
+
+def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
+    """Yield kind and content of a PNG's chunks up to IEND."""
+    view = memoryview(data)
+    at = len(_PNG)
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        end = at + 12 + length
+        if end > len(data):
+            break
+        (crc,) = struct.unpack_from(">I", data, end - 4)
+        if crc != zlib.crc32(view[at + 4 : end - 4]):
+            raise DamagedError("damaged (a checksum inside the PNG file is wrong)")
+        kind = data[at + 4 : at + 8]
+        if kind == b"IEND":
+            return
+        yield kind, view[at + 8 : end - 4]
+        at = end
+    raise DamagedError("truncated (the PNG file ends too early)")
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(content, zlib.crc32(kind)))
+
+
+def _inflated(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
+    """Return a PNG's rows, which must be as many bytes as its header says and fit their checksum."""
+    unpacker = zlib.decompressobj()
+    try:
+        found = unpacker.decompress(b"".join(packed), count + 1)
+        if len(found) == count and not unpacker.eof:
+            found += unpacker.decompress(unpacker.unconsumed_tail, 1)
+    except zlib.error:
+        raise DamagedError("damaged (its pixels cannot be unpacked)") from None
+    if len(found) < count and not unpacker.eof:
+        raise DamagedError("truncated (the PNG file ends too early)")
+    if len(found) != count or not unpacker.eof:
+        raise DamagedError("damaged (it does not hold as many pixels as it says)")
+    return np.frombuffer(found, np.uint8)
+
+
+def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
+    """Walk the segments and scans of a JPEG up to its end marker (ITU-T T.81, annex B), then have it decoded strictly."""
+    truncated = DamagedError("truncated (the JPEG file ends too early)")
+    at = 2
+    while True:
+        found = _NEXT_MARKER.search(data, at)
+        if found is None:
+            raise truncated
+        code, at = data[found.end() - 1], found.end()
+        if code == 0xD9:
+            break
+        if code == 0x01:  # stands alone, without a length
+            continue
+        if at + 2 > len(data):
+            raise truncated
+        (length,) = struct.unpack_from(">H", data, at)
+        if 0xC0 <= code <= 0xCF and code not in (0xC4, 0xC8, 0xCC) and at + 7 <= len(data):
+            height, width = struct.unpack_from(">HH", data, at + 3)
+            _check_size(width, height, image_wh)
+        at += length
+    try:
+        colours = simplejpeg.decode_jpeg_header(data)[2]
+        simplejpeg.decode_jpeg(data[:at], "CMYK" if colours in ("CMYK", "YCCK") else "GRAY", strict=True)
+    except ValueError as error:
+        raise DamagedError(f"damaged ({error})") from None
+
+
+def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
+    """Have the first picture of a TIFF decoded strictly, piece by piece (TIFF 6.0)."""
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            page = file.pages[0]
+            if not isinstance(page, tifffile.TiffPage):
+                raise DamagedError("damaged (its directory cannot be read)")
+            _check_size(page.imagewidth, page.imagelength, image_wh)
+            if page.samplesperpixel * page.bitspersample > 128:
+                raise UnfitError(f"has {page.samplesperpixel} times {page.bitspersample} bits a pixel; convert it to a 16-bit PNG")
+            for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+                if count <= 0 or offset + count > len(data):
+                    raise DamagedError("truncated (the TIFF file ends too early)")
+            page.asarray()
+    except UnfitError:
+        raise
+    except Exception as error:  # noqa: BLE001 - tifffile and its codecs raise whatever they meet
+        said = " ".join(str(error).split())[:100]
+        raise DamagedError(f"damaged (the TIFF file cannot be decoded: {said})") from None

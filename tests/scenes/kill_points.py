@@ -1,0 +1,145 @@
+"""Kill a writer before each of its file operations in turn, and look at what it leaves. Run by test_folders.py in a process of one thread.
+
+python kill_points.py SCENARIO FOLDER prints the number of points; anything lost or left over ends it with a traceback.
+"""
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from rhizotwin.scenes import atomic, folders
+from rhizotwin.scenes.errors import UserError
+
+OPERATIONS = ("open", "rename", "replace", "link", "fsync", "unlink", "rmdir", "mkdir", "ftruncate")
+"""What changes the disk, or makes a change last. A kill before one is a kill after the one before it."""
+KILLED = 137
+
+
+def killed_at(point: int, action: Callable[[], object]) -> bool:
+    """Do something in a child that is killed before its ``point``-th operation; return whether it was."""
+    child = os.fork()
+    if child == 0:
+        left = point
+
+        def count(function: Callable[..., object]) -> Callable[..., object]:
+            def counted(*arguments: object, **options: object) -> object:
+                nonlocal left
+                left -= 1
+                if left == 0:
+                    os._exit(KILLED)
+                return function(*arguments, **options)
+
+            return counted
+
+        for name in OPERATIONS:
+            setattr(os, name, count(getattr(os, name)))
+        try:
+            action()
+        except BaseException:  # noqa: BLE001 - a child of a test ends here
+            sys.excepthook(*sys.exc_info())
+            os._exit(1)
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, KILLED), code
+    return code == KILLED
+
+
+def texts(folder: Path) -> dict[str, str]:
+    """Return every file of a folder by its path in it."""
+    return {str(path.relative_to(folder)): path.read_bytes().hex()[:40] for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def make(goal: Path, text: str) -> None:
+    """Make a result-like folder."""
+    with folders.new_folder(goal, replaces=["result.json", "deep", "old", "new"]) as building:
+        for name in (f"deep/{text}.png", "deep/both.png", text, "result.json"):
+            atomic.write_text(building / name, text)
+
+
+def write(work: Path) -> int:
+    """Replace a file: it is the old or the new, and the next write clears what is left."""
+    return every(
+        lambda: atomic.write_text(work / "a.txt", "old"),
+        lambda: atomic.write_text(work / "a.txt", "new"),
+        work,
+        reader=lambda: None,
+    )
+
+
+def new(work: Path) -> int:
+    """Make a folder: there is nothing or all of it."""
+    return every(lambda: None, lambda: make(work / "goal", "new"), work, reader=lambda: folders.tidy(work / "goal"))
+
+
+def replace(work: Path) -> int:
+    """Make a folder anew: there is the old or the new."""
+    return every(lambda: make(work / "goal", "old"), lambda: make(work / "goal", "new"), work, reader=lambda: folders.tidy(work / "goal"))
+
+
+def import_(work: Path) -> int:
+    """Import pictures: there is nothing or all of them."""
+    import numpy as np
+
+    from rhizotwin.importer import import_pictures
+    from rhizotwin.scenes.files import load_scene
+    from rhizotwin.scenes.model import Scene
+
+    pictures = work.parent / "pictures"
+    scene: Scene = load_scene("sphere_20mm")
+    width, height = scene.camera.image_wh
+    for k in range(3):
+        atomic.write_image(pictures / f"view_{k}.png", np.full((height, width), 100 + k, np.uint8))
+    return every(lambda: None, lambda: import_pictures(pictures, scene, work / "goal"), work, reader=lambda: folders.tidy(work / "goal"))
+
+
+def every(before: Callable[[], object], action: Callable[[], object], work: Path, *, reader: Callable[[], None]) -> int:
+    """Kill ``action`` at each of its operations, look, then do it again; return how many there were."""
+    states = []
+    for point in range(1, 10000):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        before()
+        old = texts(work)
+        killed = killed_at(point, action)
+        if not killed:
+            states.append(texts(work))
+            break
+        reader()  # whoever opens it next
+        states.append({name: text for name, text in texts(work).items() if not name.rpartition("/")[2].startswith(".")})
+        try:
+            action()  # the same command again
+        except UserError as error:  # it was done before the kill
+            if "exists already" not in str(error):
+                raise
+        states.append(texts(work))
+        assert not list(work.rglob(".*")), sorted(work.rglob(".*"))
+    done = states[-1]
+    assert old != done
+    for k, state in enumerate(states):
+        assert state in ((old, done) if k % 2 == 0 else (done,)), (k, state, old, done)
+    return len(states) // 2
+
+
+def race(work: Path, text: str) -> None:
+    """Make one folder again and again beside others that do the same."""
+    for _ in range(20):
+        try:
+            with folders.new_folder(work, replaces=["result.json", "deep"]) as building:
+                for name in ("deep/a", "deep/b", "result.json"):
+                    atomic.write_text(building / name, text)
+        except UserError as error:
+            if "works in it" not in str(error) and "all the time" not in str(error):
+                raise
+        else:
+            sys.stdout.write("made\n")
+
+
+if __name__ == "__main__":
+    work = Path(sys.argv[2])
+    if sys.argv[1] == "race":
+        race(work / "race", sys.argv[3])
+    else:
+        points = {"write": write, "new": new, "replace": replace, "import": import_}[sys.argv[1]](work / "work")
+        sys.stdout.write(f"{points} points\n")

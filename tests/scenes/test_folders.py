@@ -1,0 +1,190 @@
+"""Folders that commands make: nothing lost, nothing half, nothing of others removed."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from rhizotwin.scenes import atomic, folders
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import locked
+
+KILL_POINTS = Path(__file__).parent / "kill_points.py"
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def fail_after_writing(folder: Path, error: BaseException) -> NoReturn:
+    (folder / "a").write_text("x")
+    raise error
+
+
+def made(folder: Path, **files: str) -> Path:
+    for name, text in files.items():
+        atomic.write_text(folder / name.replace("_in_", "/").replace("_", "."), text)
+    return folder
+
+
+def test_folder_appears_when_done(tmp_path: Path) -> None:
+    with folders.new_folder(tmp_path / "deep" / "out") as building:
+        atomic.write_bytes(building / "pictures" / "a.png", b"x")
+        atomic.write_bytes(building / "b", b"x")
+        assert folders.contents(tmp_path / "deep" / "out") == []
+    assert names(tmp_path / "deep") == ["out"]
+    assert names(tmp_path / "deep" / "out") == ["b", "pictures"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), UserError("no"), RuntimeError()], ids=repr)
+def test_folder_is_removed_on_failure(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)), folders.new_folder(tmp_path / "out") as building:
+        fail_after_writing(building, error)
+    assert names(tmp_path) == []
+
+
+def test_full_disk_inside_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="out: the disk is full"), folders.new_folder(tmp_path / "out"):
+        raise OSError(errno.ENOSPC, "full")
+    assert names(tmp_path) == []
+
+
+def test_foreign_errors_pass_through_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), folders.new_folder(tmp_path / "out"):
+        (tmp_path / "nothing").read_bytes()
+
+
+def test_folder_that_is_there(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with folders.new_folder(out) as building:  # empty: taken
+        made(building, a="1")
+    with pytest.raises(UserError, match="exists already"), folders.new_folder(out):
+        pass
+    with pytest.raises(UserError, match="holds a; choose"), folders.new_folder(out, replaces=["b"]):
+        pass
+    with pytest.raises(RuntimeError), folders.new_folder(out, replaces=["a"]):
+        raise RuntimeError
+    assert names(out) == ["a"]
+    with folders.new_folder(out, replaces=["a"]) as building:
+        made(building, b="2")
+        assert (out / "a").read_text() == "1"
+    assert names(out) == ["b"]
+    assert names(tmp_path) == ["out"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="is a file"), folders.new_folder(tmp_path / "file"):
+        pass
+
+
+def test_folder_in_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    begun = False
+    with pytest.raises(UserError, match="out: cannot be written"), folders.new_folder(tmp_path / "file" / "deep" / "out"):
+        begun = True
+    assert not begun
+
+
+def test_what_others_put_there_meanwhile_stays(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    out = made(tmp_path / "out", result_json="old", pictures_in_a="old", pictures_in_b="old", seen_in_c="old")
+    with folders.new_folder(out, replaces=["result.json", "pictures", "seen"]) as building:
+        made(building, result_json="new", pictures_in_a="new")
+        made(out, work_txt="years", pictures_in_mine="mine", pictures_in_b="painted over")
+    assert {str(path.relative_to(out)): path.read_text() for path in sorted(out.rglob("*")) if path.is_file()} == {
+        "pictures/a": "new",
+        "pictures/b": "painted over",
+        "pictures/mine": "mine",
+        "result.json": "new",
+        "work.txt": "years",
+    }
+    assert "work.txt was put there or changed meanwhile and stays" in caplog.text
+    assert names(out) == ["pictures", "result.json", "work.txt"]
+
+
+@pytest.mark.parametrize("theirs", ["result.json", "pictures", "result.json/deep"])
+def test_what_others_put_in_the_way_stays_and_the_work_is_kept(theirs: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def work() -> None:
+        with folders.new_folder(out) as new:
+            made(new, result_json="new", pictures_in_a="new")
+            atomic.write_text(out / theirs, "theirs")
+
+    with pytest.raises(UserError, match=rf"out: {theirs} was put there .* what was made is in .*/out/made-1"):
+        work()
+    assert (out / theirs).read_text() == "theirs"
+    assert (out / "made-1" / "result.json").read_text() == "new"
+    assert len(names(out)) == 2
+
+
+def test_links_mounts_and_the_current_folder_are_goals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A goal is never renamed or removed: it may be a mount point, the target of a link, or where the shell stands."""
+    disk = tmp_path / "disk"
+    (disk / "lost+found").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(disk)
+    before = disk.stat().st_ino
+    with folders.new_folder(tmp_path / "link") as building:
+        made(building, a="1")
+    assert (tmp_path / "link").is_symlink()
+    monkeypatch.chdir(disk)
+    with folders.new_folder(".", replaces=["a"]) as building:
+        made(building, b="2")
+    assert names(disk) == ["b", "lost+found"]
+    assert disk.stat().st_ino == before
+
+
+def test_one_process_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with folders.held(out):
+        with pytest.raises(UserError, match=rf"out: process {os.getpid()} on .* works in it; wait"), folders.new_folder(out):
+            pass
+        folders.tidy(out)  # a reader does not mind
+    assert names(tmp_path) == []
+
+
+def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    out = made(tmp_path / "out", view_in_a="kept")
+    (out / folders.LOCK).write_text('{"pid": 7, "host": "gone", "since": "then"}')
+    (out / folders.NEW / "half").mkdir(parents=True)
+    atomic.beside(out / "view" / "b").write_text("half")
+    with folders.held(out):
+        assert names(out / "view") == ["a"]
+    assert "process 7 on gone (since then) left it unfinished; taken over" in caplog.text
+    assert names(out) == ["view"]
+
+
+def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rhizotwin.scenes.lock.try_lock", lambda _: None)
+    with locked(tmp_path / "lock", what="out"), pytest.raises(UserError, match="works in it"), locked(tmp_path / "lock", what="out"):
+        pass
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True).stdout
+    host = os.uname().nodename
+    (tmp_path / "lock").write_text(f'{{"pid": {int(ended)}, "host": "{host}", "since": "then"}}')
+    with locked(tmp_path / "lock", what="out") as left:
+        assert left
+    (tmp_path / "lock").write_text(f'{{"pid": {int(ended)}, "host": "another", "since": "then"}}')
+    with pytest.raises(UserError, match="on another"), locked(tmp_path / "lock", what="out"):
+        pass
+
+
+@pytest.mark.parametrize("scenario", ["write", "new", "replace", "import"])
+def test_a_kill_at_any_file_operation_leaves_the_old_or_the_new(scenario: str, tmp_path: Path) -> None:
+    words = [sys.executable, str(KILL_POINTS), scenario, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert int(done.stdout.split()[0]) >= 6, done.stdout
+
+
+def test_two_processes_on_one_output(tmp_path: Path) -> None:
+    """Many processes at once make one folder: one does, the others are told, and what is there is whole and of one of them."""
+    words = [sys.executable, str(KILL_POINTS), "race", str(tmp_path)]
+    running = [subprocess.Popen([*words, str(k)], stdout=subprocess.PIPE, text=True) for k in range(4)]
+    said = "".join(process.communicate(timeout=120)[0] for process in running)
+    assert all(process.returncode == 0 for process in running), said
+    assert "made" in said
+    texts = {path.read_text() for path in (tmp_path / "race").rglob("*") if path.is_file()}
+    assert len(texts) == 1
+    assert names(tmp_path / "race") == ["deep", "result.json"]
