@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cases, gate
+from benchmarks import cases, gate, scatter
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
@@ -81,6 +81,7 @@ def parser() -> argparse.ArgumentParser:
         )
         if name == "accuracy":
             _add_selection(one)
+    _add_scatter(what.add_parser("scatter", help=_SCATTER, description=_SCATTER))
     compared = what.add_parser("compare", help="two runs of the ladder on the same pictures: what a change did, case by case")
     compared.add_argument("before", type=Path, metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
     compared.add_argument("after", type=Path, metavar="B.json", help="the same after it; cases that only one of them has are left out")
@@ -93,9 +94,19 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+_SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
+
+
+def _add_scatter(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--quick", action="store_true", required=True, help="of the small set (the full one would take weeks)")
+    one.add_argument("--scenes", type=_words, metavar="PATTERN,...", help="only these scenes of it; the others' numbers stay as they are")
+    one.add_argument("--runs", type=int, default=scatter.RUNS, metavar="N", help="default: %(default)s")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+
+
 def _add_selection(one: argparse.ArgumentParser) -> None:
     one.epilog = (
-        "a part of the ladder, for example (it gives part of the table, and goes with neither --gate nor --update-baseline):\n"
+        "a part of the ladder, for example (it gives part of the table, and goes with --gate only where it is part of --quick):\n"
         "  python -m benchmarks accuracy --scenes 'radish_day0*,fallen_plant' --profiles clean,bench --methods coverage -o before.json\n"
         "two runs are compared case by case:\n  python -m benchmarks compare before.json after.json"
     )
@@ -112,8 +123,22 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         + "; default: first. The second set is for the end: never look at it while something is developed",
     )
     one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
+    one.add_argument(
+        "--change",
+        type=_change,
+        default="none",
+        metavar="KIND:SEED",
+        help="rounded:S, pictures as another machine may have rounded them; lossy:S, one in twenty mirrored; S: 1, 2, ...",
+    )
     one.add_argument("--list", action="store_true", help="name the cases and end")
     one.add_argument("--afresh", action="store_true", help="measure again what an earlier run with the same code measured")
+
+
+def _change(text: str) -> str:
+    kind, _, seed = text.partition(":")
+    if text != "none" and (kind not in ("rounded", "lossy") or not seed.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is none of rounded:SEED, lossy:SEED, none")
+    return text
 
 
 def _words(text: str) -> tuple[str, ...]:
@@ -152,6 +177,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given.what == "compare":
             return _compare(given)
+        if given.what == "scatter":
+            return _scatter(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -166,6 +193,21 @@ def _compare(given: argparse.Namespace) -> int:
 
     say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
     return 0
+
+
+def _scatter(given: argparse.Namespace) -> int:
+    """Measure the scatter and record it."""
+    values, crashed = scatter.measure(cases.quick(scenes=given.scenes or ("*",)), runs=given.runs, device=given.device, say=say)
+    if crashed:
+        raise UserError(f"{next(iter(crashed))} crashed, so that the scatter is left as it was.")
+    say("\n" + scatter.table(values))
+    scatter.write(_scatter_path(), values, about=about(given))
+    say(f"recorded: {_scatter_path()}")
+    return 0
+
+
+def _scatter_path() -> Path:
+    return HERE / "scatter_accuracy_quick.json"
 
 
 def _adopt(given: argparse.Namespace) -> int:
@@ -187,9 +229,9 @@ def _adopt(given: argparse.Namespace) -> int:
 def _chosen(given: argparse.Namespace) -> tuple[list[cases.Case], bool]:
     """Return the cases to run, and whether they are a part that can neither gate nor become the baseline."""
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "seeds", "methods") if getattr(given, name) is not None}
-    if given.quick and selection:
-        raise UserError(f"--quick is a set of its own; leave out --{next(iter(selection))} or --quick.")
-    return (cases.quick(), False) if given.quick else (cases.ladder(**selection), bool(selection))
+    if given.quick and "seeds" in selection:
+        raise UserError("the quick set has no seeds; leave out --seeds or --quick.")
+    return (cases.quick(**selection) if given.quick else cases.ladder(**selection)), bool(selection)
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -199,18 +241,25 @@ def _run(given: argparse.Namespace) -> int:
         if given.list:
             say("\n".join(case.name for case in chosen))
             return 0
-        if is_part and (given.gate or given.update_baseline):
-            raise UserError("a part of the ladder leaves numbers out, so it goes with neither --gate nor --update-baseline.")
+        if given.change != "none" and given.update_baseline:
+            raise UserError("changed pictures cannot become the baseline; leave out --change or --update-baseline.")
+        if is_part and (given.update_baseline or (given.gate and not given.quick)):
+            what = "cannot become the baseline" if given.update_baseline else "goes with --gate only with --quick"
+            raise UserError(f"a part of the ladder leaves numbers out, so it {what}.")
     baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
     # A missing baseline is known before an hour of measuring, not after it.
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
+    is_scattered = given.what == "accuracy" and given.quick
+    rounding = scatter.read(_scatter_path()) if baseline is not None and is_scattered else None
     run = _measured(given, chosen)
     is_long = given.what == "accuracy" and not given.quick
     shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
     say("\n" + results_table(shown))
 
     described = about(given)
-    output = given.output or _results() / f"{baseline_path.stem.removeprefix('baseline_')}.json"
+    change = getattr(given, "change", "none")
+    suffix = "" if change == "none" else "_" + change.replace(":", "_")
+    output = given.output or _results() / f"{baseline_path.stem.removeprefix('baseline_')}{suffix}.json"
     values = {m.key: {"value": m.value if m.measured else None, "unit": m.unit} for m in run.metrics}
     stored = json.loads(json.dumps({"about": described, "metrics": values, "crashed": run.crashed, "details": run.details}, default=str))
     atomic.write_json(output, stored)
@@ -225,8 +274,16 @@ def _run(given: argparse.Namespace) -> int:
         say(f"recorded: {baseline_path}")
         return 0
     if baseline is not None:
-        findings = gate.compare(run.metrics, baseline, crashed=run.crashed)
+        scattered = {metric.key for metric in scatter.of_cases(run.metrics, chosen)} if is_scattered else ()
+        if is_scattered:
+            baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
+        findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding, scattered=scattered)
         say("\n" + gate.table(findings))
+        estimated = [
+            metric for metric in scatter.of_cases(run.metrics, chosen) if rounding is not None and metric.key not in rounding.ranges
+        ]
+        if estimated:
+            say(f"the tolerance of {len(estimated)} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
         return 0 if gate.passes(findings) else 1
     return 1 if run.crashed else 0
 
@@ -241,7 +298,7 @@ def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
     if given.what == "accuracy":
         from benchmarks import accuracy, table
 
-        run = accuracy.measure(chosen, device=given.device, say=say, afresh=given.afresh)
+        run = accuracy.measure(chosen, device=given.device, say=say, afresh=given.afresh, change=given.change)
         if not given.quick:
             run.metrics += [line.metric() for line in table.lines(run.details.values())]
         return run

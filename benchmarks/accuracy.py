@@ -22,16 +22,20 @@ _SOURCES = {
 """Modules that decide what becomes of a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")
 
+_CHANGES = "benchmarks.perturb"
+UNCHANGED = "none"
+
 Record = dict[str, Any]
 """One scored case as JSON values: what it was, what it took, and the score."""
 
 
-def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False) -> Run:
+def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED) -> Run:
     """Run the cases one after the other; a case that fails is recorded and the rest go on.
 
     Parameters
     ----------
     afresh : measure also what an earlier run with the same sources, settings and versions measured.
+    change : what is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     """
     say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
     measured = worker.start(["projection"], device=device)["metrics"]
@@ -40,10 +44,10 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     for number, case in enumerate(cases, start=1):
         head = f"[{number}/{len(cases)}] {case.name}"
         began = time.perf_counter()
-        record = None if afresh else kept(case, device=device)
+        record = None if afresh else kept(case, device=device, change=change)
         try:
             fresh = record is None
-            record = record or _measured(case, device=device)
+            record = record or record_of(case, device=device, change=change)
         except RuntimeError as error:
             run.crashed[case.name] = str(error)
             clock.finished(case, time.perf_counter() - began)
@@ -56,9 +60,9 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
     return run
 
 
-def kept(case: Case, *, device: str) -> Record | None:
+def kept(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
     """Return what an earlier run measured of a case, with sources, settings and versions as they are now; None where none did."""
-    path = _kept_path(case, device=device)
+    path = _kept_path(case, device=device, change=change)
     if not path.is_file():
         return None
     try:
@@ -68,27 +72,32 @@ def kept(case: Case, *, device: str) -> Record | None:
     return record if isinstance(record, dict) and {"case", "score", "wall_s", "peak_memory_mib"} <= record.keys() else None
 
 
-def _kept_path(case: Case, *, device: str) -> Path:
+def _kept_path(case: Case, *, device: str, change: str) -> Path:
     settings = {
         "dataset": datasets.place(case.pictures).name,
         "truth": sources.digest(datasets.TRUTH),
         "method": case.method,
         "voxel_mm": case.voxel_mm,
         "device": device,
+        "change": change,
         "versions": versions(_VERSIONED),
     }
-    return cache.folder() / "scores" / f"{cache.key(settings, sources=sources.digest(_SOURCES[case.method]))}.json"
+    return (
+        cache.folder()
+        / "scores"
+        / f"{cache.key(settings, sources=sources.digest((*_SOURCES[case.method], *(() if change == UNCHANGED else (_CHANGES,)))))}.json"
+    )
 
 
-def _measured(case: Case, *, device: str) -> Record:
+def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
     """Render a case's pictures where they are missing, reconstruct and score them, and keep the result."""
     rendering = None
     if not datasets.is_ready(case.pictures):
         rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]
     folder = datasets.place(case.pictures)
-    found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}"], device=device)
+    found = worker.start(["score", str(folder), case.method, f"{case.voxel_mm}", change], device=device)
     record = {"case": described(case), "render_s": rendering, **found}
-    atomic.write_json(_kept_path(case, device=device), record)
+    atomic.write_json(_kept_path(case, device=device, change=change), record)
     return record
 
 
@@ -127,8 +136,7 @@ def percent(fraction: float | None) -> str:
 def metrics(case: Case, record: Record) -> list[Metric]:
     """Return the gated numbers of one score; a stage that gave none yields NaN, which fails the gate."""
     found = record["score"]
-    # (where, unit, direction, rel_tol, abs_tol): the arithmetic repeats to about 1e-5 on one machine; a real change of method moves these
-    # numbers by far more. What is decided about thin roots hangs on the last bits: see docs/decisions/accuracy-ladder.md.
+    # (where, unit, direction, rel_tol, abs_tol): the tolerances are for cases whose scatter is not measured (`benchmarks.scatter`).
     volume, voxels = (0.005, 0.01) if case.pictures.is_plant else (0.002, 0.004)
     rows: dict[str, tuple[str, str, Direction, float, float]] = {
         "volume_error": ("volume_error", "1", "zero", 0.0, volume),

@@ -92,8 +92,14 @@ class Case:
         return f"{self.pictures.name}/{self.voxel_mm:g}/{self.method}"
 
 
-def quick() -> list[Case]:
-    """Return the small cases that run with every change: a solid, a print by both methods, a print on a real bench, thin roots."""
+def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
+    """Return the small cases that run with every change, or some: a solid, a print by both methods, a print on a real bench, thin roots.
+
+    Raises
+    ------
+    UserError
+        Where nothing is left.
+    """
     small = (400, 300)
     sphere, printed, bench, plant = (
         Pictures(scene="sphere_20mm", views=24, image_wh=small),
@@ -101,7 +107,16 @@ def quick() -> list[Case]:
         Pictures(scene="printed_8ml", profile="bench", image_wh=small),
         Pictures(scene="radish_day05a", rings=2, views=20),  # in small pictures its roots are too thin for tubes
     )
-    return [*(Case(pictures=pictures) for pictures in (sphere, printed, bench, plant)), Case(pictures=printed, method="thesis")]
+    every = [*(Case(pictures=pictures) for pictures in (sphere, printed, bench, plant)), Case(pictures=printed, method="thesis")]
+    return _some([case for case in every if case.pictures.profile in profiles and case.method in methods], scenes, profiles)
+
+
+def _some(cases: list[Case], scenes: Sequence[str], profiles: Sequence[str]) -> list[Case]:
+    """Return the cases of scenes whose name fits a pattern; UserError where there are none."""
+    chosen = [case for case in cases if any(fnmatchcase(case.pictures.scene, pattern) for pattern in scenes)]
+    if not chosen:
+        raise UserError(f"no case of the ladder is of scenes {', '.join(scenes)} in profiles {', '.join(profiles)}; --list names them")
+    return chosen
 
 
 def ladder(
@@ -125,14 +140,10 @@ def ladder(
     cases = []
     for seed in seeds:
         for name in names:
-            if not any(fnmatchcase(name, pattern) for pattern in scenes):
-                continue
             for profile in next(allowed for pattern, allowed in LADDER.items() if fnmatchcase(name, pattern)):
                 rings: Literal[1, 2] = 1 if name in PRINTS else 2
                 is_repeated = name in PRINTS and profile == "clean" and seed != seeds[0]
                 if profile in profiles and not is_repeated:
                     pictures = Pictures(scene=name, profile=profile, rings=rings, seed=seed)
                     cases += [Case(pictures=pictures, method=method) for method in methods]
-    if not cases:
-        raise UserError(f"no case of the ladder is of scenes {', '.join(scenes)} in profiles {', '.join(profiles)}; --list names them")
-    return cases
+    return _some(cases, scenes, profiles)

@@ -2,12 +2,13 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.metric import Metric
+from benchmarks.scatter import Scatter
 from benchmarks.targets import TARGETS
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
@@ -42,14 +43,26 @@ class Baseline:
     values: Mapping[str, float]
     units: Mapping[str, str]
 
+    def without(self, cases: Collection[str]) -> "Baseline":
+        """Leave out the numbers of cases, by name."""
+        kept = {key: value for key, value in self.values.items() if key.rpartition("/")[0] not in cases}
+        return replace(self, values=kept)
 
-def compare(metrics: Sequence[Metric], baseline: Baseline, *, crashed: Mapping[str, str] | None = None) -> list[Finding]:
+
+def compare(
+    metrics: Sequence[Metric],
+    baseline: Baseline,
+    *,
+    crashed: Mapping[str, str] | None = None,
+    scatter: Scatter | None = None,
+) -> list[Finding]:
     """Judge every metric of a run, every metric of the baseline that the run lacks, and every crashed case.
 
     Parameters
     ----------
     crashed
         What went wrong, by case; each is a failure whatever the baseline holds.
+    scatter : by how much numbers move with the last bits; where it knows a number it gives the tolerance, and not the metric.
     """
     findings = [
         Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")
@@ -57,7 +70,7 @@ def compare(metrics: Sequence[Metric], baseline: Baseline, *, crashed: Mapping[s
     ]
     seen: set[str] = set()
     for metric in metrics:
-        findings.append(_judge(metric, baseline, repeated=metric.key in seen))
+        findings.append(_judge(metric, baseline, scatter, repeated=metric.key in seen))
         seen.add(metric.key)
     findings += [
         Finding(key=key, verdict="MISSING", baseline=before, value=None, unit=baseline.units[key], note="not measured")
@@ -69,7 +82,7 @@ def compare(metrics: Sequence[Metric], baseline: Baseline, *, crashed: Mapping[s
     return findings
 
 
-def _judge(metric: Metric, baseline: Baseline, *, repeated: bool) -> Finding:
+def _judge(metric: Metric, baseline: Baseline, scatter: Scatter | None, *, repeated: bool) -> Finding:
     before = baseline.values.get(metric.key)
     verdict: Verdict
     note = ""
@@ -84,7 +97,8 @@ def _judge(metric: Metric, baseline: Baseline, *, repeated: bool) -> Finding:
     elif metric.key in TARGETS and not TARGETS[metric.key].reached(metric.value):
         verdict, note = "MISSED", f"must reach {TARGETS[metric.key].text}"
     else:
-        worse, tolerance = metric.worse_by(before), metric.tolerance(before)
+        allowed = None if scatter is None else scatter.tolerance(metric.key, before)
+        worse, tolerance = metric.worse_by(before), metric.tolerance(before) if allowed is None else allowed
         verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"
         note = f"by {worse:.4g}, {tolerance:.4g} allowed" if verdict == "WORSE" else ""
     return Finding(key=metric.key, verdict=verdict, baseline=before, value=metric.value, unit=metric.unit, note=note)

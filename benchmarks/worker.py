@@ -86,14 +86,24 @@ def dataset(pictures: Pictures) -> dict[str, Any]:
     return {"folder": str(datasets.make(pictures))}
 
 
-def score(dataset_folder: Path, method: str, voxel_mm: float, working: Path) -> dict[str, Any]:
-    """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's."""
+def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, working: Path) -> dict[str, Any]:
+    """Reconstruct by a method and score; the times and the memory are the reconstruction's, without the score's.
+
+    Parameters
+    ----------
+    change : what is done to the dataset before, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    """
+    from benchmarks import perturb
     from benchmarks.thesis import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.scoring import score as scoring
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.provenance import peak_memory_mib
 
+    kind, _, seed = change.partition(":")
+    if kind != "none":
+        write = perturb.rounded if kind == "rounded" else perturb.lossy
+        dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
     if method == "thesis":
         reconstruct_thesis(dataset_folder, working / "result", voxel_mm=voxel_mm)
@@ -135,6 +145,7 @@ def parser() -> argparse.ArgumentParser:
     scoring.add_argument("dataset", type=Path)
     scoring.add_argument("method", choices=METHODS)
     scoring.add_argument("voxel_mm", type=float)
+    scoring.add_argument("change")
     jobs.add_parser("projection")
     return made
 
@@ -151,7 +162,7 @@ def main() -> int:
         "render": lambda: render(given.fidelity, given.working),
         "reconstruct": lambda: stages(given.dataset, given.voxel_mm, given.working),
         "dataset": lambda: dataset(given.pictures),
-        "score": lambda: score(given.dataset, given.method, given.voxel_mm, given.working),
+        "score": lambda: score(given.dataset, given.method, given.voxel_mm, given.change, given.working),
         "projection": projection,
     }
     found = work[given.job]()

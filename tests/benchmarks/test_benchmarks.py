@@ -189,6 +189,10 @@ def test_part_of_the_cases_can_neither_gate_nor_become_the_baseline(capsys):
         for part in (["--scenes", "sphere*"], ["--profiles", "clean"], ["--seeds", "second"], ["--methods", "thesis"]):
             assert command.main(["accuracy", *part, flag]) == 2
             assert "part of the ladder" in capsys.readouterr().err
+    assert command.main(["accuracy", "--quick", "--scenes", "sphere*", "--update-baseline"]) == 2
+    assert "cannot become the baseline" in capsys.readouterr().err
+    assert command.main(["accuracy", "--quick", "--change", "rounded:1", "--update-baseline"]) == 2
+    assert "changed pictures" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -196,7 +200,8 @@ def test_part_of_the_cases_can_neither_gate_nor_become_the_baseline(capsys):
     [
         (["--scenes", "nothing*"], "no case of the ladder"),
         (["--scenes", "fallen_plant", "--profiles", "harsh"], "no case of the ladder"),
-        (["--quick", "--seeds", "1"], "--quick is a set of its own"),
+        (["--quick", "--seeds", "1"], "the quick set has no seeds"),
+        (["--quick", "--scenes", "fallen_plant"], "no case of the ladder"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -205,7 +210,9 @@ def test_a_selection_of_nothing_is_refused(words, said, capsys):
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--profiles", "dirty"], ["--seeds", "third"], ["--seeds", "1,-2"], ["--methods", "magic"]])
+@pytest.mark.parametrize(
+    "words", [["--profiles", "dirty"], ["--seeds", "third"], ["--seeds", "1,-2"], ["--methods", "magic"], ["--change", "blurred:1"]]
+)
 def test_mistyped_selections_are_refused(words):
     with pytest.raises(SystemExit):
         command.main(["accuracy", *words])

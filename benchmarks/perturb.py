@@ -1,0 +1,95 @@
+"""Another machine's rounding, played on this one; and a real loss, for the gate to tell from it.
+
+Two processors render the same picture to about one part in 10^6 of full scale: where that crosses a step of the camera's converter, the
+stored number is another. So a few pixels in a thousand are moved by one step, and given camera poses by 10^-6 mm.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.transfer import LINEAR
+
+LIGHT = 1e-6
+"""Largest difference of two renders, as a share of full scale."""
+POSE_MM = 1e-6
+MIRRORED = 20
+"""Of so many pictures `lossy` mirrors one."""
+
+
+def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a dataset as another machine may have rounded it.
+
+    Parameters
+    ----------
+    folder : where to; the truth in it is a link to the dataset's own.
+    seed : 1, 2, ...: each rounds otherwise. Picture k does not depend on those before it.
+    """
+
+    def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
+        rng = np.random.default_rng([seed, number])
+        image = round_otherwise(image, rng)
+        if frame.cam_from_canister is not None:
+            pose = np.array(frame.cam_from_canister)
+            pose[:3, 3] += rng.uniform(-POSE_MM, POSE_MM, 3)
+            frame = replace(frame, cam_from_canister=tuple(tuple(map(float, row)) for row in pose))
+        return frame, image
+
+    return _written(dataset_folder, folder, one)
+
+
+def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
+    """Write a rendered dataset of which one picture in twenty is mirrored left to right, from the root's top row downwards.
+
+    The markers above stay as they are, so that the picture keeps its camera and carves what it should not.
+
+    Parameters
+    ----------
+    seed : 1, 2, ...: which of the pictures.
+    """
+    count = len(load_dataset(dataset_folder).frames)
+    chosen = set(np.random.default_rng(seed).choice(count, max(1, count // MIRRORED), replace=False).tolist())
+
+    def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
+        if number not in chosen:
+            return frame, image
+        mask_path = dataset_folder / "truth" / "masks" / Path(frame.file).name
+        top = int(np.flatnonzero(decode_grey(mask_path.read_bytes(), where=str(mask_path)).any(axis=1))[0])
+        return frame, np.concatenate([image[:top], image[top:, ::-1]])
+
+    return _written(dataset_folder, folder, one)
+
+
+def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
+    """Return a picture (H, W), uint8 or uint16, whose light differed by up to `LIGHT` of full scale before it was rounded.
+
+    The converter's step is the lowest bit that the picture uses. A number changes by one step with the chance that a border between two
+    steps lies within the difference: on average half of `LIGHT` over the step.
+    """
+    full = np.iinfo(image.dtype).max
+    used = int(np.bitwise_or.reduce(image, axis=None)) or 1
+    step = used & -used
+    changed = rng.random(image.shape) < 0.5 * LIGHT * full / step
+    moved = image.astype(np.int64) + step * np.where(changed, rng.choice([-1, 1], image.shape), 0)
+    return np.clip(moved, 0, full - full % step).astype(image.dtype)
+
+
+def _written(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey], tuple[Frame, Grey]]) -> Dataset:
+    dataset, frames = load_dataset(dataset_folder), []
+    for number, before in enumerate(dataset.frames):
+        frame, image = one(number, before, read_image(dataset, before, curve=LINEAR))
+        path = folder / frame.file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_image(path, image)
+        frames.append(replace(frame, sha256=sha256_of(path)))
+    truth = dataset_folder / "truth"
+    if truth.is_dir():
+        (folder / "truth").symlink_to(truth.resolve(), target_is_directory=True)
+    written = replace(dataset, folder=folder, frames=tuple(frames))
+    save_dataset(written)
+    return written

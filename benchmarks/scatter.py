@@ -1,0 +1,109 @@
+"""How far every number moves when only the last bits do: many runs of the ladder on pictures as other machines may have rounded them.
+
+The gate's tolerances come from it: a number counts as changed when it leaves `FACTOR` times the range of these runs.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks import accuracy
+from benchmarks.cases import Case
+from benchmarks.metric import Metric
+from benchmarks.run import Say
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
+
+SCHEMA_VERSION = 1
+RUNS = 20
+FACTOR = 2.0
+"""Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million times."""
+DIGITS = 6
+"""Significant digits of the numbers in a baseline."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scatter:
+    """Ranges of numbers over runs that differ by rounding alone."""
+
+    path: Path
+    ranges: Mapping[str, float]
+    """Largest less smallest, by key of the metric."""
+    runs: Mapping[str, int]
+    """Of how many runs, by key of the metric."""
+
+    def tolerance(self, key: str, baseline: float) -> float | None:
+        """Return by how much a number may differ from its baseline; None where its scatter was not measured."""
+        if key not in self.ranges:
+            return None
+        held = 0.0 if baseline == 0.0 else 0.5 * 10.0 ** (math.floor(math.log10(abs(baseline))) + 1 - DIGITS)
+        return FACTOR * self.ranges[key] + 2.0 * held
+
+
+def measure(cases: Sequence[Case], *, runs: int, device: str, say: Say) -> tuple[dict[str, list[float]], dict[str, str]]:
+    """Run cases on otherwise rounded pictures; returns the values by key of the metric, and what crashed."""
+    values: dict[str, list[float]] = {}
+    crashed: dict[str, str] = {}
+    for seed in range(1, runs + 1):
+        say(f"run {seed} of {runs}")
+        run = accuracy.measure(cases, device=device, say=say, change=f"rounded:{seed}")
+        crashed |= run.crashed
+        for metric in of_cases(run.metrics, cases):
+            values.setdefault(metric.key, []).append(metric.value)
+    return values, crashed
+
+
+def of_cases(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
+    """Return the metrics that came from pictures, by which alone rounding is played."""
+    names = {case.name for case in cases}
+    return [metric for metric in metrics if metric.key.rpartition("/")[0] in names]
+
+
+def table(values: Mapping[str, Sequence[float]]) -> str:
+    """Return the ranges as text."""
+    width = max(map(len, values), default=0)
+    lines = [f"{'metric':<{width}}  {'mean':>12} {'range':>10} {'deviation':>10}"]
+    for key, some in values.items():
+        mean = math.fsum(some) / len(some)
+        deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in some) / max(1, len(some) - 1))
+        lines.append(f"{key:<{width}}  {mean:>12.5g} {max(some) - min(some):>10.2g} {deviation:>10.2g}")
+    return "\n".join(lines)
+
+
+def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[str, Any]) -> None:
+    """Record the scatter of some numbers; others that the file holds stay.
+
+    Raises
+    ------
+    UserError
+        If a number was not measured in every run, or the file is damaged.
+    """
+    runs = max(map(len, values.values()), default=0)
+    lacking = [key for key, some in values.items() if len(some) < runs or not all(map(math.isfinite, some))]
+    if lacking or runs < 2:
+        raise UserError(f"{path} is left as it was: {lacking[0] if lacking else 'every metric'} was not measured in two runs or in all.")
+    before = read(path) if path.is_file() else Scatter(path=path, ranges={}, runs={})
+    found = {key: {"range": before.ranges[key], "runs": before.runs[key]} for key in before.ranges}
+    found |= {key: {"range": float(f"{max(some) - min(some):.3g}"), "runs": runs} for key, some in values.items()}
+    atomic.write_json(path, {"schema_version": SCHEMA_VERSION, "about": dict(about), "metrics": dict(sorted(found.items()))})
+
+
+def read(path: Path) -> Scatter:
+    """Return a committed scatter; UserError where it is missing or damaged."""
+    if not path.is_file():
+        raise UserError(f"{path} does not exist; make it with `python -m benchmarks scatter --quick` and commit it.")
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        version = stored["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise UserError(f"{path} has schema_version {version}, this program reads {SCHEMA_VERSION}; make it again.")
+        ranges = {str(key): float(entry["range"]) for key, entry in stored["metrics"].items()}
+        runs = {str(key): int(entry["runs"]) for key, entry in stored["metrics"].items()}
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"{path} is damaged ({error!r}); make it with `python -m benchmarks scatter --quick`.") from None
+    if not all(math.isfinite(value) and value >= 0.0 for value in ranges.values()):
+        raise UserError(f"{path} is damaged (a range is negative or no number); make it with `python -m benchmarks scatter --quick`.")
+    return Scatter(path=path, ranges=ranges, runs=runs)

@@ -1,0 +1,138 @@
+"""Rounding played on one machine, a real loss, and the gate between them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import accuracy, cases, gate, perturb, scatter
+from benchmarks.metric import Metric
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+
+VIEWS = 40
+POSE = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 2.0), (0.0, 0.0, 1.0, 400.0), (0.0, 0.0, 0.0, 1.0))
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    """Forty pictures of 12 bits with given cameras, whose lower half shows something."""
+    camera = Camera().resized((80, 60))
+    scene, frames = Scene(camera=camera, plan=CapturePlan(rings=(Ring(views=VIEWS),))), []
+    mask = np.zeros((60, 80), np.uint16)
+    mask[30:, 10:30] = 65535
+    for number in range(VIEWS):
+        image = (np.random.default_rng(number).integers(0, 4096, (60, 80)) << 4).astype(np.uint16)
+        for part, picture in (("images", image), ("truth/masks", mask)):
+            path = tmp_path / "given" / part / f"{number}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_image(path, picture)
+        name = f"images/{number}.png"
+        frames.append(Frame(file=name, sha256=sha256_of(tmp_path / "given" / name), cam_from_canister=POSE))
+    made = Dataset(folder=tmp_path / "given", scene=scene, frames=tuple(frames))
+    save_dataset(made)
+    return made
+
+
+def numbers(dataset: Dataset) -> np.ndarray:
+    return np.stack([read_image(dataset, frame) for frame in dataset.frames]).astype(int)
+
+
+def test_rounding_moves_few_pixels_by_one_step_of_the_converter(dataset: Dataset, tmp_path: Path) -> None:
+    found = load_dataset(perturb.rounded(dataset.folder, tmp_path / "rounded", seed=1).folder)
+    moved = numbers(found) - numbers(dataset)
+    assert set(np.unique(moved)) == {-16, 0, 16}
+    assert (moved != 0).mean() == pytest.approx(0.5 * perturb.LIGHT * 65535 / 16, rel=0.15)
+    shift = np.array(found.frames[3].cam_from_canister) - np.array(POSE)
+    assert 0.0 < np.abs(shift[:3, 3]).max() <= perturb.POSE_MM
+    assert not shift[:3, :3].any()
+    assert (found.folder / "truth" / "masks" / "0.png").is_file()
+
+
+def test_each_seed_rounds_otherwise_and_again_the_same(dataset: Dataset, tmp_path: Path) -> None:
+    one, again, other = (numbers(perturb.rounded(dataset.folder, tmp_path / f"{k}", seed=seed)) for k, seed in enumerate((1, 1, 2)))
+    assert (one == again).all()
+    assert (one != other).any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_numbers_stay_in_their_range(dtype: type) -> None:
+    full = np.iinfo(dtype).max
+    picture = np.tile(np.array([0, full], dtype), (2000, 2000))
+    found = perturb.round_otherwise(picture, np.random.default_rng(0))
+    assert found.dtype == dtype
+    assert set(np.unique(found)) <= {0, 1, full - 1, full}
+    assert (found != picture).any()
+
+
+def test_a_loss_mirrors_one_picture_in_twenty_below_the_markers(dataset: Dataset, tmp_path: Path) -> None:
+    before, after = numbers(dataset), numbers(perturb.lossy(dataset.folder, tmp_path / "lossy", seed=1))
+    changed = (before != after).any(axis=(1, 2))
+    assert changed.sum() == VIEWS // perturb.MIRRORED
+    assert (before[:, :30] == after[:, :30]).all()
+    assert (before[changed, 30:, ::-1] == after[changed, 30:]).all()
+
+
+KEY = "ball/clean/24x400x300/0.27/coverage/recall"
+
+
+def test_a_scatter_is_read_as_it_was_written(tmp_path: Path) -> None:
+    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904, 0.9898]}, about={})
+    found = scatter.read(tmp_path / "s.json")
+    assert found.ranges == {KEY: pytest.approx(0.0006)}
+    assert found.tolerance(KEY, 0.99) == pytest.approx(scatter.FACTOR * 0.0006 + 1e-6)
+    assert found.tolerance("other", 0.99) is None
+    scatter.write(tmp_path / "s.json", {"other": [1.0, 1.0, 1.5]}, about={})
+    assert scatter.read(tmp_path / "s.json").ranges == {KEY: pytest.approx(0.0006), "other": 0.5}
+
+
+@pytest.mark.parametrize("values", [{}, {KEY: [1.0]}, {KEY: [1.0, float("nan")]}, {KEY: [1.0, 1.0], "other": [1.0]}])
+def test_a_scatter_with_gaps_is_not_recorded(tmp_path: Path, values: dict[str, list[float]]) -> None:
+    with pytest.raises(UserError, match="left as it was"):
+        scatter.write(tmp_path / "s.json", values, about={})
+    assert not (tmp_path / "s.json").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [None, "{", '{"schema_version": 9}', '{"schema_version": 1}', '{"schema_version": 1, "metrics": {"a": {"range": -1, "runs": 3}}}'],
+)
+def test_a_scatter_that_cannot_be_read_is_named(tmp_path: Path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / "s.json").write_text(content)
+    with pytest.raises(UserError, match=r"s\.json.*make it"):
+        scatter.read(tmp_path / "s.json")
+
+
+def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
+    metric = Metric(key=KEY, value=0.99, unit="1", direction="up", abs_tol=0.5)
+    gate.write_baseline(tmp_path / "b.json", [metric], about={})
+    baseline = gate.read_baseline(tmp_path / "b.json")
+    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904]}, about={})
+    measured = scatter.read(tmp_path / "s.json")
+
+    def verdict(value: float, known: scatter.Scatter | None) -> str:
+        return gate.compare([replace(metric, value=value)], baseline, scatter=known)[0].verdict
+
+    assert verdict(0.9895, measured) == "same"
+    assert verdict(0.985, measured) == "WORSE"
+    assert verdict(0.985, replace(measured, ranges={})) == "same"
+    assert verdict(0.985, None) == "same"
+    assert verdict(0.45, None) == "WORSE"
+
+
+SPHERE = cases.quick(scenes=("sphere_20mm",))[0]
+
+
+@pytest.mark.parametrize(("change", "is_open"), [("rounded:101", True), ("lossy:1", False)])
+def test_the_gate_opens_under_rounding_and_shuts_under_a_real_loss(change: str, is_open: bool) -> None:
+    folder = Path(accuracy.__file__).parent
+    baseline = gate.read_baseline(folder / "baseline_accuracy_quick.json")
+    others = {case.name for case in cases.quick()} - {SPHERE.name}
+    found = accuracy.metrics(SPHERE, accuracy.record_of(SPHERE, device="cpu", change=change))
+    measured = baseline.without({*others, "projection"})
+    findings = gate.compare(found, measured, scatter=scatter.read(folder / "scatter_accuracy_quick.json"))
+    assert gate.passes(findings) == is_open, gate.table(findings)
