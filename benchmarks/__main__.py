@@ -249,8 +249,8 @@ def _run(given: argparse.Namespace) -> int:
     baseline_path = HERE / f"baseline_{given.what}{'_quick' if given.quick else ''}.json"
     # A missing baseline is known before an hour of measuring, not after it.
     baseline = gate.read_baseline(baseline_path) if given.gate and not given.update_baseline else None
-    is_scattered = given.what == "accuracy" and given.quick
-    rounding = scatter.read(_scatter_path()) if baseline is not None and is_scattered else None
+    is_scattered = given.what == "accuracy" and given.quick and baseline is not None
+    rounding = scatter.read(_scatter_path()) if is_scattered else None
     run = _measured(given, chosen)
     is_long = given.what == "accuracy" and not given.quick
     shown = [metric for metric in run.metrics if not is_long or metric.key in TARGETS or metric.key.startswith(("ladder/", "projection/"))]
@@ -274,16 +274,13 @@ def _run(given: argparse.Namespace) -> int:
         say(f"recorded: {baseline_path}")
         return 0
     if baseline is not None:
-        scattered = {metric.key for metric in scatter.of_cases(run.metrics, chosen)} if is_scattered else ()
-        if is_scattered:
+        if rounding is not None:
             baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
-        findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding, scattered=scattered)
+        findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
-        estimated = [
-            metric for metric in scatter.of_cases(run.metrics, chosen) if rounding is not None and metric.key not in rounding.ranges
-        ]
-        if estimated:
-            say(f"the tolerance of {len(estimated)} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
+        unmeasured = 0 if rounding is None else sum(m.key not in rounding.ranges for m in scatter.of_cases(run.metrics, chosen))
+        if unmeasured:
+            say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
         return 0 if gate.passes(findings) else 1
     return 1 if run.crashed else 0
 

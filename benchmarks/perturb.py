@@ -1,9 +1,11 @@
 """Another machine's rounding, played on this one; and a real loss, for the gate to tell from it.
 
 Two processors render the same picture to about one part in 10^6 of full scale: where that crosses a step of the camera's converter, the
-stored number is another. So a few pixels in a thousand are moved by one step, and given camera poses by 10^-6 mm.
+stored number is another. So a few pixels in a thousand are moved by one step, and given camera poses by 10^-6 mm. Their kernels round
+otherwise too: Dr.Jit's are made with vectors of another width.
 """
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -41,6 +43,34 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
         return frame, image
 
     return _written(dataset_folder, folder, one)
+
+
+def other_vectors() -> str:
+    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice), which round otherwise (fused and approximated in other places).
+
+    It needs fused multiply and add, so that a processor without it cannot be played. ``jit_llvm_set_target`` stands in its public header
+    (``drjit-core/jit.h``), but only the C++ library has it.
+
+    Returns
+    -------
+    What became of it, in a few words.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    libraries = sorted(Path(dr.__file__).parent.glob("libdrjit-core.*"))
+    if not libraries or not mi.variant().startswith("llvm"):
+        return "vectors as they are: not LLVM on this machine"
+    library = ctypes.CDLL(str(libraries[0]))
+    try:
+        width, processor = library._Z21jit_llvm_vector_widthv, library._Z19jit_llvm_target_cpuv
+        set_target = library._Z19jit_llvm_set_targetPKcS0_j
+    except AttributeError:
+        return "vectors as they are: this version of Dr.Jit has no jit_llvm_set_target"
+    processor.restype = ctypes.c_char_p
+    set_target.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
+    set_target(processor(), None, 8 if width() == 4 else width() // 2)
+    return f"vectors of {width()}"
 
 
 def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:

@@ -101,6 +101,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from rhizotwin.scenes.provenance import peak_memory_mib
 
     kind, _, seed = change.partition(":")
+    vectors = perturb.other_vectors() if kind == "rounded" and int(seed) % 2 else "vectors as they are"
     if kind != "none":
         write = perturb.rounded if kind == "rounded" else perturb.lossy
         dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
@@ -114,6 +115,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
         "cpu_s": time.process_time() - busy,
         "peak_memory_mib": peak_memory_mib(),
         "load": os.getloadavg()[0],
+        "vectors": vectors,
     }
     found = scoring.score(working / "result", dataset_folder).to_dict()
     if found["masks"]:

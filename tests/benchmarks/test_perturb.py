@@ -1,18 +1,24 @@
 """Rounding played on one machine, a real loss, and the gate between them."""
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import __main__ as command
 from benchmarks import accuracy, cases, gate, perturb, scatter
 from benchmarks.metric import Metric
+from benchmarks.run import Run
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
+ROOT = Path(__file__).resolve().parents[2]
 VIEWS = 40
 POSE = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 2.0), (0.0, 0.0, 1.0, 400.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -56,6 +62,27 @@ def test_each_seed_rounds_otherwise_and_again_the_same(dataset: Dataset, tmp_pat
     one, again, other = (numbers(perturb.rounded(dataset.folder, tmp_path / f"{k}", seed=seed)) for k, seed in enumerate((1, 1, 2)))
     assert (one == again).all()
     assert (one != other).any()
+
+
+def test_other_vectors_round_otherwise() -> None:
+    """Asked in processes of their own, because a width once chosen stays."""
+    code = """
+from rhizotwin import engine
+engine.start("cpu")
+from benchmarks import perturb
+print(perturb.other_vectors() if {other} else "as they are")
+import drjit as dr, mitsuba as mi, numpy as np
+x = dr.linspace(mi.Float, 0.1, 1.0, 10001)
+print(np.array(dr.sin(3.0 * x) * dr.exp(-x) + dr.rsqrt(x) + dr.sqrt(1.7 * x * x + 0.3 * x)).tolist())
+"""
+    said, found = [], []
+    for other in (False, True):
+        done = subprocess.run([sys.executable, "-c", code.format(other=other)], capture_output=True, text=True, check=True, cwd=ROOT)
+        words, values = done.stdout.splitlines()
+        said.append(words)
+        found.append(np.array(json.loads(values)))
+    assert said[1].startswith("vectors of ")
+    assert 0.0 < np.abs(found[0] - found[1]).max() < 1e-5
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -122,6 +149,42 @@ def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
     assert verdict(0.985, replace(measured, ranges={})) == "same"
     assert verdict(0.985, None) == "same"
     assert verdict(0.45, None) == "WORSE"
+
+
+@pytest.fixture
+def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, float]:
+    """Let the command line run with a recall that depends on what is done to the pictures."""
+    recall = {"none": 0.99, "rounded:1": 0.9901, "rounded:2": 0.9899, "lossy:1": 0.98}
+
+    def measure(chosen: list[cases.Case], *, change: str = "none", **_given: object) -> Run:
+        return Run(
+            metrics=[Metric(key=f"{case.name}/recall", value=recall[change], unit="1", direction="up", abs_tol=0.5) for case in chosen]
+        )
+
+    monkeypatch.setattr(accuracy, "measure", measure)
+    monkeypatch.setattr(command, "HERE", tmp_path)
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path / "cache"))
+    return recall
+
+
+def test_the_command_measures_the_scatter_and_gates_by_it(fake_ladder: dict[str, float], capsys: pytest.CaptureFixture[str]) -> None:
+    gated = ["accuracy", "--quick", "--gate"]
+    assert command.main(["accuracy", "--quick", "--update-baseline"]) == 0
+    assert command.main(gated) == 2
+    assert "scatter --quick" in capsys.readouterr().err
+    assert command.main(["scatter", "--quick", "--scenes", "sphere*", "--runs", "2"]) == 0
+    assert command.main(gated) == 0
+    assert "of 4 of them is an estimate" in capsys.readouterr().out
+    assert command.main(["scatter", "--quick", "--runs", "2"]) == 0
+    assert command.main(gated) == 0
+    assert "estimate" not in capsys.readouterr().out
+    assert command.main([*gated, "--change", "rounded:1"]) == 0
+    assert command.main([*gated, "--change", "lossy:1"]) == 1
+    part = ["--scenes", "sphere*"]
+    assert command.main([*gated, *part]) == 0
+    assert "1 numbers" in capsys.readouterr().out
+    fake_ladder["none"] = 0.98
+    assert command.main([*gated, *part]) == 1
 
 
 SPHERE = cases.quick(scenes=("sphere_20mm",))[0]
