@@ -46,7 +46,7 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
 
 def other_vectors() -> str:
-    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice), which round otherwise (fused and approximated in other places).
+    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice), which fuse and approximate in other places.
 
     It needs fused multiply and add, so that a processor without it cannot be played. ``jit_llvm_set_target`` stands in its public header
     (``drjit-core/jit.h``), but only the C++ library has it.

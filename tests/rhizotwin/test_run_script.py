@@ -87,3 +87,10 @@ def test_a_word_that_is_unknown_is_refused(checkout: Path) -> None:
     assert code == 1
     assert not called
     assert "--all" in said[-1]
+
+
+def test_the_slow_tests_exist() -> None:
+    for name in (ROOT / "tests" / "slow.txt").read_text(encoding="utf-8").splitlines():
+        path, _, test = name.partition("::")
+        assert (ROOT / path).is_file(), name
+        assert f"def {test.partition('[')[0]}" in (ROOT / path).read_text(encoding="utf-8"), name
