@@ -72,6 +72,15 @@ def _check_canister(scene: Scene, place: Place) -> None:
     if pot.skirt_bottom_mm <= -canister.height_mm:
         must = f"must lie above the canister's underside at z = {-canister.height_mm:g}"
         raise place.at("net_pot", "skirt_bottom_mm").error(must, pot.skirt_bottom_mm)
+    wrong = scene.disturbances
+    if canister.inner_radius_mm + wrong.canister_radius_error_mm - canister.wall_mm * wrong.wall_error <= 0.0:
+        raise place.at("disturbances", "wall_error").error("must leave the canister an inside", wrong.wall_error)
+    reach_mm = canister.outer_radius_mm + wrong.canister_radius_error_mm + wrong.canister_out_of_round_mm
+    if reach_mm >= pot.outer_radius_mm:
+        must = f"must keep the true canister within the net pot's skirt of {pot.outer_radius_mm:g} mm; it reaches {reach_mm:g} mm"
+        raise place.at("disturbances", "canister_radius_error_mm").error(must, wrong.canister_radius_error_mm)
+    if wrong.root_n is not None and wrong.root_mu_per_mm is None:
+        raise place.at("disturbances", "root_n").error("needs root_mu_per_mm: light that is refracted goes through", wrong.root_n)
     true_index = water.n_water + scene.disturbances.n_water_error
     if true_index < 1.0:
         must = f"must keep the water's true index at 1 or above; with n_water {water.n_water:g} it is {true_index:g}"

@@ -242,6 +242,30 @@ class Disturbances:
     """Share of the light that the lens loses in the picture's corners, growing with the square of the distance from the middle."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
     """Attenuation of root tissue per mm of chord. None: opaque roots."""
+    root_n: float | None = field(default=None, metadata={"limits": (1.0, 2.0)})
+    """Index of root tissue, which refracts and attenuates by ``root_mu_per_mm``. None: roots only attenuate."""
+    root_hair_mm: float = bounded(0.0, 0.0, 10.0)
+    """Length of the root hairs that stand out from every root as a grey sleeve."""
+    root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
+    """Attenuation in that sleeve."""
+    sway_mm: float = bounded(0.0, 0.0, 20.0)
+    """Standard deviation, each way, of where the lowest tip hangs in a view; what is higher moves the less, and the top not at all."""
+    canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
+    """True minus nominal outer radius of the canister; unknown to the reconstruction, as the next three are."""
+    canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
+    """Half the difference between the canister's largest and smallest outer radius: it is an oval that turns with it."""
+    wall_error: float = bounded(0.0, -0.5, 0.5)
+    """True over nominal thickness of the canister's wall, less 1."""
+    n_wall_error: float = bounded(0.0, -0.1, 0.1)
+    """True minus nominal index of the wall."""
+    seam_opacity: float = bounded(0.0, 0.0, 1.0)
+    """Light that the seam of a rolled tube keeps back, 1 mm wide, in a drawn direction; it turns with the canister."""
+    dust_specks: int = bounded(0, 0, 100000)
+    """Number of opaque specks on the canister's outside."""
+    scratches: int = bounded(0, 0, 10000)
+    """Number of scratches on the canister's outside, which keep back a half of the light."""
+    highlight: float = bounded(0.0, 0.0, 1.0)
+    """Light, of full scale, that a lamp's reflection in the wall adds, in a streak that stands still while the canister turns."""
     algae_patches: int = bounded(0, 0, 1000)
     """Number of algae films on the inner wall (they turn with the canister)."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +38,62 @@ class Bubble:
     y_mm: float
     z_mm: float
     radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class OuterDirt:
+    """What sits on the canister's outside and turns with it, as places on the unrolled wall: azimuth (rad) and z (mm)."""
+
+    specks: NDArray[np.float64]
+    """(N, 3) azimuth, z, radius in mm."""
+    scratches: NDArray[np.float64]
+    """(M, 4) azimuth and z of one end, and of the other."""
+
+
+SPECK_MM = 0.05, 0.25
+"""Radii of specks of dust: what settles from a room's air and is not wiped off (household dust ends at about half a millimetre)."""
+SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
+SEAM_WIDE_MM = 1.0
+
+
+def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
+    """Draw specks and scratches, anywhere on the outside below the net pot's skirt."""
+    wrong, canister = scene.disturbances, scene.canister
+    low_mm, high_mm = canister.floor_z_mm, scene.net_pot.skirt_bottom_mm
+    count = wrong.dust_specks
+    specks = np.stack(
+        [rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(low_mm, high_mm, count), rng.uniform(*SPECK_MM, count)], axis=1
+    ).reshape(-1, 3)
+    azimuth, z_mm = rng.uniform(0.0, 2.0 * np.pi, wrong.scratches), rng.uniform(low_mm, high_mm, wrong.scratches)
+    heading, length_mm = rng.uniform(0.0, np.pi, wrong.scratches), rng.uniform(*SCRATCH_MM, wrong.scratches)
+    other = azimuth + length_mm * np.cos(heading) / canister.outer_radius_mm, z_mm + length_mm * np.sin(heading)
+    return OuterDirt(specks=specks, scratches=np.stack([azimuth, z_mm, *other], axis=1).reshape(-1, 4))
+
+
+def outer_opacity(
+    dirt: OuterDirt, *, seam_rad: float, seam_opacity: float, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
+) -> NDArray[np.float32]:
+    """Paint dust, scratches and the seam on an unrolled wall, laid out as by `opacity_map`."""
+    low_mm, high_mm = z_range_mm
+    columns, rows = round(2.0 * np.pi * radius_mm / mm_per_texel), max(8, round((high_mm - low_mm) / mm_per_texel))
+    fine = 16  # OpenCV draws to a sixteenth of a texel
+    picture = np.zeros((rows, 3 * columns), np.uint8)  # three turns: what runs over the edge
+
+    def place(azimuth: float, z_mm: float) -> tuple[int, int]:
+        column = (np.mod(azimuth, 2.0 * np.pi) / (2.0 * np.pi) + 1.0) * columns - 0.5
+        return round(fine * column), round(fine * ((high_mm - z_mm) / mm_per_texel - 0.5))
+
+    for one, z_one, other, z_other in dirt.scratches:
+        start, end = place(one, z_one), place(one, z_other)
+        end = (end[0] + round(fine * (other - one) * radius_mm / mm_per_texel), end[1])
+        wide = max(1, round(SCRATCH_WIDE_MM / mm_per_texel))
+        cv2.line(picture, start, end, round(255 * SCRATCH_OPACITY), wide, cv2.LINE_AA, shift=4)
+    for azimuth, z_mm, speck_mm in dirt.specks:
+        cv2.circle(picture, place(azimuth, z_mm), round(fine * speck_mm / mm_per_texel), 255, -1, cv2.LINE_AA, shift=4)
+    turns = picture.reshape(rows, 3, columns).max(axis=1) / 255.0
+    across_mm = radius_mm * (np.mod((np.arange(columns) + 0.5) * 2.0 * np.pi / columns - seam_rad + np.pi, 2.0 * np.pi) - np.pi)
+    seam = seam_opacity * (np.abs(across_mm) < 0.5 * SEAM_WIDE_MM)
+    return np.asarray(np.maximum(turns, seam[None, :]), np.float32)
 
 
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:

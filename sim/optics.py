@@ -5,7 +5,8 @@ The canister stands still; camera and lights move round it, so that turning the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
@@ -13,24 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.sim import dirt, lights, strip
 from rhizotwin.sim.backlit import Room
-from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import World
 
-SPECIMEN = "specimen"
+SPECIMEN, HAIRS = "specimen", "hairs"
 STRIP = "strip"
 ROOT_REFLECTANCE = 0.35
 FELT_REFLECTANCE = 0.02
 FLOOR_REFLECTANCE = 0.10
 ALGAE_GAP_MM = 0.05
+OUTER_GAP_MM = 0.05
+OVAL_SIDES = 1440
+"""Sides of an oval wall: the facets lie within 0.2 um of it, and its normals are the oval's own."""
 TURBID_ALBEDO = 0.7
 TURBID_FORWARD = 0.9
 
 
-def build(scene: Scene, world: World, solid: SpecimenSolid | None, *, lamps: bool = True) -> mi.Scene:
+def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, lamps: bool = True) -> mi.Scene:
     """Return the Mitsuba scene of a world, without a sensor.
 
     Parameters
@@ -39,15 +43,19 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None, *, lamps: boo
         The nominal rig and its drawn disturbances.
     solid : SpecimenSolid or None
         Closed surface in the canister's frame, mm; None for an empty canister.
+    hairs : Sleeve or None
+        What the specimen's hairs reach.
     lamps : bool
         With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for all views.
     """
-    water = _water_medium(scene)
+    water, wrong = _water_medium(scene), scene.disturbances
     items: dict[str, Any] = {"type": "scene"}
-    items |= _canister(scene, world.n_water, water)
+    items |= _canister(scene, world, water)
     items |= _net_pot(scene, world)
     if lamps:
         items |= lights.lights(scene, world)
+    if wrong.seam_opacity > 0.0 or wrong.dust_specks or wrong.scratches:
+        items["outer_dirt"] = _outer_dirt(scene, world)
     if world.algae:
         items["algae"] = _algae(scene, world)
     for number, bubble in enumerate(world.bubbles):
@@ -55,16 +63,19 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None, *, lamps: boo
     if world.fibres:
         items["fibres"] = _mesh("fibres", *_tubes(world.fibres), _diffuse(FELT_REFLECTANCE))
     if solid is not None:
-        items[SPECIMEN] = _specimen(solid, scene.disturbances.root_mu_per_mm, water)
+        haze = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_hair_mu_per_mm}) if hairs is not None else None
+        items[SPECIMEN] = _specimen(solid, wrong, world.n_water, haze or water)
+        if hairs is not None:
+            items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, interior=haze, exterior=water)
     return _load_quietly(items)
 
 
-def fine_things(world: World, solid: SpecimenSolid | None, *, slack_mm: float) -> mi.Scene | None:
+def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
     """Return all that can hide between the corners of a pixel, or None where there is nothing: specimen, fibres and bubbles.
 
     Parameters
     ----------
-    world, solid
+    world, solid, hairs
         As for `build`.
     slack_mm : float
         Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss one.
@@ -76,11 +87,13 @@ def fine_things(world: World, solid: SpecimenSolid | None, *, slack_mm: float) -
         thick = tuple(replace(fibre, radius_mm=fibre.radius_mm + slack_mm) for fibre in world.fibres)
         items["fibres"] = _mesh("fibres", *_tubes(thick), _diffuse(FELT_REFLECTANCE))
     if solid is not None:
-        items[SPECIMEN] = _specimen(solid, None, None)
+        items[SPECIMEN] = _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
+    if hairs is not None:
+        items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, _diffuse(ROOT_REFLECTANCE))
     return _load_quietly(items) if len(items) > 1 else None
 
 
-def room_of(scene: Scene, world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
+def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
     """Return the room in the canister that holds the fine things and a margin round them, as far as the canister reaches."""
     points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
     points += [
@@ -89,7 +102,7 @@ def room_of(scene: Scene, world: World, solid: SpecimenSolid | None, *, margin_m
         for side in (-bubble.radius_mm, bubble.radius_mm)
     ]
     at = np.concatenate(points)
-    inner_mm = scene.canister.inner_radius_mm
+    inner_mm = world.canister.inner_radius_mm
     reach_mm = inner_mm if world.bubbles else float(np.hypot(at[:, 0], at[:, 1]).max()) + margin_mm
     return Room(min(reach_mm, inner_mm), float(at[:, 2].min()) - margin_mm, float(at[:, 2].max()) + margin_mm)
 
@@ -105,12 +118,18 @@ def _load_quietly(items: dict[str, Any]) -> mi.Scene:
         logger.set_log_level(level)
 
 
-def _canister(scene: Scene, n_water: float, water: Any) -> dict[str, Any]:
-    can, level = scene.canister, scene.water.level_mm
+def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
+    can, level, n_water = world.canister, scene.water.level_mm, world.n_water
+
+    def wall(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], medium: dict[str, Any] | None = None) -> Any:
+        if (oval_mm := scene.disturbances.canister_out_of_round_mm) > 0.0:
+            return _oval(radius_mm, oval_mm, world.oval_rad, low_mm, high_mm, bsdf, (medium or {}).get("interior"))
+        return _cylinder(radius_mm, low_mm, high_mm, bsdf) | (medium or {})
+
     inside = {"interior": water} if water is not None else {}
     parts: dict[str, Any] = {
-        "outer_wall": _cylinder(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, scene.surroundings.n)),
-        "inner_wall": _cylinder(can.inner_radius_mm, can.floor_z_mm, level, _dielectric(n_water, can.n_wall)) | inside,
+        "outer_wall": wall(can.outer_radius_mm, can.floor_z_mm, 0.0, _dielectric(can.n_wall, scene.surroundings.n)),
+        "inner_wall": wall(can.inner_radius_mm, can.floor_z_mm, level, _dielectric(n_water, can.n_wall), inside),
         "water_surface": _disk(can.inner_radius_mm, level, _dielectric(n_water, 1.0)) | inside,
         "floor": _disk(can.outer_radius_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
         "base_side": _cylinder(can.outer_radius_mm, -can.height_mm, can.floor_z_mm, _diffuse(FLOOR_REFLECTANCE)),
@@ -119,7 +138,7 @@ def _canister(scene: Scene, n_water: float, water: Any) -> dict[str, Any]:
         "grid": _disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, _diffuse(FELT_REFLECTANCE)),
     }
     if level < 0.0:
-        parts["dry_wall"] = _cylinder(can.inner_radius_mm, level, 0.0, _dielectric(1.0, can.n_wall))
+        parts["dry_wall"] = wall(can.inner_radius_mm, level, 0.0, _dielectric(1.0, can.n_wall))
     return parts
 
 
@@ -153,15 +172,86 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
     return ball | ({"exterior": water} if water is not None else {})
 
 
-def _specimen(solid: SpecimenSolid, mu_per_mm: float | None, water: Any) -> mi.Mesh:
-    if mu_per_mm is None:
+def _outer_dirt(scene: Scene, world: World) -> dict[str, Any]:
+    """Return dust, scratches and seam as a film just outside the canister."""
+    radius_mm = world.canister.outer_radius_mm + scene.disturbances.canister_out_of_round_mm + OUTER_GAP_MM
+    z_range_mm = (scene.canister.floor_z_mm, scene.net_pot.skirt_bottom_mm)
+    opacity = dirt.outer_opacity(
+        world.dirt,
+        seam_rad=world.seam_rad,
+        seam_opacity=scene.disturbances.seam_opacity,
+        radius_mm=radius_mm,
+        z_range_mm=z_range_mm,
+        mm_per_texel=0.1,
+    )
+    film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(FELT_REFLECTANCE)}}
+    return _cylinder(radius_mm, *z_range_mm, film)
+
+
+def _specimen(solid: SpecimenSolid, wrong: Disturbances, n_water: float, water: Any) -> mi.Mesh:
+    if wrong.root_mu_per_mm is None:
         return _mesh(SPECIMEN, solid.vertices, solid.faces, _diffuse(ROOT_REFLECTANCE))
-    flesh = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": mu_per_mm})
-    return _mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, interior=flesh, exterior=water)
+    flesh = mi.load_dict({"type": "homogeneous", "albedo": 0.0, "sigma_t": wrong.root_mu_per_mm})
+    if wrong.root_n is None:
+        return _mesh(SPECIMEN, solid.vertices, solid.faces, {"type": "null"}, interior=flesh, exterior=water)
+    glass = _dielectric(wrong.root_n, n_water)
+    return _mesh(SPECIMEN, solid.vertices, solid.faces, glass, interior=flesh, exterior=water, normals=solid.normals)
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """A specimen, or its hairs, that hang from the top and sway."""
+
+    name: str
+    """Of the shape in the scene."""
+    vertices: NDArray[np.float64]
+    """(V, 3) at rest, mm."""
+    share: NDArray[np.float64]
+    """(V,) of the lowest tip's way that each vertex goes."""
+
+    @staticmethod
+    def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> Hanging:
+        """Return vertices (V, 3) that hang from a solid's highest point: what is deeper goes farther, in proportion."""
+        low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
+        return Hanging(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
+
+    def at(self, tip_mm: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the vertices (V, 3) when the lowest tip hangs aside by x, y."""
+        return self.vertices + self.share[:, None] * np.array([*tip_mm, 0.0])
+
+
+def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float]) -> None:
+    """Put what hangs where it is in a view."""
+    parameters = mi.traverse(scene)
+    for one in hanging:
+        parameters[f"{one.name}.vertex_positions"] = np.ascontiguousarray(one.at(tip_mm), dtype=np.float32).ravel()
+    parameters.update()
+
+
+def _oval(radius_mm: float, oval_mm: float, oval_rad: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], interior: Any) -> mi.Mesh:
+    """Return an upright wall of the radius ``radius + oval cos(2 (azimuth - oval_rad))`` with its true normals."""
+    azimuth = np.arange(OVAL_SIDES) * 2.0 * np.pi / OVAL_SIDES
+    radius = radius_mm + oval_mm * np.cos(2.0 * (azimuth - oval_rad))
+    slope = -2.0 * oval_mm * np.sin(2.0 * (azimuth - oval_rad))
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    ring, out = np.stack([radius * c, radius * s], axis=1), np.stack([radius * c + slope * s, radius * s - slope * c], axis=1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(OVAL_SIDES, z)]) for z in (low_mm, high_mm)])
+    normals = np.tile(np.column_stack([out / np.linalg.norm(out, axis=1, keepdims=True), np.zeros(OVAL_SIDES)]), (2, 1))
+    a = np.arange(OVAL_SIDES)
+    b = (a + 1) % OVAL_SIDES
+    faces = np.concatenate([np.stack([a, b, b + OVAL_SIDES], axis=1), np.stack([a, b + OVAL_SIDES, a + OVAL_SIDES], axis=1)])
+    return _mesh(f"oval_{radius_mm:g}_{low_mm:g}", vertices, faces, bsdf, interior=interior, normals=normals)
 
 
 def _mesh(
-    name: str, vertices: NDArray[Any], faces: NDArray[Any], bsdf: dict[str, Any], *, interior: Any = None, exterior: Any = None
+    name: str,
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    bsdf: dict[str, Any],
+    *,
+    interior: Any = None,
+    exterior: Any = None,
+    normals: NDArray[Any] | None = None,
 ) -> mi.Mesh:
     props = mi.Properties()
     props["bsdf"] = mi.load_dict(bsdf)
@@ -169,10 +259,13 @@ def _mesh(
         props["interior"] = interior
     if exterior is not None:
         props["exterior"] = exterior
-    mesh = mi.Mesh(name, vertex_count=len(vertices), face_count=len(faces), props=props)
+    smooth = normals is not None
+    mesh = mi.Mesh(name, vertex_count=len(vertices), face_count=len(faces), props=props, has_vertex_normals=smooth)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = np.ascontiguousarray(vertices, dtype=np.float32).ravel()
     parameters["faces"] = np.ascontiguousarray(faces, dtype=np.uint32).ravel()
+    if normals is not None:
+        parameters["vertex_normals"] = np.ascontiguousarray(normals, dtype=np.float32).ravel()
     parameters.update()
     mesh.set_id(name)
     return mesh

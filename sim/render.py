@@ -18,7 +18,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.sim import lights, optics, sensor
 from rhizotwin.sim.backlit import Backlit, Way
-from rhizotwin.sim.specimen import SpecimenSolid
+from rhizotwin.sim.specimen import SpecimenSolid, sleeve
 from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
@@ -35,6 +35,8 @@ BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
 """Cells of a 4 x 4 lattice, one in each row and column, through which a pixel is searched for fine things."""
 ROOM_MARGIN_MM = 3.0
 """Margin round the fine things, wider than a pixel: where one corner's ray runs through their room and the next does not, nothing is."""
+SWAYS = 5.0
+"""Standard deviations that a specimen sways at most."""
 _TRACING = 21  # key of the path tracer's random stream
 
 Image = NDArray[np.float32]
@@ -77,15 +79,23 @@ class Renderer:
         self.lights = scene.lights
         self.image_wh = scene.camera.image_wh
         wrong = scene.disturbances
-        media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None
+        hairs = None if solid is None or wrong.root_hair_mm == 0.0 else sleeve(solid, wrong.root_hair_mm)
+        self.hanging: list[optics.Hanging] = []
+        if solid is not None and wrong.sway_mm > 0.0:
+            parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
+            self.hanging = [optics.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
+        self.is_dusty = bool(wrong.dust_specks or wrong.scratches)
+        media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
-            self.lit_scene = optics.build(scene, world, solid)
+            self.lit_scene = optics.build(scene, world, solid, hairs)
             self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})
         farthest_mm = max(np.hypot(ring.distance_mm, ring.height_mm) for ring in scene.plan.rings) + scene.canister.outer_radius_mm
-        self.fine = optics.fine_things(world, solid, slack_mm=farthest_mm / min(scene.camera.focal_px))
-        room = optics.room_of(scene, world, solid, margin_mm=ROOM_MARGIN_MM) if self.fine is not None else None
+        self.fine = optics.fine_things(world, solid, hairs, slack_mm=farthest_mm / min(scene.camera.focal_px))
+        margin_mm = ROOM_MARGIN_MM + SWAYS * wrong.sway_mm + wrong.root_hair_mm
+        room = optics.room_of(world, solid, margin_mm=margin_mm) if self.fine is not None else None
         self.lamps = lights.Lamps(scene, world)
-        dark_scene = optics.build(scene, world, solid, lamps=False)
+        dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
+        self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
         self.backlit = Backlit(dark_scene, self.lamps, specimen=optics.SPECIMEN, media=media, room=room)
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)
@@ -125,21 +135,26 @@ class Renderer:
         ring : int
             Ring of the plan whose focus the lens has.
         stream : int
-            Number of the path tracer's random stream.
+            Number of the path tracer's random stream, and of the view whose sway the specimen has.
 
         Returns
         -------
         image, coverage
             As from `view`.
         """
+        if self.hanging:
+            for scene in self.swaying:
+                optics.sway(scene, self.hanging, self.world.sway_mm[stream])
         eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
         self.lamps.place(camera)
         image, coverage, mixed = self._smooth(eye)
-        self._refine(eye, image, coverage, mixed)
+        self._refine(eye, image, coverage, mixed | self.is_dusty)  # specks and scratches are finer than pixels
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
             image = self._traced(eye, stream)
+        if self.world.highlight is not None:
+            image = image + self.world.highlight.astype(np.float32)
         return image, coverage
 
     def _traced(self, eye: Any, stream: int) -> Image:

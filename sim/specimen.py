@@ -1,6 +1,6 @@
 """From the description of a specimen to one watertight solid in the canister's water, with its exact volume."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,11 @@ class SpecimenSolid:
     """What was repaired or is odd about the specimen, a sentence each, for the user."""
 
     @property
+    def normals(self) -> Array:
+        """Outward unit normals (V, 3) of the vertices."""
+        return np.asarray(trimesh.Trimesh(self.vertices, self.faces, process=False).vertex_normals)
+
+    @property
     def extents_min_mm(self) -> Array:
         """Lower corner (3,) of the bounding box."""
         lower: Array = self.vertices.min(axis=0)
@@ -51,6 +56,25 @@ class SpecimenSolid:
         """Upper corner (3,) of the bounding box."""
         upper: Array = self.vertices.max(axis=0)
         return upper
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sleeve:
+    """What the hairs of roots reach: a closed surface about them, in the canister frame."""
+
+    vertices: Array
+    """(V, 3) float64, mm."""
+    faces: Faces
+    """(F, 3) int32."""
+
+
+def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
+    """Return what hairs of some length reach about a specimen's roots; None where it has none."""
+    if not solid.roots:
+        return None
+    grown = [replace(root, diameters_mm=root.diameters_mm + 2.0 * hair_mm) for root in solid.roots]
+    vertices, faces = solids.surface_of(solids.union_of_roots(grown))
+    return Sleeve(vertices=vertices, faces=faces)
 
 
 def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Disturbances, Scene
-from rhizotwin.sim.dirt import Bubble, Fibre, Patch, draw_algae, draw_bubbles, draw_fibres
+from rhizotwin.scenes.model import Canister, Disturbances, Scene
+from rhizotwin.sim.dirt import Bubble, Fibre, OuterDirt, Patch, draw_algae, draw_bubbles, draw_fibres, draw_outer_dirt
 from rhizotwin.sim.exposure import as_taken
 
 # One number an effect: the second key of its random stream.
 _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3, 4, 5, 6, 7, 8
+_OVAL, _SEAM, _SWAY, _OUTER, _HIGHLIGHT = 12, 13, 14, 15, 16
 
 BACKLIGHT_MAP_WH = (64, 48)
 
@@ -44,6 +45,16 @@ class World:
     cameras: tuple[TrueCamera, ...]
     """One a view, in the plan's order."""
     n_water: float
+    canister: Canister
+    """As it is, where the scene has it as it was drawn."""
+    oval_rad: float
+    """Azimuth of the canister's largest radius."""
+    seam_rad: float
+    sway_mm: tuple[tuple[float, float], ...]
+    """Where the specimen's lowest tip hangs in each view, x and y of the canister frame."""
+    dirt: OuterDirt
+    highlight: NDArray[np.float64] | None
+    """Light (rows, columns of the picture) that a reflection adds; None: none."""
     table_from_canister: frames.Array
     canister_from_strip: frames.Array
     distortion: tuple[float, float, float, float, float]
@@ -59,6 +70,10 @@ class World:
         return {
             "table_from_canister": self.table_from_canister.tolist(),
             "distortion": list(self.distortion),
+            "canister": vars(self.canister),
+            "oval_rad": self.oval_rad,
+            "seam_rad": self.seam_rad,
+            "sway_mm": [list(one) for one in self.sway_mm],
             "backlight": None if self.backlight is None else self.backlight.round(4).tolist(),
             "algae": [vars(patch) for patch in self.algae],
             "fibres": [{"radius_mm": fibre.radius_mm, "points_mm": fibre.points_mm.round(4).tolist()} for fibre in self.fibres],
@@ -90,6 +105,12 @@ def draw_world(scene: Scene, *, seed: int) -> World:
         seed=seed,
         cameras=cameras,
         n_water=scene.water.n_water + wrong.n_water_error,
+        canister=true_canister(scene),
+        oval_rad=float(_rng(seed, _OVAL).uniform(0.0, 2.0 * np.pi)),
+        seam_rad=float(_rng(seed, _SEAM).uniform(0.0, 2.0 * np.pi)),
+        sway_mm=tuple(_sway(wrong.sway_mm, _rng(seed, _SWAY, k)) for k in range(len(cameras))),
+        dirt=draw_outer_dirt(scene, _rng(seed, _OUTER)),
+        highlight=_highlight(scene, _rng(seed, _HIGHLIGHT)) if wrong.highlight else None,
         table_from_canister=table_from_canister,
         canister_from_strip=_seat(wrong.strip_offset_mm, wrong.strip_tilt_deg, _rng(seed, _STRIP)),
         distortion=lens_distortion(scene),
@@ -98,6 +119,31 @@ def draw_world(scene: Scene, *, seed: int) -> World:
         fibres=draw_fibres(scene, _rng(seed, _FIBRES)),
         bubbles=draw_bubbles(scene, _rng(seed, _BUBBLES)),
     )
+
+
+def true_canister(scene: Scene) -> Canister:
+    """Return the canister as it was bought."""
+    drawn, wrong = scene.canister, scene.disturbances
+    return replace(
+        drawn,
+        outer_radius_mm=drawn.outer_radius_mm + wrong.canister_radius_error_mm,
+        wall_mm=drawn.wall_mm * (1.0 + wrong.wall_error),
+        n_wall=drawn.n_wall + wrong.n_wall_error,
+    )
+
+
+def _sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
+    x, y = rng.normal(0.0, 1.0, 2) * spread_mm
+    return float(x), float(y)
+
+
+def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a soft upright streak, somewhere before the canister: a convex mirror shows a window as a line along its axis."""
+    width, height = scene.camera.image_wh
+    x, y = np.arange(width) / width, np.arange(height)[:, None] / height
+    middle, below = rng.uniform(0.35, 0.65), rng.uniform(0.5, 0.8)
+    across, along = (x - middle) / 0.006, (y - below) / 0.12
+    return np.asarray(scene.disturbances.highlight * np.exp(-0.5 * (across**2 + along**4)))
 
 
 def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:

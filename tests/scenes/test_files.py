@@ -171,7 +171,7 @@ def test_json_scene_names_its_origin() -> None:
 def test_unknown_scene_and_profile_suggest_the_nearest() -> None:
     with pytest.raises(UserError, match=r'"sphere_20m".*did you mean "sphere_20mm"'):
         files.load_scene("sphere_20m")
-    with pytest.raises(UserError, match=r'"bensch".*did you mean "bench".*clean, bench, camera, harsh'):
+    with pytest.raises(UserError, match=r'"bensch".*did you mean "bench".*clean, bench, camera, harsh, real'):
         files.load_profile("bensch")
     with pytest.raises(UserError, match="no scene"):
         files.load_scene("")

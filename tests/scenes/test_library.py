@@ -46,7 +46,7 @@ def test_age_without_a_plant_means_plant_a() -> None:
 
 
 def test_profiles_are_listed_mildest_first() -> None:
-    assert [name for name, _ in profiles()] == ["clean", "bench", "camera", "harsh"]
+    assert [name for name, _ in profiles()] == ["clean", "bench", "camera", "harsh", "real"]
     assert all(description for _, description in profiles())
 
 
