@@ -62,7 +62,7 @@ def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
     for frame in firsts.values():
         (copy / frame.file).unlink(missing_ok=True)
     try:
-        after = simulate(pictures.scene_to_render(), copy, profile_name=pictures.profile, seed=pictures.seed, progress=False)
+        after = simulate(pictures.scene_to_render(), copy, profile_name=pictures.profile, seed=pictures.seed)
     except CannotContinueError as error:
         raise UserError(f"{dataset.folder} does not fit: {str(error).replace(str(copy), 'it')}") from None
     if after.scene != before.scene:

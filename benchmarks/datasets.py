@@ -57,7 +57,7 @@ def make(pictures: Pictures) -> Path:
     folder = place(pictures)
     if not folder.is_dir():
         unfinished = folder.with_suffix(".part")
-        simulate(pictures.scene_to_render(), unfinished, profile_name=pictures.profile, seed=pictures.seed, progress=False)
+        simulate(pictures.scene_to_render(), unfinished, profile_name=pictures.profile, seed=pictures.seed)
         unfinished.rename(folder)
         sign(folder)
     elif not is_ready(pictures):

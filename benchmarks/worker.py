@@ -64,7 +64,7 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
         scene = Pictures(scene="printed_8ml").scene_to_render()
         scene = replace(scene, plan=CapturePlan(rings=(replace(scene.plan.rings[0], views=views),)))
         began = time.perf_counter()
-        simulate(scene, working / str(views), profile_name="clean", seed=0, fidelity=fidelity, progress=False)
+        simulate(scene, working / str(views), profile_name="clean", seed=0, fidelity=fidelity)
         walls.append(time.perf_counter() - began)
     return {"first_view": walls[0], "per_view": (walls[1] - walls[0]) / 2.0}
 

@@ -4,11 +4,12 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import beside, write_json
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
-from rhizotwin.steps import change_scene, reconstruct_whole
+from rhizotwin.steps import reconstruct_whole
 
 SCENE = "printed_8ml"
 VIEWS = 41
@@ -41,6 +42,7 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
 def _demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
     """Do what `demo` says in a folder that nobody else works in."""
     from rhizotwin.recon.scoring.score import score
+    from rhizotwin.scenes.monitor import Monitor
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     _clear(folder)
@@ -48,10 +50,10 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
     scene = change_scene(files.load_scene(SCENE), views=VIEWS, image_wh=IMAGE_WH, profile=profile)
     say(f"1. {SCENE}: rendering {VIEWS} views of {IMAGE_WH[0]}x{IMAGE_WH[1]} pixels through air, acrylic and water")
     try:
-        simulate(scene, dataset, profile_name=profile, seed=0)
+        simulate(scene, dataset, profile_name=profile, seed=0, monitor=Monitor.on_terminal())
     except CannotContinueError:  # stopped with another profile or program
         _remove(dataset)
-        simulate(scene, dataset, profile_name=profile, seed=0)
+        simulate(scene, dataset, profile_name=profile, seed=0, monitor=Monitor.on_terminal())
     say("2. reconstructing it from the pictures alone")
     pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM)
     say("3. comparing it with the truth")

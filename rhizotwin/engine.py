@@ -10,6 +10,7 @@ import platform
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ APT_LLVM = (19, 22, 21, 20, 18, 17)
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
 """Where Dr.Jit is pointed when there is no usable LLVM, so that it does not find an old one by itself."""
 
+_VARIANTS = {"cpu": "llvm_ad_mono", "cuda": "cuda_ad_mono"}
 _FILE_VERSION = re.compile(r"^libLLVM(?:-C)?(?:-(?P<dashed>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<dotted>\d+)[\d.]*)?$")
 _FOLDER_VERSION = re.compile(r"^(?:llvm-)?(\d+)(?:\.\d+)*(?:_\d+)?$")
 
@@ -159,17 +161,37 @@ def start(device: str = "auto") -> str:
 
     dr, mi = _load()
     if device != "cpu" and dr.has_backend(dr.JitBackend.CUDA):
-        mi.set_variant("cuda_ad_mono")
+        mi.set_variant(_VARIANTS["cuda"])
         return "computing on the NVIDIA card (CUDA)"
     if device == "cuda":
         raise UserError("--device cuda: no usable NVIDIA card or driver was found; use --device cpu, or install NVIDIA's driver")
     if missing is not None:
         raise missing
     try:
-        mi.set_variant("llvm_ad_mono")
+        mi.set_variant(_VARIANTS["cpu"])
     except ImportError as error:
         raise UserError(f"{library} (LLVM {version}) could not be loaded; reinstall it with: {install_hint()}") from error
     return f"computing on the CPU with LLVM {version} ({library})"
+
+
+def ensure(device: str = "auto") -> str | None:
+    """Start the engine, unless it runs already and nothing else is asked for.
+
+    Returns
+    -------
+    str or None
+        The sentence of `start`; None where the engine ran already.
+
+    Raises
+    ------
+    UserError
+        As `start`.
+    """
+    mitsuba = sys.modules.get("mitsuba")
+    running = None if mitsuba is None else mitsuba.variant()
+    if running is not None and (device == "auto" or _VARIANTS.get(device) == running):
+        return None
+    return start(device)
 
 
 def _load() -> tuple[Any, Any]:

@@ -143,10 +143,10 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     working = path.parents[1] / RUN
     dataset, result = working / "dataset", working / "result"
     try:
-        simulate(scene, dataset, profile_name=profile_name, seed=seed, progress=False)
+        simulate(scene, dataset, profile_name=profile_name, seed=seed)
     except CannotContinueError:  # pictures of another plan, whose run was stopped
         shutil.rmtree(working)
-        simulate(scene, dataset, profile_name=profile_name, seed=seed, progress=False)
+        simulate(scene, dataset, profile_name=profile_name, seed=seed)
     shutil.rmtree(result, ignore_errors=True)
     result.mkdir()
     try:

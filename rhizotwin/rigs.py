@@ -7,18 +7,20 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
 from rhizotwin import steps
 from rhizotwin.arguments import Device, Profile, Seed, named
-from rhizotwin.rig.devices import Camera
-from rhizotwin.rig.rig_file import RigFile, load_rig
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
+
+if TYPE_CHECKING:
+    from rhizotwin.rig.devices import Camera
+    from rhizotwin.rig.rig_file import RigFile
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
@@ -53,14 +55,14 @@ class TwinPictures(TwinErrors):
 class Bench:
     """A rig with what belongs to it, real or emulated."""
 
-    rig: RigFile
+    rig: "RigFile"
     scene: Scene
     """As a laboratory knows it."""
     clock: Any
     twin: Any = None
     """None: the rig is real."""
 
-    def open_camera(self) -> Camera:
+    def open_camera(self) -> "Camera":
         """Open the camera."""
         from rhizotwin.rig.cameras import open_camera
 
@@ -75,6 +77,7 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     """Return the rig that a command names, with its scene; the twin's pictures are sketches unless the errors say how they are rendered."""
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock
+        from rhizotwin.rig.rig_file import load_rig
 
         real = load_rig(rig)
         known = files.load_scene(scene) if scene else Scene()

@@ -10,14 +10,13 @@ import re
 import secrets
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import try_lock
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
 """What the names of `beside` look like."""
@@ -88,7 +87,7 @@ def json_bytes(value: Any) -> bytes:
     return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
-def write_image(path: Path | str, image: NDArray[Any], *, jpeg_quality: int | None = None) -> None:
+def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | None = None) -> None:
     """Write a picture atomically; the name's suffix gives the format (PNG, JPG, TIFF); see `write_bytes`.
 
     Parameters
@@ -100,6 +99,9 @@ def write_image(path: Path | str, image: NDArray[Any], *, jpeg_quality: int | No
     jpeg_quality
         From 1 to 100, for JPG; None: OpenCV's own (95).
     """
+    import cv2  # here, because it takes half a second to load and much of the command line writes no picture
+    import numpy as np
+
     path = Path(path)
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
         raise ValueError(f"{image.shape=} {image.dtype=} but expected uint8 or uint16 (H, W) or (H, W, 3)")

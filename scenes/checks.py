@@ -2,13 +2,16 @@
 
 import math
 from itertools import pairwise
-
-import cv2
-import numpy as np
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
 """Up to here the pinhole that stands for a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single precision."""
@@ -41,13 +44,21 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
 
 def marker_capacity(dictionary: str) -> int | None:
     """Return how many markers an OpenCV dictionary has, named without ``DICT_``; None when there is none of that name."""
-    if f"DICT_{dictionary}" not in _dictionaries():
+    aruco = _aruco()
+    if not hasattr(aruco, f"DICT_{dictionary}"):
         return None
-    return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}")).bytesList)
+    return len(aruco.getPredefinedDictionary(getattr(aruco, f"DICT_{dictionary}")).bytesList)
+
+
+def _aruco() -> ModuleType:
+    import cv2  # here, because it takes half a second to load, and not all who know scenes check one
+
+    aruco: ModuleType = cv2.aruco
+    return aruco
 
 
 def _dictionaries() -> list[str]:
-    return [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    return [name for name in dir(_aruco()) if name.startswith("DICT_")]
 
 
 def _check_canister(scene: Scene, place: Place) -> None:
@@ -135,14 +146,18 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
         if not -size <= centre <= 2 * size:
             must = f"must lie within one picture size ({size} px) of the picture"
             raise place.at("camera", "principal_px", axis).error(must, centre)
+    import numpy as np
+
     own, extra = np.array(camera.distortion), np.array(scene.disturbances.distortion)
     _check_distortion(camera, own, place.at("camera", "distortion"))
     if extra.any():
         _check_distortion(camera, own + extra, place.at("disturbances", "distortion"))
 
 
-def _check_distortion(camera: Camera, distortion: np.ndarray[tuple[int], np.dtype[np.float64]], place: Place) -> None:
+def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: Place) -> None:
     """Refuse a radial distortion that folds the picture over itself before its corners are reached."""
+    import numpy as np
+
     k1, k2, _, _, k3 = distortion
     sides = [max(c, n - 1 - c) / f for c, n, f in zip(camera.principal_px, camera.image_wh, camera.focal_px, strict=True)]
     corner = math.hypot(*sides)

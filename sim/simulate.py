@@ -9,7 +9,6 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from tqdm import tqdm
 
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_image, write_json
@@ -17,6 +16,7 @@ from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
 from rhizotwin.sim.exposure import expose, mask_picture
@@ -43,7 +43,7 @@ def simulate(
     seed: int,
     fidelity: Fidelity = "backlit",
     samples: int | None = None,
-    progress: bool = True,
+    monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Dataset:
     """Render every view of a scene's plan into a dataset folder.
 
@@ -59,8 +59,8 @@ def simulate(
         Of all noise and errors; 0 is a seed.
     fidelity, samples
         See `sim.render.Renderer`.
-    progress : bool
-        Show a bar with the time left on stderr.
+    monitor : Monitor, type of tqdm, callable or None
+        Hears of every view, and may stop the work; what is finished stays and is taken up by the next run.
 
     Raises
     ------
@@ -68,6 +68,8 @@ def simulate(
         When the folder holds a set of another scene, other settings, other versions of the program, or a damaged one.
     UserError
         For a specimen that cannot be used, a folder that holds something else, or a full disk.
+    Cancelled
+        After `Monitor.cancel`.
     """
     folder = Path(folder)
     if seed < 0:
@@ -87,7 +89,7 @@ def simulate(
         done = _take_up(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
-        frames = _render_frames(folder, scene, world, solid, settings, done, progress=progress)
+        frames = _render_frames(folder, scene, world, solid, settings, done, monitor=Monitor.of(monitor))
         save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
         dataset = Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin)
@@ -102,7 +104,7 @@ def _render_frames(
     settings: dict[str, Any],
     done: dict[str, list[str]],
     *,
-    progress: bool,
+    monitor: Monitor,
 ) -> tuple[Frame, ...]:
     renderer: Renderer | None = None
     quality = scene.disturbances.jpeg_quality
@@ -120,9 +122,10 @@ def _render_frames(
         done[name] = _hashes(image_path, mask_path)
         write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
 
-    with ThreadPoolExecutor(1) as writer:  # one picture is exposed and written while the next is rendered
+    # One picture is exposed and written while the next is rendered.
+    with monitor.stage("render"), monitor.steps("render", len(views), "view") as step, ThreadPoolExecutor(1) as writer:
         kept: Future[None] | None = None
-        for name, view in tqdm(views.items(), desc="render", unit="view", disable=not progress, dynamic_ncols=True):
+        for name, view in views.items():
             image_path, mask_path = paths_of(name)
             hashes = done.get(name)
             if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
@@ -131,6 +134,7 @@ def _render_frames(
                 if kept is not None:
                     kept.result()
                 kept = writer.submit(keep, view.index, name, light, coverage)
+            step()
         if kept is not None:
             kept.result()
     return tuple(

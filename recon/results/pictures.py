@@ -204,6 +204,20 @@ def shape_in_canister(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
     return drawn
 
 
+def shape_close_up(shape: Mesh) -> Figure:
+    """Draw the shape by itself from the front and from the side, close up, with its scale in mm."""
+    drawn = figure(7.0, 3.8)
+    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+        box = _box(shape.vertices_mm, side)
+        raster, px_mm = _raster(shape, side, box)
+        axes.imshow(shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK), extent=box, origin="upper", interpolation="antialiased")
+        axes.set_aspect("equal")
+        axes.set_xlabel(side.right_label)
+        axes.set_ylabel("z (mm)")
+        axes.set_title(side.name, fontsize=10)
+    return drawn
+
+
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
     """Draw the shape, the truth and the distance between them, from the front (upper row) and from the side, close up."""
     points = np.concatenate([shape.vertices_mm, truth.vertices_mm])

@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Leaves, picture_path
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.traits import Traits
@@ -148,6 +149,22 @@ class Result:
             mass_g=self.mass_g,
             extents_mm=(solid.extents_min_mm, solid.extents_max_mm),
         )
+
+    @property
+    def traits(self) -> Any:
+        """The traits with units and definitions: a pandas frame, indexed by name, where pandas is installed, otherwise a list of dicts."""
+        rows = trait_table.to_json(self.measured)["traits"]
+        if find_spec("pandas") is None:
+            return rows
+        import pandas as pd
+
+        return pd.DataFrame(rows).set_index("name")
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        from rhizotwin.recon.results import notebook  # draws: loads matplotlib
+
+        return notebook.html(self)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``result.json``, without the traits."""

@@ -17,6 +17,7 @@ from typing import Annotated, TypeAlias
 from rhizotwin import steps
 from rhizotwin.arguments import Device, ImageWh, OutputFile, OutputFolder, Profile, SceneName, Seed, named, option, output, whole
 from rhizotwin.pages import BoardOptions, PageOptions
+from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
@@ -176,7 +177,7 @@ def simulate(
     rhizotwin calibrate simulate printed_8ml -o my_board_pictures --profile bench
     rhizotwin calibrate camera my_board_pictures -o my_lens
     """
-    changed = steps.change_scene(files.load_scene(scene), image_wh=image_wh, profile=profile)
+    changed = change_scene(files.load_scene(scene), image_wh=image_wh, profile=profile)
     made = drawn.board()
     steps.start_engine(device)
     from rhizotwin.sim.board import simulate_board

@@ -20,6 +20,7 @@ from rhizotwin.arguments import (
     read_views,
     whole,
 )
+from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 
 HEIGHT_LIMITS_MM = (-2000.0, 2000.0)
@@ -99,7 +100,7 @@ def plan(
     """
     from rhizotwin import planning, plans
 
-    changed = steps.change_scene(files.load_scene(scene), profile=profile)
+    changed = change_scene(files.load_scene(scene), profile=profile)
     first_mm = changed.plan.rings[0].height_mm
     own = plans.Height(first_mm)
     asked = [tuple(plans.Height(mm, tilt_deg) for mm, tilt_deg in rings) for rings in grid.heights]

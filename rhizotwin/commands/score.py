@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from rhizotwin import front_door
 from rhizotwin.arguments import DatasetFolder, ResultFolder
 
 
@@ -30,7 +31,5 @@ def score(
     rhizotwin score my_result my_dataset
     rhizotwin score my_result my_dataset --json > score.json
     """
-    from rhizotwin.recon.scoring.score import score as compare
-
-    found = compare(result, dataset)
+    found = front_door.score(result, dataset)
     print(json.dumps(found.to_dict(), indent=1) if as_json else found.table())

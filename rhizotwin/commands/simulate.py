@@ -2,10 +2,9 @@
 
 from typing import Literal
 
-from rhizotwin import steps
+from rhizotwin import front_door, steps
 from rhizotwin.arguments import Device, OutputDataset, Samples, SceneChanges, SceneName, Seed
-from rhizotwin.scenes import files
-from rhizotwin.scenes.truth import load_truth
+from rhizotwin.scenes.monitor import Monitor
 
 
 def simulate(
@@ -48,11 +47,12 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
-    changed = steps.change_scene(files.load_scene(scene), **vars(changes))
+    changed = front_door.load_scene(scene, **vars(changes))
     steps.start_engine(device)
-    from rhizotwin.sim.simulate import simulate as render
+    bars = Monitor.on_terminal()
+    dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, fidelity=fidelity, samples=samples, monitor=bars)
+    from rhizotwin.scenes.truth import load_truth
 
-    dataset = render(changed, output, profile_name=changes.profile or "scene", seed=seed, fidelity=fidelity, samples=samples)
     for note in load_truth(output).drawn["notes"]:
         print(f"note: {note}")
     print(f"{len(dataset.frames)} pictures in {output / 'images'}, the truth in {output / 'truth'}")

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin.arguments import list_of, named, option, output, read_mass_g
-from rhizotwin.scenes import atomic, trait_table
 from rhizotwin.scenes.errors import UserError
 
 
@@ -45,6 +44,7 @@ def traits(
     if table is not None and table.exists():
         raise UserError(f"{table} exists already; choose another name")
     from rhizotwin.recon.results import result_files, result_traits
+    from rhizotwin.scenes import atomic, trait_table
 
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)

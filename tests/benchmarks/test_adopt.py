@@ -20,7 +20,7 @@ BALL = Pictures(scene="sphere_20mm", rings=2, views=2, image_wh=(32, 24), seed=3
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("elsewhere") / "ball"
-    simulate(BALL.scene_to_render(), folder, profile_name=BALL.profile, seed=BALL.seed, progress=False)
+    simulate(BALL.scene_to_render(), folder, profile_name=BALL.profile, seed=BALL.seed)
     return folder
 
 

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli, command_line, steps
+from rhizotwin import cli, command_line
 from rhizotwin.arguments import SceneChanges
 from rhizotwin.commands import COMMANDS, GROUPS, place
+from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
@@ -55,9 +56,13 @@ def test_the_table_of_commands_has_the_first_line_of_each_help(name: str) -> Non
     assert inspect.getdoc(source).splitlines()[0] == COMMANDS[name]
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_of_all_commands_and_the_list_of_scenes_load_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d", "cv2")
-    program = f"import sys; from rhizotwin import cli; cli.main(['--help']); print([name for name in {heavy} if name in sys.modules])"
+    program = (
+        "import sys; from rhizotwin import cli; from rhizotwin.commands import COMMANDS\n"
+        "for command in ('', *COMMANDS): cli.main([*command.split(), '--help'])\n"
+        f"cli.main(['scenes']); print([name for name in {heavy} if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.splitlines()[-1] == "[]"
 
@@ -227,19 +232,19 @@ def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, capsys: pytest.Captur
 
 def test_options_change_the_scene(tmp_path: Path) -> None:
     scene = files.load_scene("sphere_20mm")
-    changed = steps.change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
+    changed = change_scene(scene, views=7, image_wh=(400, 300), profile="bench")
     assert [ring.views for ring in changed.plan.rings] == [7] * len(scene.plan.rings)
     assert changed.camera.image_wh == (400, 300)
     assert changed.camera.focal_px[0] == pytest.approx(scene.camera.focal_px[0] * 400 / scene.camera.image_wh[0])
     assert changed.disturbances == files.load_profile("bench")
-    assert steps.change_scene(scene) == scene
+    assert change_scene(scene) == scene
     for name, kind in (("a.STL", MeshSpecimen), ("a.ply", MeshSpecimen), ("a.rsml", RsmlSpecimen)):
         file = tmp_path / name
         file.touch()
-        specimen = steps.change_scene(scene, specimen=file).specimen
+        specimen = change_scene(scene, specimen=file).specimen
         assert isinstance(specimen, kind)
         assert Path(specimen.file) == file
-    assert steps.change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
+    assert change_scene(scene, specimen=file, specimen_unit="cm", specimen_diameter_mm=0.5).specimen == RsmlSpecimen(
         file=str(file), unit="cm", diameter_mm=0.5
     )
 

@@ -31,7 +31,7 @@ def tiny(*, views: int = 3, wrong: Disturbances = WRONG) -> Scene:
 
 
 def make(folder: Path, scene: Scene, *, seed: int = 0) -> Dataset:
-    return simulate(scene, folder, profile_name="test", seed=seed, samples=4, progress=False)
+    return simulate(scene, folder, profile_name="test", seed=seed, samples=4)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -161,7 +161,7 @@ def test_a_set_begun_with_another_program_is_refused(tmp_path: Path, monkeypatch
 
 def test_samples_that_make_no_lattice_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="square"):
-        simulate(tiny(views=1), tmp_path / "set", profile_name="test", seed=0, samples=5, progress=False)
+        simulate(tiny(views=1), tmp_path / "set", profile_name="test", seed=0, samples=5)
     assert not (tmp_path / "set").exists()
 
 

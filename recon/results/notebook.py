@@ -1,0 +1,45 @@
+"""A result as a notebook shows it: a picture of the shape and the numbers, in one piece of HTML."""
+
+from __future__ import annotations
+
+import base64
+import io
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rhizotwin.recon.results import pictures
+from rhizotwin.recon.results.result_files import Mesh
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.results.result import Result
+
+DPI = 90
+
+
+def html(result: Result) -> str:
+    """Return the HTML."""
+    low, high = result.interval_mm3
+    used = sum(camera.used for camera in result.cameras)
+    trust = "trusted" if result.trusted else "<b>not trusted</b>"
+    rows = [
+        ("volume", f"<b>{result.volume_mm3:.1f} mm<sup>3</sup></b>, 90 % interval {low:.1f} to {high:.1f}"),
+        ("", f"{trust}{': ' if result.verdict else ''}{escape(result.verdict)}"),
+        ("roots", f"{len(result.roots)}, {result.solid.length_mm:.0f} mm" if result.roots else "no centre lines"),
+        ("views", f"{used} of {len(result.cameras)} used"),
+        *(("warning", escape(warning)) for warning in result.warnings),
+    ]
+    cells = "".join(f'<tr><td style="text-align:left">{name}</td><td style="text-align:left">{text}</td></tr>' for name, text in rows)
+    return f"<div><h4>{escape(result.scene)}</h4>{_picture(result)}<table>{cells}</table></div>"
+
+
+def _picture(result: Result) -> str:
+    """Return the shape as a picture inside the text; nothing where there is no shape."""
+    mesh = result.solid.mesh
+    if not len(mesh.faces):
+        return ""
+    drawn = pictures.shape_close_up(Mesh(vertices_mm=np.asarray(mesh.vertices, np.float64), faces=np.asarray(mesh.faces, np.int64)))
+    stored = io.BytesIO()
+    drawn.savefig(stored, format="png", dpi=DPI)
+    return f'<img alt="the shape from two sides" src="data:image/png;base64,{base64.b64encode(stored.getvalue()).decode()}">'

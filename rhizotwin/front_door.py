@@ -1,0 +1,197 @@
+"""The front door for Python: each step as one call, with the device chosen on first use.
+
+`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct`` and ``rt.score``; the command line
+calls the same.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from rhizotwin import engine, scene_changes
+from rhizotwin.scenes import files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Listener, Monitor
+from rhizotwin.scenes.schema import Place, from_plain
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.results.result import Result
+    from rhizotwin.recon.scoring.score import Score
+    from rhizotwin.recon.settings import Settings
+    from rhizotwin.scenes.dataset import Dataset
+
+log = logging.getLogger("rhizotwin")
+
+Device = Literal["auto", "cpu", "cuda"]
+Progress = Monitor | type[Any] | Listener | None
+"""A monitor, a type of tqdm, what is called as ``(stage, done, total)``, or None for silence."""
+
+
+def load_scene(
+    scene: str | Path,
+    *,
+    profile: str | None = None,
+    specimen: str | Path | None = None,
+    specimen_unit: str | None = None,
+    specimen_diameter_mm: float | None = None,
+    views: int | None = None,
+    image_wh: tuple[int, int] | None = None,
+) -> Scene:
+    """Load a scene, with a few things changed.
+
+    Parameters
+    ----------
+    scene : str or path
+        A name of the library (``rhizotwin scenes`` lists it), or a scene file.
+    profile : str, optional
+        What the rig gets wrong: ``clean``, ``bench``, ``harsh`` or a file; default: the scene's own.
+    specimen : path, optional
+        A closed mesh (PLY, STL, OBJ) or traced roots (RSML) in place of the scene's root, canister frame, mm.
+    specimen_unit : str, optional
+        Unit of an RSML file's coordinates, where the file does not say.
+    specimen_diameter_mm : float, optional
+        Diameter of the roots for which an RSML file gives none.
+    views : int, optional
+        Pictures in every ring; default: the scene's.
+    image_wh : tuple of int, optional
+        Width and height of the pictures in px; default: the scene's.
+
+    Raises
+    ------
+    UserError
+        For a scene that is not there, or cannot be.
+    """
+    return scene_changes.change_scene(
+        files.load_scene(scene),
+        profile=profile,
+        specimen=None if specimen is None else Path(specimen),
+        specimen_unit=specimen_unit,
+        specimen_diameter_mm=specimen_diameter_mm,
+        views=views,
+        image_wh=image_wh,
+    )
+
+
+def simulate(
+    scene: Scene | str | Path,
+    folder: str | Path,
+    *,
+    profile: str | None = None,
+    seed: int = 0,
+    fidelity: Literal["backlit", "path"] = "backlit",
+    samples: int | None = None,
+    device: Device = "auto",
+    monitor: Progress = None,
+) -> Dataset:
+    """Render every view of a scene's plan into a dataset folder, with its truth; a stopped set is taken up.
+
+    Parameters
+    ----------
+    scene : Scene, str or path
+        As `load_scene` gives it, or what it takes.
+    folder : path
+        The dataset's: new, empty, or left by the same call when it was stopped.
+    profile : str, optional
+        What the rig gets wrong: ``clean``, ``bench``, ``harsh`` or a file; default: the scene's own.
+    seed : int
+        Of every error and noise that is drawn.
+    fidelity : {"backlit", "path"}
+        backlit: fast, without noise of its own; path: full path tracing with all reflections.
+    samples : int, optional
+        Light paths a pixel; default: as the fidelity needs.
+    device : {"auto", "cpu", "cuda"}
+        What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
+    monitor : Monitor, type of tqdm, callable or None
+        Hears of every view, and may stop the work.
+
+    Raises
+    ------
+    UserError
+        For a scene, folder or device that cannot be used.
+    Cancelled
+        After `Monitor.cancel`.
+    """
+    rendered = scene if isinstance(scene, Scene) else files.load_scene(scene)
+    if profile is not None:
+        rendered = scene_changes.change_scene(rendered, profile=profile)
+    _choose(device)
+    from rhizotwin.sim.simulate import simulate as render
+
+    named = profile or "scene"
+    return render(rendered, Path(folder), profile_name=named, seed=seed, fidelity=fidelity, samples=samples, monitor=monitor)
+
+
+def reconstruct(
+    dataset: Dataset | str | Path,
+    *,
+    voxel_mm: float | None = None,
+    mass_g: float | None = None,
+    settings: Settings | None = None,
+    device: Device = "auto",
+    monitor: Progress = None,
+) -> Result:
+    """Find the root's shape and volume in a dataset's pictures, in memory; `Result.save` writes it.
+
+    The truth of a simulated dataset is never read.
+
+    Parameters
+    ----------
+    dataset : Dataset or path
+        As `simulate` or `load_dataset` gives it, or its folder.
+    voxel_mm : float, optional
+        Edge of the smallest voxels; default: that of `Settings`.
+    mass_g : float, optional
+        Mass of the roots, if weighed: gives specific root length and tissue density.
+    settings : Settings, optional
+        Every setting, a group for each stage; instead of ``voxel_mm``.
+    device : {"auto", "cpu", "cuda"}
+        What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
+    monitor : Monitor, type of tqdm, callable or None
+        Hears how far the work is, and may stop it.
+
+    Raises
+    ------
+    UserError
+        Where the pictures cannot be used, or the device.
+    Cancelled
+        After `Monitor.cancel`.
+    """
+    if settings is not None and voxel_mm is not None:
+        raise UserError(f"voxel_mm = {voxel_mm:g} and settings exclude each other; set settings.voxel_mm")
+    _choose(device)
+    from rhizotwin.recon.reconstruct import reconstruct as find
+    from rhizotwin.recon.settings import Settings
+
+    if voxel_mm is not None:
+        settings = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
+    return find(dataset, settings=settings, mass_g=mass_g, monitor=monitor)
+
+
+def score(result: Result | str | Path, dataset: Dataset | str | Path) -> Score:
+    """Compare a result with the truth of the simulated dataset that it was made from.
+
+    Parameters
+    ----------
+    result : Result or path
+        As `reconstruct` or `load_result` gives it, or its folder.
+    dataset : Dataset or path
+        As `simulate` or `load_dataset` gives it, or its folder.
+
+    Raises
+    ------
+    UserError
+        If the dataset has no truth, the result is of another dataset, or a file is missing or damaged.
+    """
+    from rhizotwin.recon.scoring.score import score as compare
+
+    return compare(result, dataset)
+
+
+def _choose(device: Device) -> None:
+    """Start the engine unless it computes already on what is asked for."""
+    chosen = engine.ensure(device)
+    if chosen is not None:
+        log.info(chosen)
