@@ -10,7 +10,7 @@ COMMANDS = {
     "reconstruct": "Find the root's shape and volume in a dataset's pictures.",
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
     "score": "Compare a result with the truth of a simulated dataset.",
-    "view": "Look at results in a browser: 3D, pictures through the water, corrections.",
+    "view": "Look at results in a browser, and correct them.",
     "edit": "Apply saved corrections to a result, without a browser.",
     "traits": "Print the traits of results, or write them to a table for spreadsheets.",
     "export": "Write a result in the files of other programs.",

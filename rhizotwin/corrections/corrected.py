@@ -18,10 +18,13 @@ from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.traits import Traits
 
 _EMPTY_MM3 = 1e-9
+_NAMES = ("result.json", "shape.npz", "shape.ply", "roots.rsml", "corrected.json", "traits.csv", "traits.json", "silhouettes", "seen")
+"""What `write` writes, and may replace."""
 _SCALED = ("less_mm3", "more_mm3")
 
 
@@ -55,7 +58,7 @@ def write(session: Session, output: Path) -> dict[str, Any]:
     roots = state.roots()
     summary = _summary(session, measured, mesh)
     traits = _traits(summary, mesh, roots)
-    with atomic.new_folder(output, replace=True) as building:
+    with new_folder(output, replaces=_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
