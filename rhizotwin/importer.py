@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,8 @@ from rhizotwin.scenes.pictures import Grey, decode_grey
 from rhizotwin.scenes.provenance import versions
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MOST_CLIPPED = 0.05
+"""Share of a picture's pixels at full scale above which it is overexposed, as before a scan (`rig.scanning.preflight`)."""
 MASK_MARGIN = 0.1
 """Grey values this near to black or white, as a fraction of the range, pass for black or white in a silhouette."""
 MASK_GREYS = 0.05
@@ -78,12 +81,15 @@ def import_pictures(
     white = _white_level(paths, scene) if masks else None
     if white is None and any(path.suffix.lower() != ".png" for path in paths):
         notes.append("pictures that are not PNG are converted to grey PNG")
+    clipped: dict[str, float] = {}
     with new_folder(out) as building:
         found = []
         for path, (ring, table_deg) in zip(paths, table, strict=True):
             data = _png_of(path, scene, white=white)
             name = f"images/{path.stem}.png"
             write_bytes(building / name, data)
+            if white is None and (share := _clipped(data, path)) > MOST_CLIPPED:
+                clipped[name] = round(share, 4)
             pose = None if given is None else _pose_of(path, given)
             found.append(
                 Frame(
@@ -95,8 +101,19 @@ def import_pictures(
                     cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
                 )
             )
-        origin = {"program": "rhizotwin import", "pictures": str(folder), "cameras": None if cameras is None else str(cameras)}
-        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin | {"versions": versions()})
+        origin: dict[str, Any] = {
+            "program": "rhizotwin import",
+            "pictures": str(folder),
+            "cameras": None if cameras is None else str(cameras),
+        }
+        if clipped:
+            worst = max(clipped, key=lambda name: clipped[name])
+            notes.append(
+                f"warning: {len(clipped)} of {len(found)} pictures are overexposed, {worst} worst with {100.0 * clipped[worst]:.0f} % of "
+                "its pixels at full scale: what roots keep back of that light cannot be measured; expose less, the panel at 0.8 of it"
+            )
+        origin |= {"clipped": clipped, "versions": versions()}
+        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin)
         dataset = save_dataset(dataset)
     return Imported(dataset=replace(dataset, folder=out), notes=tuple(notes))
 
@@ -159,6 +176,14 @@ def _png_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
     if not done:
         raise UserError(f"{path} cannot be converted to PNG; convert it with another program")
     return bytes(encoded.tobytes())
+
+
+def _clipped(data: bytes, path: Path) -> float:
+    """Return the share of a picture's pixels at the largest number of its depth, or of the depth that its numbers fill (12 bits in 16)."""
+    grey = decode_grey(data, where=str(path))
+    largest = int(grey.max())
+    full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}  # as whole numbers, and 10, 12 and 14 bits shifted up to 16
+    return float((grey == largest).mean()) if largest in full else 0.0
 
 
 def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:

@@ -72,7 +72,7 @@ class Dataset:
     origin: dict[str, Any] = field(default_factory=dict)
     """Program, versions, settings and profile that made the pictures."""
     sha256: str = field(default="", compare=False)
-    """Of the bytes of dataset.json that were read, in hexadecimal; empty: it was not read from a file."""
+    """Of the bytes of dataset.json that were read or written, in hexadecimal; empty: there is no such file yet."""
 
 
 @dataclass(frozen=True, kw_only=True)

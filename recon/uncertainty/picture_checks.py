@@ -48,6 +48,9 @@ def of_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
         of = f" of {planned}" if planned else ""
         state, found = "bad", f"the scan was stopped after {len(frames)}{of} pictures"
         advice = "finish it with scan --resume"
+    elif unchecked := [str(event.get("text")) for event in origin.get("log") or [] if event.get("event") == "unchecked"]:
+        state, found = "fair", unchecked[-1]
+        advice = "light and focus the strip, so that the markers prove the angles"
     return _check("scan", state, float(len(frames)), "pictures", None, None, found, advice)
 
 

@@ -4,7 +4,11 @@ import hashlib
 import http.client
 import json
 import math
+import socket
+import threading
+import time
 import uuid
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from email.message import Message
 from typing import Any
@@ -27,6 +31,8 @@ ANSWER_S = 10.0
 OPENING_S = 30.0
 """Time to open a camera, beyond some exposures."""
 MAX_TEXT_BYTES = 65536
+MOST_SAID = 500
+"""Letters of another computer that are shown."""
 TOLERANCE, TOLERANCE_S = 0.05, 1e-4
 """Of exposure and gain; the server's own driver checks them closer."""
 
@@ -73,7 +79,7 @@ class HttpCamera:
         session = uuid.uuid4().hex
         body = {"session": session, "settings": to_plain(self._settings)}
         timeout_s = 5.0 * self._settings.exposure_s + OPENING_S
-        self._said = str(self._json(self._ask("POST", "/prepare", body, timeout_s=timeout_s)).get("camera"))
+        self._said = plain_text(str(self._json(self._ask("POST", "/prepare", body, timeout_s=timeout_s)).get("camera")))
         self._session = session
         self.capture()
 
@@ -93,27 +99,35 @@ class HttpCamera:
     def _ask(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str = "") -> _Answer:
         """Send a request until its answer arrives whole; answers that say what is wrong are raised at once."""
         reason = ""
-        for attempt in range(1 + RETRIES):
-            if attempt:
+        until_s = time.monotonic() + timeout_s  # one deadline for all attempts: the lamps burn meanwhile
+        attempts = 0
+        while attempts <= RETRIES and time.monotonic() < until_s:
+            if attempts:
                 self._clock.sleep(PAUSE_S)
+            attempts += 1
             try:
-                return self._exchange(method, path, body, timeout_s=timeout_s, picture=picture)
-            except (OSError, http.client.HTTPException, _DamagedError) as error:
-                reason = str(error) or type(error).__name__
+                return self._exchange(method, path, body, timeout_s=max(0.1, until_s - time.monotonic()), picture=picture)
+            except (OSError, ValueError, http.client.HTTPException, _DamagedError) as error:
+                reason = plain_text(str(error) or type(error).__name__)
         raise NoAnswerError(
-            f"{self._name}: no whole answer after {1 + RETRIES} attempts ({reason}); check the network, and that rhizotwin camera "
-            "runs there with --host 0.0.0.0 or behind an ssh tunnel"
+            f"{self._name}: no whole answer after {attempts} attempt{'s' if attempts > 1 else ''} in {timeout_s:.3g} s at most ({reason}); "
+            "check the network, and that rhizotwin camera runs there with --host 0.0.0.0 or behind an ssh tunnel"
         )
 
     def _exchange(self, method: str, path: str, body: Any, *, timeout_s: float, picture: str) -> _Answer:
         connection = http.client.HTTPConnection(self._host, self._port, timeout=timeout_s)
-        try:
+        late = threading.Timer(timeout_s, _cut_off, [connection])
+        late.daemon = True
+        late.start()
+        with ExitStack() as stack:
+            stack.callback(connection.close)
+            stack.callback(late.cancel)
+            connection.connect()
+            late.args = [connection.sock]  # which the connection forgets when the answer begins
             headers = {"Content-Type": "application/json", "Connection": "close"}
             connection.request(method, path, body=None if body is None else json.dumps(body), headers=headers)
-            response = connection.getresponse()
+            response = stack.enter_context(connection.getresponse())
             answer = _Answer(headers=response.headers, data=self._read(response, self._most_bytes() if picture else MAX_TEXT_BYTES))
-        finally:
-            connection.close()
         if response.status != http.client.OK:
             kind = LostError if response.status == http.client.CONFLICT else RigError
             raise kind(f"{self._name}: {_complaint(response.status, answer.data)}")
@@ -128,9 +142,10 @@ class HttpCamera:
         announced = response.getheader("Content-Length", "")
         if not (announced.isascii() and announced.isdigit()):
             raise _DamagedError("an answer without its length")
-        if int(announced) > most:
+        if len(announced) > 12 or int(announced) > most:
+            length = announced if len(announced) <= 12 else f"{announced[:12]}..."
             raise RigError(
-                f"{self._name}: announces an answer of {announced} bytes, at most {most} can be right; start the same version there"
+                f"{self._name}: announces an answer of {length} bytes, at most {most} can be right; start the same version there"
             )
         data = response.read(int(announced))
         if len(data) != int(announced):
@@ -181,6 +196,18 @@ class HttpCamera:
         return number
 
 
+def plain_text(text: str) -> str:
+    """Return what another computer says without what would steer the terminal, and not endlessly long."""
+    return "".join(letter if letter.isprintable() else " " for letter in text[:MOST_SAID])
+
+
+def _cut_off(connection: http.client.HTTPConnection | socket.socket) -> None:
+    """End an exchange that goes on for too long, by whatever trickle: whoever waits for bytes gets none."""
+    if isinstance(connection, socket.socket):
+        with suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)
+
+
 def _host_port(address: str) -> tuple[str, int]:
     """Split http://host:port."""
     try:
@@ -209,4 +236,6 @@ def _complaint(status: int, data: bytes) -> str:
         sentence = _parse(data).get("error")
     except _DamagedError:
         sentence = None
-    return sentence if isinstance(sentence, str) else f"what answers is no rhizotwin camera (HTTP status {status}); check the address"
+    if isinstance(sentence, str):
+        return plain_text(sentence)
+    return f"what answers is no rhizotwin camera (HTTP status {status}); check the address"

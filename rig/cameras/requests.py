@@ -5,6 +5,7 @@ import json
 import socket
 import socketserver
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,7 +23,9 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 MAX_BODY_BYTES = 4096
 IDLE_S = 30.0
-"""A connection on which nothing comes or goes for so long is dropped."""
+"""A connection on which nothing comes or goes for so long is dropped, and one whose request takes so long to arrive."""
+MOST_CONNECTIONS = 16
+"""Open at once; a scan uses one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +62,22 @@ class RequestServer(ThreadingHTTPServer):
         own = socket.gethostname().lower()
         self.names = {"localhost", own, f"{own}.local", host.lower()} - {""}
         """What this computer is called."""
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__((host, port), _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own while there are few; more connections are closed at once."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Make room for the next when it is done."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def server_bind(self) -> None:
         """Bind without asking a name server for this computer's name, which can take long."""
@@ -76,6 +94,22 @@ class _Handler(BaseHTTPRequestHandler):
     server_version = "rhizotwin"
     sys_version = ""
     timeout = IDLE_S
+
+    def setup(self) -> None:
+        """Give the request a deadline: a byte now and then must not hold a connection for ever."""
+        super().setup()
+        self._late = threading.Timer(IDLE_S, self._cut_off)
+        self._late.daemon = True
+        self._late.start()
+
+    def finish(self) -> None:
+        """Let go."""
+        self._late.cancel()
+        super().finish()
+
+    def _cut_off(self) -> None:
+        with suppress(OSError):
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
         """Answer /describe."""
@@ -100,6 +134,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": str(error)})
 
     def _get(self) -> None:
+        self._late.cancel()
         self._check_host()
         if self.path != "/describe":
             raise _Refusal(HTTPStatus.NOT_FOUND, "this is a rhizotwin camera, to be named in the rig file of another computer")
@@ -108,6 +143,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self) -> None:
         body = self._body()
+        self._late.cancel()
         self._check_host()
         if self.path == "/prepare":
             wanted = self._parsed(body, _Prepare)

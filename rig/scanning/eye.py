@@ -1,5 +1,6 @@
-"""The camera of a scan: pictures that are tried again when the camera fails, and what the strip in them says."""
+"""The camera of a scan: pictures that are tried again when the camera fails or hangs, and what the strip in them says."""
 
+import hashlib
 from collections.abc import Callable
 
 from rhizotwin.rig.clock import Clock
@@ -21,16 +22,21 @@ class Eye:
         self._clock = clock
         self._scene = scene
         self._note = note
+        self._angles_deg: dict[bytes, float] = {}
+        """At which table angle a picture was taken, by its digest."""
 
-    def picture(self) -> Shot:
+    def picture(self, *, table_deg: float | None = None) -> Shot:
         """Take a picture; a camera that fails is opened anew and asked again, with growing pauses.
+
+        With ``table_deg``, where the table stands, a picture that was given before at another angle is a failure, too: no two pictures
+        are the same byte for byte, least of all from two sides, unless the camera hangs.
 
         Raises
         ------
         RigError
             When the camera fails again and again, or its pictures have another size than the scene says.
         """
-        shot = self._tried()
+        shot = self._tried(table_deg)
         check_size(shot.image, self._scene.camera)
         return shot
 
@@ -39,14 +45,23 @@ class Eye:
         shot = self.picture()
         return shot, read_strip(shot.image, self._scene)
 
-    def _tried(self) -> Shot:
+    def _tried(self, table_deg: float | None) -> Shot:
         broken = False
         for attempt in range(TRIES):
             try:
                 if broken:
                     self._camera.close()
                     self._camera.prepare()
-                return self._camera.capture()
+                shot = self._camera.capture()
+                if table_deg is not None:
+                    digest = hashlib.sha256(shot.image.tobytes()).digest()
+                    before_deg = self._angles_deg.setdefault(digest, table_deg)
+                    if before_deg != table_deg:
+                        raise RigError(
+                            f"camera: gave the same picture at {table_deg:g} deg as at {before_deg:g} deg, byte for byte: it hangs "
+                            "or shows nothing of what turns; look at the picture, and connect the camera again"
+                        )
+                return shot
             except RigError as error:
                 if attempt == TRIES - 1:
                     raise

@@ -24,6 +24,7 @@ from rhizotwin.rig.scanning.safety import Say, make_safe
 from rhizotwin.rig.scanning.session import Session, file_of, take_up
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
+from rhizotwin.rig.scanning.watch import Watch
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
@@ -109,6 +110,7 @@ class _Scan:
         self._begun_s = devices.clock.now_s()
         self._eye = Eye(devices.camera, devices.clock, scene, note=self._note)
         self._turning = Turning(devices, scene, self._eye, ask=ask, given_deg=table_angle_deg, note=self._note)
+        self._watch = Watch(self._turning, scene)
         self._stand: Stand = Tripod(scene, self._eye, ask=ask, note=self._note)
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
@@ -139,6 +141,7 @@ class _Scan:
             ) as bar:
                 for ring in rings:
                     self._take_ring(ring, [view for view in remaining if view.ring == ring], bar)
+            self._say_unchecked(len(planned))
             dataset = self._session.save(complete=True)
             finished = True
         except BoardFaultError as fault:  # one that came while another was being cured, or before the first picture
@@ -149,6 +152,7 @@ class _Scan:
             self._stopped(error)
             raise
         finally:
+            self._watch.close()
             make_safe(
                 self._devices,
                 self._scene,
@@ -180,14 +184,38 @@ class _Scan:
         self._stand.place(ring)
         self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
         self._placement = self._session.next_placement(index)
+        self._watch.begin_ring()
         for view in views:
             frame, image = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
+            self._refuse_still()
             self._session.record(frame, image)
             self._turning.taken(view.table_deg, self._session.folder / frame.file)
+            self._watch.taken(frame, image)
             bar.update()
-        slipped = self._drop_slipped(self._turning.pictures)
-        if slipped:
-            raise RigError(f"{slipped}: free the table, then finish the scan with --resume")
+        self._refuse_still()
+
+    def _refuse_still(self) -> None:
+        """Stop where the picture before does not show that the table turned as it says; that picture is taken out, the others stay."""
+        wrong = self._watch.wrong()
+        if wrong is None:
+            return
+        file, why = wrong
+        if not self._drop_slipped(self._turning.pictures):
+            self._session.drop([file])
+        raise RigError(
+            f"turntable: {why}, so that the table slipped or stands still, or the camera was pushed or hangs; this picture is taken out: "
+            "free the table, look at the camera, then finish the scan with --resume"
+        )
+
+    def _say_unchecked(self, planned: int) -> None:
+        """Say of what nobody knows that it is right."""
+        unread = len(self._watch.unread)
+        if unread:
+            self._note(
+                "unchecked",
+                f"the markers of {unread} of {planned} pictures could not be read: that they show the commanded angles is the turntable's "
+                "word alone; only that each differs from the one before was looked at",
+            )
 
     def _look_about(self, index: int, near_deg: float) -> None:
         """Judge the picture, make the table's angle known, and correct the camera's place."""
@@ -252,7 +280,7 @@ class _Scan:
             if again:
                 self._note("lights", f"lights: the panel went from {self._bright:.2f} to {bright:.2f} of full scale; switched on again")
                 self._turning.light()
-            shot = self._eye.picture()
+            shot = self._eye.picture(table_deg=angle_deg)
             self._turning.verify(angle_deg)
             bright = preflight.exposure_of(shot.image).bright
             if DIMMER * self._bright <= bright <= BRIGHTER * self._bright:

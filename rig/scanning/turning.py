@@ -21,8 +21,12 @@ BESIDE_DEG = 20.0
 """A camera may stand beside the x axis by this much: a tripod put up by hand."""
 FINE_DEG = 0.02
 """What a pair of pictures can tell."""
-SLIPPED_DEG = 1.0
-"""A picture that shows another angle than commanded by more than this: the table lost steps, which come in fours, or was turned by hand."""
+LOST_STEPS = 4
+"""A motor of two windings that loses its field falls back by whole periods of it, which are four full steps."""
+MOST_SLIPPED_DEG = 1.0
+"""A picture that shows another angle than commanded by more than this was not taken where the table was told to go, whatever its motor."""
+UNSURE_DEG = 0.1
+"""What the markers of single pictures may be off (0.6 px across 350 px of strip's radius at 400x300): less is no slip."""
 
 Taken = tuple[float, Path]
 """Commanded angle and file of a picture."""
@@ -62,6 +66,17 @@ class Turning:
         """Pictures of the scan that the camera took where it stands."""
         self.lost = False
         """Whether the board was lost and has not come back."""
+
+    @property
+    def slip_deg(self) -> float:
+        """Difference between the angle that a picture shows and the commanded one beyond which steps were lost: half of the least loss."""
+        return max(UNSURE_DEG, min(MOST_SLIPPED_DEG, LOST_STEPS / 2.0 * self._devices.rig.turntable.full_step_deg))
+
+    def off_deg(self, table_deg: float, seen: Sighting) -> float:
+        """Return by how much a picture shows another angle than commanded; the first one asked about is what the others are held to."""
+        if not self._looks:
+            self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
+        return wrapped(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
 
     def camera_moved(self) -> None:
         """Forget the pictures by which the angle could be found anew: the camera stands elsewhere now."""
@@ -163,7 +178,7 @@ class Turning:
         kept_deg = self._kept_deg()
         if kept_deg is not None:
             shown_deg = angle_against(seen.cam_from_canister, references, self._scene) if seen is not None and references else kept_deg
-            if abs(wrapped(shown_deg - kept_deg)) <= SLIPPED_DEG:
+            if abs(wrapped(shown_deg - kept_deg)) <= self.slip_deg:
                 self._note("angle", f"turntable: is back and kept its angle, {kept_deg:.2f} deg")
                 self.lost = False
                 return False
@@ -185,7 +200,7 @@ class Turning:
             shown = self._read([(table_deg, path)])
             if not references or not shown:
                 break
-            if abs(wrapped(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= SLIPPED_DEG:
+            if abs(wrapped(angle_against(shown[0].cam_from_canister, references, self._scene) - table_deg)) <= self.slip_deg:
                 break
             found.append(path)
         return found[::-1]

@@ -2,7 +2,10 @@
 
 import errno
 import math
-from contextlib import suppress
+import re
+import tempfile
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 import serial
@@ -11,6 +14,8 @@ from serial.tools import list_ports
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.serial_line.recording import Recorder
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import locked
 
 _WRITE_TIMEOUT_S = 5.0
 _READ_AT_ONCE = 4096
@@ -52,7 +57,8 @@ class Port:
     Parameters
     ----------
     url
-        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``. A device file is locked against other programs.
+        A device file, ``COM3``, or a URL such as ``socket://localhost:4000``.
+        Held against other programs, a socket against those of this computer.
     baud
         Bits per second.
     clock
@@ -76,9 +82,13 @@ class Port:
         self._timeout_s = 0.0
         self._is_open = True
         only_for_files: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+        self._held = ExitStack()
+        if url.startswith("socket://"):
+            _hold(url, device, self._held)
         try:
             self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_TIMEOUT_S, **only_for_files)
         except (OSError, ValueError) as error:  # SerialException is an OSError
+            self._held.close()
             raise RigError(f"{device}: {_why_not_open(url, error)}") from error
         try:
             if recorder is not None:
@@ -137,6 +147,7 @@ class Port:
         self._is_open = False
         with suppress(OSError):
             self._serial.close()
+        self._held.close()
 
     def _check_open(self) -> None:
         if not self._is_open:
@@ -163,6 +174,17 @@ class Port:
 
     def _lost(self, error: OSError) -> LostError:
         return LostError(f"{self.device} on {self.url}: unplugged or switched off ({error}); check its cable and supply, then start again")
+
+
+def _hold(url: str, device: str, stack: ExitStack) -> None:
+    """Hold a network port against other programs of this computer, as the system does with device files."""
+    name = re.sub(r"[^0-9a-z.]+", "-", url.lower())
+    try:
+        stack.enter_context(locked(Path(tempfile.gettempdir()) / f"rhizotwin-{name}.lock", what=f"{device}: {url}"))
+    except UserError as error:
+        raise RigError(str(error)) from error
+    except PermissionError as error:
+        raise RigError(f"{device}: {url} is used by another person on this computer ({error.filename}); wait until that ends") from error
 
 
 def _slice_s(left_s: float) -> float:

@@ -16,6 +16,7 @@ from rhizotwin.importer import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
 from rhizotwin.scenes import files, frames, plan
+from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -253,3 +254,15 @@ def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, 
     assert "no table angle is assumed" in said
     assert cli.main(words) == cli.EXIT_MISTAKE
     assert "not empty" in capsys.readouterr().err
+
+
+def test_overexposed_pictures_are_said_and_recorded(tmp_path: Path, scene: Scene) -> None:
+    width, height = scene.camera.image_wh
+    good = np.random.default_rng(0).integers(100, 200, (height, width), dtype=np.uint8)
+    clipped = good.copy()
+    clipped[: height // 2] = 255
+    write_image(tmp_path / "in" / "a.png", good)
+    write_image(tmp_path / "in" / "b.png", clipped)
+    made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
+    assert any("warning: 1 of 2 pictures are overexposed, images/b.png worst with 50 %" in note for note in made.notes)
+    assert list(load_dataset(tmp_path / "out").origin["clipped"]) == ["images/b.png"]

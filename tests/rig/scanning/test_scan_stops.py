@@ -1,11 +1,15 @@
 """What stops a scan or gets in its way: Ctrl-C at every call, faults one by one, a table that slips, a full disk."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import RigFile, TurntablePart
 from rhizotwin.rig.scanning import scan as scan_module
 from rhizotwin.rig.scanning import session
 from rhizotwin.rig.scanning.homing import facing_angle
@@ -13,7 +17,9 @@ from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
-from tests.rig.fake_devices import SCENE, Trouble, World, angles, run, stop_at
+from rhizotwin.scenes.model import Scene
+from tests.rig import fake_devices
+from tests.rig.fake_devices import BLIND, SCENE, Trouble, World, angles, devices, run, stop_at
 
 CALLS = 25
 """Calls of devices in a scan of `SCENE` without trouble."""
@@ -176,7 +182,7 @@ def test_error_of_the_way_out_does_not_hide_the_first(tmp_path: Path) -> None:
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
     world = World()
     Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 7.2)).arm(world)
-    with pytest.raises(RigError, match=r"view_002\.png to view_003\.png show other angles"):
+    with pytest.raises(RigError, match=r"the markers of images/view_002\.png show \+7\.\d\d deg beside the commanded 180 deg"):
         run(world, tmp_path / "d")
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
     made = run(world, tmp_path / "d", resume=True)
@@ -233,3 +239,72 @@ def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Monke
     made = run(world, tmp_path / "d", resume=True)
     assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
     assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+
+
+def noisy(monkeypatch: pytest.MonkeyPatch, *, shown_deg: Callable[[float], float] = lambda angle: angle) -> None:
+    """Give the fake camera noise, as every camera has, and perhaps another angle of the table than the true one."""
+    rng = np.random.default_rng(5)
+    clean = fake_devices.drawn
+
+    def drawn(scene: Scene, camera: bytes, table_deg: float, panel: float, front: float) -> np.ndarray:
+        picture = clean(scene, camera, shown_deg(table_deg), panel, front)
+        full = np.iinfo(picture.dtype).max
+        return np.clip(picture + rng.normal(0.0, 0.01 * full, picture.shape), 0.0, full).astype(picture.dtype)
+
+    monkeypatch.setattr(fake_devices, "drawn", drawn)
+
+
+@pytest.mark.parametrize("scene", [SCENE, BLIND], ids=["markers", "no markers"])
+def test_camera_that_hangs_is_noticed_at_the_second_picture(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(scene=scene)
+    noisy(monkeypatch)
+    drawn, kept = fake_devices.drawn, []
+
+    def hanging(*sight: Any) -> np.ndarray:
+        if len(kept) < 2:
+            kept.append(drawn(*sight))
+        return kept[-1]
+
+    monkeypatch.setattr(fake_devices, "drawn", hanging)
+    with pytest.raises(RigError, match="gave the same picture at 90 deg as at 0 deg, byte for byte"):
+        run(world, tmp_path / "d", table_angle_deg=77.0 if scene is BLIND else None)
+    assert [path.name for path in (tmp_path / "d" / "images").iterdir()] == ["view_000.png"]
+
+
+@pytest.mark.parametrize("scene", [SCENE, BLIND], ids=["markers", "no markers"])
+def test_table_that_only_says_that_it_turns_is_noticed_at_the_second_picture(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World(scene=scene)
+    noisy(monkeypatch, shown_deg=lambda _: 77.0)
+    world.table_true_deg = 77.0
+    named = "looks like the picture before" if scene is BLIND else r"view_00[01]\.png show [+-]\d+\.\d\d deg beside"
+    with pytest.raises(RigError, match=named):
+        run(world, tmp_path / "d", table_angle_deg=77.0 if scene is BLIND else None)
+    assert sum(name == "camera.capture" for name in world.calls) <= 4
+    if scene is BLIND:
+        assert [path.name for path in (tmp_path / "d" / "images").iterdir()] == ["view_000.png"]
+
+
+def test_what_no_marker_proves_is_said_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noisy(monkeypatch)
+    said: list[str] = []
+    made = run(World(scene=BLIND), tmp_path / "d", said=said, table_angle_deg=77.0)
+    assert made.origin["complete"]
+    assert any("the markers of 4 of 4 pictures could not be read" in line for line in said)
+    assert [event["event"] for event in made.origin["log"]].count("unchecked") == 1
+
+
+def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
+    """0.72 degrees of a table whose motor makes 0.18 degrees of it a step; half a degree of one that makes 1.8 is nothing."""
+    for step_deg, slips in ((0.18, True), (1.8, False)):
+        world = World()
+        Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 0.72)).arm(world)
+        rig = RigFile(arm=None, turntable=TurntablePart(full_step_deg=step_deg))
+        made = replace(devices(world), rig=rig)
+        if slips:
+            with pytest.raises(RigError, match=r"view_002\.png show \+0\.[67]\d deg beside the commanded 180"):
+                scan_module.scan(made, SCENE, tmp_path / "slips", progress=False)
+            assert len(load_dataset(tmp_path / "slips").frames) == 2
+        else:
+            assert scan_module.scan(made, SCENE, tmp_path / "not", progress=False).origin["complete"]

@@ -255,3 +255,13 @@ def test_every_byte_is_recorded() -> None:
     port.close()
     os.close(master)
     os.close(slave)
+
+
+def test_a_socket_is_held_against_other_programs_of_this_computer() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
+        first = Port(url, baud=9600, clock=SystemClock(), device="arm")
+        with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* works in it"):
+            Port(url, baud=9600, clock=SystemClock(), device="turntable")
+        first.close()
+        Port(url, baud=9600, clock=SystemClock(), device="arm").close()
