@@ -29,16 +29,17 @@ Record = dict[str, Any]
 """One scored case as JSON values: what it was, what it took, and the score."""
 
 
-def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED) -> Run:
+def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = False, change: str = UNCHANGED, projection: bool = True) -> Run:
     """Run the cases one after the other; a case that fails is recorded and the rest go on.
 
     Parameters
     ----------
     afresh : measure also what an earlier run with the same sources, settings and versions measured.
     change : what is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    projection : measure also the projection, which no picture changes.
     """
     say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
-    measured = worker.start(["projection"], device=device)["metrics"]
+    measured = worker.start(["projection"], device=device)["metrics"] if projection else []
     run = Run(metrics=[Metric(**metric) for metric in measured])
     clock = _TimeLeft(cases)
     for number, case in enumerate(cases, start=1):

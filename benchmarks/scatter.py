@@ -49,7 +49,7 @@ def measure(cases: Sequence[Case], *, runs: int, device: str, say: Say) -> tuple
     crashed: dict[str, str] = {}
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
-        run = accuracy.measure(cases, device=device, say=say, change=f"rounded:{seed}")
+        run = accuracy.measure(cases, device=device, say=say, change=f"rounded:{seed}", projection=False)
         crashed |= run.crashed
         for metric in of_cases(run.metrics, cases):
             values.setdefault(metric.key, []).append(metric.value)
