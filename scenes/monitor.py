@@ -70,11 +70,11 @@ class Monitor:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage."""
+        """Time a stage; a stage that is gone through again adds to its time."""
         self.check()
         begin = time.perf_counter()
         yield
-        self.timings_s[name] = time.perf_counter() - begin
+        self.timings_s[name] = self.timings_s.get(name, 0.0) + time.perf_counter() - begin
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
