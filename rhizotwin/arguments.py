@@ -19,7 +19,6 @@ PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 MAX_SAMPLES = 1 << 16
 MAX_SEEDS = 1000
-DEFAULT_VOXEL_MM = 0.27
 
 
 def option(read: Callable[[str], object], metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:

@@ -1,5 +1,6 @@
 """Steps that several commands take: the engine started, a dataset reconstructed and drawn."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin import engine
@@ -19,8 +20,17 @@ def start_engine(device: str) -> None:
     print(engine.start(device))
 
 
-def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: float | None = None) -> list[Path]:
+def reconstruct_whole(
+    dataset: Path, output: Path, *, voxel_mm: float | None = None, settings: Path | None = None, mass_g: float | None = None
+) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
+
+    Parameters
+    ----------
+    voxel_mm : float, optional
+        Goes before that of the settings.
+    settings : Path, optional
+        TOML file, see `recon.settings`.
 
     Raises
     ------
@@ -39,15 +49,18 @@ def reconstruct_whole(dataset: Path, output: Path, *, voxel_mm: float, mass_g: f
     from rhizotwin.recon.results import report
     from rhizotwin.recon.results.result_files import read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
+    from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scenes.monitor import Monitor
 
+    chosen = Settings() if settings is None else load_settings(settings)
+    chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     loaded = load_dataset(dataset)  # once: what happens to the folder meanwhile does not change what the result was made from
     with new_folder(output, replaces=_RESULT_NAMES) as building:
-        reconstruct(loaded, voxel_mm=voxel_mm, mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
+        reconstruct(loaded, settings=chosen, mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
         written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

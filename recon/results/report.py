@@ -183,6 +183,7 @@ def _views(summary: dict[str, Any]) -> str:
 
 def _provenance(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [("dataset", str(summary.get("dataset", "")))]
-    rows += [(str(key), str(value)) for key, value in summary.get("settings", {}).items()]
+    for key, value in summary.get("settings", {}).items():
+        rows += [(f"{key}.{name}", str(part)) for name, part in value.items()] if isinstance(value, dict) else [(str(key), str(value))]
     rows += [(f"version of {key}", str(value)) for key, value in summary.get("versions", {}).items()]
     return rows

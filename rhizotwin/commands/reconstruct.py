@@ -1,9 +1,11 @@
 """`rhizotwin reconstruct`."""
 
 import json
+from pathlib import Path
+from typing import Annotated
 
 from rhizotwin import steps
-from rhizotwin.arguments import DEFAULT_VOXEL_MM, DatasetFolder, Device, MassG, OutputResult, VoxelMm
+from rhizotwin.arguments import DatasetFolder, Device, MassG, OutputResult, VoxelMm, named
 
 
 def reconstruct(
@@ -11,7 +13,8 @@ def reconstruct(
     /,
     *,
     output: OutputResult,
-    voxel_mm: VoxelMm = DEFAULT_VOXEL_MM,
+    voxel_mm: VoxelMm | None = None,
+    settings: Annotated[Path | None, named("FILE")] = None,
     mass_g: MassG | None = None,
     device: Device = "auto",
 ) -> None:
@@ -27,7 +30,9 @@ def reconstruct(
     output : Path
         Folder to write the result to: new, empty, or an earlier result, which is replaced.
     voxel_mm : float
-        Edge of the smallest voxels, 0.01 to 10 mm; smaller is slower and finer.
+        Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
+    settings : Path, optional
+        TOML file of what may be set, for who studies the method (docs/settings.md); --voxel-mm goes before it.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
     device : str
@@ -38,11 +43,12 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result
     rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
+    rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml
     """
     steps.start_engine(device)
     from rhizotwin.recon.results import calibrated
 
-    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, mass_g=mass_g)
+    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, settings=settings, mass_g=mass_g)
     summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
     low, high = summary["volume_interval_mm3"]
     used = sum(view["used"] for view in summary["views"])

@@ -84,7 +84,7 @@ def arguments_of(words: str) -> inspect.BoundArguments:
 def test_defaults_of_the_options() -> None:
     given = arguments_of("simulate sphere_20mm -o d").arguments
     assert (given["changes"], given["seed"], given["fidelity"], given["device"]) == (SceneChanges(), 0, "backlit", "auto")
-    assert arguments_of("reconstruct d -o r").arguments["voxel_mm"] == 0.27
+    assert arguments_of("reconstruct d -o r --voxel-mm 0.1").arguments["voxel_mm"] == 0.1
     assert arguments_of("simulate s -o d --image-wh 800X600").arguments["changes"].image_wh == (800, 600)
 
 

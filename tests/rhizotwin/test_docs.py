@@ -11,7 +11,9 @@ import pytest
 from benchmarks.__main__ import parser as benchmarks_parser
 from rhizotwin import command_line
 from rhizotwin.commands import COMMANDS, GROUPS
+from rhizotwin.recon.settings import Settings
 from rhizotwin.scenes.files import load_profile, load_scene, scene_from_dict
+from rhizotwin.scenes.schema import Place, from_plain
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -76,10 +78,13 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_scenes_in_the_documents_load(page: Path) -> None:
+def test_scenes_and_settings_in_the_documents_load(page: Path) -> None:
     for language, block in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "toml":
-            scene_from_dict(tomllib.loads(block), where=str(page))
+            if page.name == "settings.md":
+                from_plain(Settings, tomllib.loads(block), Place(str(page)))
+            else:
+                scene_from_dict(tomllib.loads(block), where=str(page))
 
 
 def test_every_decision_is_in_the_index() -> None:

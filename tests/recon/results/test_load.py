@@ -1,0 +1,63 @@
+"""A result read back is the value that was saved, and scores the same."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.scoring.score import score
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+
+
+def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
+    made = scan(lost=(2,))
+    first = load_result(made.result)
+    first.save(tmp_path / "again")
+    second = load_result(tmp_path / "again")
+    assert (second.volume_mm3, second.interval_mm3, second.trusted, second.verdict) == (
+        first.volume_mm3,
+        first.interval_mm3,
+        first.trusted,
+        first.verdict,
+    )
+    assert second.solid.volume == first.solid.volume
+    np.testing.assert_array_equal(second.solid.voxels.low, first.solid.voxels.low)
+    np.testing.assert_array_equal(second.solid.hull.occupancy, first.solid.hull.occupancy)
+    np.testing.assert_allclose(second.solid.mesh.vertices, first.solid.mesh.vertices, atol=1e-5)
+    assert list(second.silhouettes) == list(first.silhouettes)
+    for file, silhouette in first.silhouettes.items():
+        np.testing.assert_array_equal(second.silhouettes[file].coverage, silhouette.coverage)
+        np.testing.assert_array_equal(second.silhouettes[file].seen, silhouette.seen)
+    for a, b in zip(first.cameras, second.cameras, strict=True):
+        assert (a.file, a.used, a.reason, a.markers) == (b.file, b.used, b.reason, b.markers)
+        assert (a.cam_from_canister is None) == (b.cam_from_canister is None)
+        if a.cam_from_canister is not None:
+            np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
+
+
+def test_values_and_folders_score_the_same(scan) -> None:
+    made = scan()
+    by_value = score(load_result(made.result), load_dataset(made.dataset))
+    assert by_value.to_dict() == score(made.result, made.dataset).to_dict()
+
+
+def test_a_result_of_another_dataset_is_refused(scan) -> None:
+    made = scan()
+    made.edit_summary(dataset_sha256="0" * 64)
+    with pytest.raises(UserError, match="was not reconstructed from"):
+        score(load_result(made.result), made.dataset)
+
+
+def test_a_missing_silhouette_is_named_when_it_is_looked_at(scan) -> None:
+    made = scan()
+    found = load_result(made.result)
+    file = next(iter(found.silhouettes))
+    (made.result / "silhouettes" / f"{Path(file).stem}.png").unlink()
+    with pytest.raises(UserError, match="does not exist"):
+        found.silhouettes[file]
+    with pytest.raises(KeyError):
+        found.silhouettes["none.png"]
+    json.dumps(found.summary(), allow_nan=False)
