@@ -82,10 +82,18 @@ def parser() -> argparse.ArgumentParser:
         if name == "accuracy":
             _add_selection(one)
     _add_scatter(what.add_parser("scatter", help=_SCATTER, description=_SCATTER))
-    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures: what a change did, case by case")
-    compared.add_argument("before", type=Path, metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
-    compared.add_argument("after", type=Path, metavar="B.json", help="the same after it; cases that only one of them has are left out")
+    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures, or the speed of this code against a commit's")
+    compared.add_argument("before", type=Path, nargs="?", metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
+    compared.add_argument(
+        "after", type=Path, nargs="?", metavar="B.json", help="the same after it; cases that only one of them has are left out"
+    )
     compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
+    compared.add_argument("--against", metavar="COMMIT", help="check this commit out beside and alternate runs: processor time and memory")
+    compared.add_argument("--jobs", type=_words, metavar="NAME,...", help="only these of --against's jobs (a wrong name lists them)")
+    compared.add_argument("--repeats", type=int, default=3, help="pairs of runs a job (default: %(default)s)")
+    compared.add_argument("--quick", action="store_true", help="small jobs, under two minutes a pair")
+    compared.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    compared.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the ratios as JSON, too")
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
@@ -191,6 +199,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare(given: argparse.Namespace) -> int:
     from benchmarks import paired
 
+    if given.against is not None:
+        return _against(given)
+    if given.before is None or given.after is None:
+        raise UserError("give two runs (A.json B.json), or --against COMMIT")
     say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
     return 0
 
@@ -208,6 +220,24 @@ def _scatter(given: argparse.Namespace) -> int:
 
 def _scatter_path() -> Path:
     return HERE / "scatter_accuracy_quick.json"
+
+
+def _against(given: argparse.Namespace) -> int:
+    from benchmarks import against
+
+    jobs: tuple[against.Job, ...] = against.QUICK if given.quick else against.JOBS
+    if given.jobs is not None:
+        unknown = [name for name in given.jobs if name not in {job.name for job in jobs}]
+        if unknown:
+            raise UserError(f"--jobs {unknown[0]} is none of {', '.join(job.name for job in jobs)}")
+        jobs = tuple(job for job in jobs if job.name in given.jobs)
+    if given.repeats < 1:
+        raise UserError(f"--repeats {given.repeats}: give at least one pair")
+    ratios = against.compare(given.against, jobs=jobs, repeats=given.repeats, device=given.device, say=say)
+    say("\n" + against.table(ratios))
+    if given.output is not None:
+        atomic.write_json(given.output, against.as_json(given.against, ratios))
+    return 0
 
 
 def _adopt(given: argparse.Namespace) -> int:

@@ -1,0 +1,203 @@
+"""What the code does against another commit, on the same machine in the same minutes: ratios of processor time and memory.
+
+The other commit is checked out beside (a worktree of git in the cache) and run with the same Python and libraries. Runs alternate, and
+the command line is all that both must have, so that commits long ago can be compared. Processor time is what the children used, over all
+threads; wall time on a shared machine tells mostly of the others. Peak memory is never below this process's own (about 140 MiB): Linux
+counts a child from before it has become another program.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks import cache
+from benchmarks.run import Say
+from rhizotwin.scenes.errors import UserError
+
+ROOT = Path(__file__).resolve().parent.parent
+SET = "SET"
+"""Stands for the folder of a job's pictures in its words."""
+LAST_WORDS = 2000
+"""Characters of a failed run's errors that are handed on."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command line that both commits run."""
+
+    name: str
+    words: tuple[str, ...]
+    makes: bool = True
+    """Writes a folder given by ``-o``."""
+    pictures: tuple[str, ...] = ()
+    """Words of ``simulate`` for the pictures that `SET` stands for; the other commit makes them, as the newer one can read them."""
+    must: float | None = None
+    """Ratio of processor time to reach."""
+
+
+def _set(scene: str, views: int) -> tuple[str, ...]:
+    return (scene, "--views", str(views))
+
+
+JOBS = (
+    Job("simulate", ("simulate", "radish_day15b", "--views", "80"), must=0.25),
+    Job("simulate-path", ("simulate", "radish_day15b", "--views", "4", "--fidelity", "path"), must=0.667),
+    Job("printed-0.27", ("reconstruct", SET), pictures=_set("printed_8ml", 40), must=0.333),
+    Job("printed-0.07", ("reconstruct", SET, "--voxel-mm", "0.07"), pictures=_set("printed_8ml", 40), must=0.5),
+    Job("radish_day15b", ("reconstruct", SET), pictures=_set("radish_day15b", 80), must=0.4),
+    Job("radish_day30c", ("reconstruct", SET), pictures=_set("radish_day30c", 80), must=0.4),
+    Job("help", ("--help",), makes=False),
+    Job("scenes", ("scenes",), makes=False),
+)
+QUICK = (
+    Job("simulate-quick", ("simulate", "radish_day15b", "--views", "6"), must=0.25),
+    Job("printed-quick", ("reconstruct", SET), pictures=(*_set("printed_8ml", 20), "--image-wh", "400x300"), must=0.333),
+    Job("help", ("--help",), makes=False),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Used:
+    """What one run used."""
+
+    cpu_s: float
+    wall_s: float
+    memory_mib: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """A job of this code relative to the other commit."""
+
+    job: str
+    runs: int
+    cpu: float
+    """Median over the pairs of processor times, this by that."""
+    memory: float
+    """Median over the pairs of peak memories, this by that."""
+    before: Used
+    """Medians of the other commit."""
+    after: Used
+    must: float | None
+
+
+def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say: Say) -> list[Ratio]:
+    """Alternate runs of another commit and of this code.
+
+    Raises
+    ------
+    UserError
+        Where git does not know the commit, or a run fails.
+    """
+    other = checked_out(commit)
+    found = []
+    for job in jobs:
+        with tempfile.TemporaryDirectory(prefix="rhizotwin-against-") as working:
+            words = [_pictures(job, other, device=device) if word == SET else word for word in job.words]
+            pairs: list[tuple[Used, Used]] = []
+            for number in range(repeats):
+                once: list[Used] = []
+                for root in (other, ROOT) if number % 2 == 0 else (ROOT, other):
+                    out = Path(working) / f"{number}-{len(once)}"
+                    once.append(_run(root, [*words, *(("-o", str(out), "--device", device) if job.makes else ())]))
+                    shutil.rmtree(out, ignore_errors=True)
+                pairs.append((once[0], once[1]) if number % 2 == 0 else (once[1], once[0]))
+        found.append(_ratio(job, pairs))
+        say(table(found[-1:]).splitlines()[-1])
+    return found
+
+
+def checked_out(commit: str) -> Path:
+    """Return a folder that holds a commit, made where the cache lacks it."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "--verify", f"{commit}^{{commit}}"], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        name = done.stdout.strip()
+        folder = cache.folder() / "commits" / name
+        if not folder.is_dir():
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            subprocess.run(["git", "worktree", "prune"], cwd=ROOT, capture_output=True, check=True)
+            subprocess.run(["git", "worktree", "add", "--detach", str(folder), name], cwd=ROOT, capture_output=True, text=True, check=True)
+    except FileNotFoundError:
+        raise UserError("git is not installed, and --against takes the other commit from it") from None
+    except subprocess.CalledProcessError as error:
+        raise UserError(f"--against {commit}: git says {str(error.stderr).strip()!r}") from None
+    return folder
+
+
+def _pictures(job: Job, root: Path, *, device: str) -> str:
+    """Return the folder of a job's pictures, made once by the other commit."""
+    folder = cache.folder() / "against" / f"{root.name[:12]}-{'-'.join(job.pictures).replace('--', '')}"
+    if not (folder / "dataset.json").is_file():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _run(root, ["simulate", *job.pictures, "-o", str(folder), "--device", device])
+    return str(folder)
+
+
+def _run(root: Path, words: Sequence[str]) -> Used:
+    """Run a command line in a checkout, in a process of its own."""
+    began = time.perf_counter()
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "rhizotwin", *words],
+            cwd=root,
+            env={**os.environ, "PYTHONPATH": str(root)},
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+        )
+        try:
+            _, status, usage = os.wait4(child.pid, 0)
+        except BaseException:
+            child.kill()
+            child.wait()
+            raise
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode != 0:
+            errors.seek(0)
+            last = errors.read().decode(errors="replace")[-LAST_WORDS:]
+            raise UserError(f"`rhizotwin {' '.join(words)}` of {root} ended with code {child.returncode}: {last}")
+    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
+    return Used(cpu_s=usage.ru_utime + usage.ru_stime, wall_s=time.perf_counter() - began, memory_mib=usage.ru_maxrss / unit)
+
+
+def _ratio(job: Job, pairs: Sequence[tuple[Used, Used]]) -> Ratio:
+    before, after = ([pair[k] for pair in pairs] for k in (0, 1))
+    return Ratio(
+        job=job.name,
+        runs=len(pairs),
+        cpu=statistics.median(b.cpu_s / a.cpu_s for a, b in pairs),
+        memory=statistics.median(b.memory_mib / a.memory_mib for a, b in pairs),
+        before=_middle(before),
+        after=_middle(after),
+        must=job.must,
+    )
+
+
+def _middle(runs: Sequence[Used]) -> Used:
+    return Used(**{name: statistics.median(asdict(run)[name] for run in runs) for name in ("cpu_s", "wall_s", "memory_mib")})
+
+
+def table(ratios: Sequence[Ratio]) -> str:
+    """Return ratios as a table in Markdown."""
+    lines = ["| job | pairs | processor time | must | memory | processor s | memory MiB |", "|---|---|---|---|---|---|---|"]
+    for r in ratios:
+        must = "" if r.must is None else f"{r.must:.2f}"
+        times, memories = f"{r.before.cpu_s:.1f} -> {r.after.cpu_s:.1f}", f"{r.before.memory_mib:.0f} -> {r.after.memory_mib:.0f}"
+        lines.append(f"| {r.job} | {r.runs} | {r.cpu:.2f} | {must} | {r.memory:.2f} | {times} | {memories} |")
+    return "\n".join(lines)
+
+
+def as_json(commit: str, ratios: Sequence[Ratio]) -> dict[str, Any]:
+    """Return ratios as JSON values."""
+    return {"against": commit, "ratios": [asdict(ratio) for ratio in ratios]}

@@ -1,0 +1,58 @@
+"""Runs against another commit: what is measured, and which is divided by which."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmarks import against
+from benchmarks.__main__ import main
+from benchmarks.against import Job, Used
+from rhizotwin.scenes.errors import UserError
+
+
+def checkout(folder: Path, megabytes: int, loops: int) -> Path:
+    """Make a program of the command line's name that takes memory and time."""
+    (folder / "rhizotwin").mkdir(parents=True)
+    (folder / "rhizotwin" / "__init__.py").touch()
+    program = f"import sys\nkept = bytearray({megabytes} * 2**20)\nfor i in range({loops}):\n    pass\nsys.exit('--wrong' in sys.argv)\n"
+    (folder / "rhizotwin" / "__main__.py").write_text(program)
+    return folder
+
+
+def test_ratios_are_of_this_code_by_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heavy, light = checkout(tmp_path / "heavy", 600, 5_000_000), checkout(tmp_path / "light", 1, 1)
+    monkeypatch.setattr(against, "ROOT", light)
+    monkeypatch.setattr(against, "checked_out", lambda _: heavy)
+    said: list[str] = []
+    (found,) = against.compare("old", jobs=[Job("both", (), makes=False, must=0.5)], repeats=2, device="cpu", say=said.append)
+    assert found.cpu < 0.5
+    assert found.memory < 0.5
+    assert found.before.memory_mib > 600.0 > found.after.memory_mib
+    assert said == [against.table([found]).splitlines()[-1]]
+
+
+def test_a_run_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = checkout(tmp_path / "one", 1, 1)
+    monkeypatch.setattr(against, "ROOT", folder)
+    monkeypatch.setattr(against, "checked_out", lambda _: folder)
+    with pytest.raises(UserError, match=r"--wrong.* ended with code 1"):
+        against.compare("old", jobs=[Job("fails", ("--wrong",), makes=False)], repeats=1, device="cpu", say=str)
+
+
+def test_pairs_are_divided_before_the_median() -> None:
+    pairs = [(Used(cpu_s=a, wall_s=1.0, memory_mib=a), Used(cpu_s=b, wall_s=1.0, memory_mib=b)) for a, b in ((1, 2), (10, 5), (4, 1))]
+    ratio = against._ratio(Job("x", ()), pairs)
+    assert ratio.cpu == ratio.memory == 0.5
+    assert (ratio.before.cpu_s, ratio.after.cpu_s) == (4.0, 2.0)
+
+
+def test_an_unknown_commit_and_missing_files_are_mistakes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, check=False).returncode == 0
+    assert main(["compare", "--against", "no-such-commit", "--jobs", "help"]) == 2
+    assert main(["compare", "--against", "HEAD", "--jobs", "nothing"]) == 2
+    assert main(["compare"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert "git says" in said[0]
+    assert "is none of simulate" in said[1]
+    assert "--against COMMIT" in said[2]
