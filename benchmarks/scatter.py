@@ -19,6 +19,8 @@ from rhizotwin.scenes.errors import UserError
 
 SCHEMA_VERSION = 1
 RUNS = 20
+LEAST_RUNS = 5
+"""Fewer runs tell no range: that of two is next to nothing once in twenty times."""
 FACTOR = 2.0
 """Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million times."""
 DIGITS = 6
@@ -83,18 +85,19 @@ def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[s
     """
     runs = max(map(len, values.values()), default=0)
     lacking = [key for key, some in values.items() if len(some) < runs or not all(map(math.isfinite, some))]
-    if lacking or runs < 2:
-        raise UserError(f"{path} is left as it was: {lacking[0] if lacking else 'every metric'} was not measured in two runs or in all.")
-    before = read(path) if path.is_file() else Scatter(path=path, ranges={}, runs={})
+    if lacking or runs < LEAST_RUNS:
+        what = lacking[0] if lacking else "every metric"
+        raise UserError(f"{path} is left as it was: {what} was not measured in every one of {LEAST_RUNS} runs or more.")
+    before = read(path)
     found = {key: {"range": before.ranges[key], "runs": before.runs[key]} for key in before.ranges}
     found |= {key: {"range": float(f"{max(some) - min(some):.3g}"), "runs": runs} for key, some in values.items()}
     atomic.write_json(path, {"schema_version": SCHEMA_VERSION, "about": dict(about), "metrics": dict(sorted(found.items()))})
 
 
 def read(path: Path) -> Scatter:
-    """Return a committed scatter; UserError where it is missing or damaged."""
+    """Return a committed scatter, which knows nothing where none was committed; UserError where it is damaged."""
     if not path.is_file():
-        raise UserError(f"{path} does not exist; make it with `python -m benchmarks scatter --quick` and commit it.")
+        return Scatter(path=path, ranges={}, runs={})
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         version = stored["schema_version"]
