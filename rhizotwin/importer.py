@@ -9,7 +9,7 @@ import numpy as np
 
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import list_pictures
-from rhizotwin.scenes import files, frames, plan
+from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
@@ -18,7 +18,6 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey, decode_grey
 from rhizotwin.scenes.provenance import versions
 
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MOST_CLIPPED = 0.05
 """Share of a picture's pixels at full scale above which it is overexposed, as before a scan (`rig.scanning.preflight`)."""
 MASK_MARGIN = 0.1
@@ -79,14 +78,14 @@ def import_pictures(
         paths = _with_cameras(paths, given, cameras, notes)
     table = _table_angles(scene, len(paths), given, notes)
     white = _white_level(paths, scene) if masks else None
-    if white is None and any(path.suffix.lower() != ".png" for path in paths):
-        notes.append("pictures that are not PNG are converted to grey PNG")
+    if white is None:
+        notes.append(_curve_note(paths, scene))
     clipped: dict[str, float] = {}
     with new_folder(out) as building:
         found = []
         for path, (ring, table_deg) in zip(paths, table, strict=True):
-            data = _png_of(path, scene, white=white)
-            name = f"images/{path.stem}.png"
+            data = _data_of(path, scene, white=white)
+            name = f"images/{path.stem}{path.suffix.lower() if white is None else '.png'}"
             write_bytes(building / name, data)
             if white is None and (share := _clipped(data, path)) > MOST_CLIPPED:
                 clipped[name] = round(share, 4)
@@ -164,14 +163,22 @@ def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: l
     return [(0, None)] * count
 
 
-def _png_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
-    """Return the bytes of a picture's PNG file: the file's own if it is one, silhouettes stretched to 0..255 grey."""
+def _curve_note(paths: list[Path], scene: Scene) -> str:
+    """Say by what curve the pictures' numbers will be read."""
+    stated = transfer.of_camera(scene.camera)
+    words = {word.name for path in paths if (word := transfer.stated_in(path)) is not None}
+    if not words:
+        return f"the pictures' files do not say what curve they have: the scene's camera does ({stated.name})"
+    return f"the pictures' files say what curve they have: {', '.join(sorted(words))}"
+
+
+def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
+    """Return what is stored of a picture: the file as it is, with its word on its curve; silhouettes as PNG, stretched to 0..255 grey."""
     data, grey = _read(path, scene)
-    if white is not None:
-        _check_mask(grey, white, path)
-        grey = np.round(grey * (255.0 / white)).astype(np.uint8)
-    elif data.startswith(PNG_SIGNATURE):
+    if white is None:
         return data
+    _check_mask(grey, white, path)
+    grey = np.round(grey * (255.0 / white)).astype(np.uint8)
     done, encoded = cv2.imencode(".png", grey)
     if not done:
         raise UserError(f"{path} cannot be converted to PNG; convert it with another program")

@@ -32,10 +32,10 @@ _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
 def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
     """Ask the markers' edges whether the pictures were read by the right curve, and read them anew where they clearly were not.
 
-    Silhouettes, and pictures with given cameras, are left as they are: they need show no markers.
+    Silhouettes, and pictures with given cameras or of a rig without a strip, are left as they are: they show no markers.
     """
     dataset, captured = pictures.dataset, pictures.frames
-    if dataset.masks or all(frame.cam_from_canister is not None for frame in captured):
+    if dataset.masks or dataset.scene.strip.rows == 0 or all(frame.cam_from_canister is not None for frame in captured):
         return pictures
     some = sorted({round(k) for k in np.linspace(0, len(captured) - 1, _SOME)})
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "calibrate": "Print a calibration board, and find the camera's lens from pictures of it.",
     "calibrate board": "Write the calibration board for the printer, at true scale.",
     "calibrate camera": "Fit the lens to pictures of the calibration board.",
+    "calibrate transfer": "Measure the camera's curve from light to numbers, from a series of exposures.",
     "calibrate simulate": "Render pictures of the calibration board with a scene's camera.",
     "scan": "Take the pictures of a plan on a rig, or on its emulated twin.",
     "twin": "Run the emulated rig alone, on ports that any serial program can open.",

@@ -136,6 +136,44 @@ def camera(
         print(f"  {output / name}")
 
 
+def transfer(
+    pictures: Annotated[Path, named("PICTURES")], /, *, output: OutputFile, exposures_s: Annotated[str | None, named("S,S,...")] = None
+) -> None:
+    """Measure the camera's curve from light to numbers, from a series of exposures.
+
+    Take five pictures or more of one still scene that holds every grey, such as the lit panel with the canister before it, from much too
+    dark to much too bright; change the exposure time only. The file that is written goes into the scene's [camera].
+
+    Parameters
+    ----------
+    pictures : Path
+        Folder with the pictures, in the natural order of their names.
+    output : Path
+        File to write (.toml); must not exist yet.
+    exposures_s : str, optional
+        Exposure times in seconds, with commas, in the order of the pictures; default: as their EXIF says.
+
+    Examples
+    --------
+    rhizotwin calibrate transfer my_exposures -o my_transfer.toml
+    rhizotwin calibrate transfer my_exposures --exposures-s 0.002,0.004,0.008,0.016 -o my_transfer.toml
+    """
+    from rhizotwin.picture_files import list_pictures
+    from rhizotwin.rig.lens.transfer_fit import fit_transfer
+    from rhizotwin.rig.lens.transfer_series import read_series, transfer_text
+    from rhizotwin.scenes.atomic import write_text
+
+    if output.exists():
+        raise UserError(f"{output} exists already; choose another name or remove it")
+    images, times = read_series(list_pictures(pictures), exposures_s)
+    found = fit_transfer(images, times)
+    write_text(output, transfer_text(found, len(images)))
+    low, high = found.reached
+    print(f"the camera's curve is {found.curve.name}, from {100.0 * low:.0f} to {100.0 * high:.0f} % of full scale")
+    print(f"residual {100.0 * found.residual:.1f} % of the light, rms, in {len(images)} pictures of {min(times):g} to {max(times):g} s")
+    print(f"  {output}: put it into the scene's [camera]")
+
+
 def simulate(
     scene: SceneName,
     /,

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from rhizotwin import cli
 from rhizotwin.importer import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
-from rhizotwin.scenes import files, frames, plan
+from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.dataset import load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -80,17 +81,24 @@ def test_no_angles_are_assumed_when_the_plan_has_another_count(tmp_path: Path, s
     assert [frame.table_deg for frame in made.dataset.frames] == [None] * 3
 
 
-def test_other_formats_become_png_and_sixteen_bits_survive(tmp_path: Path, scene: Scene) -> None:
+def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene: Scene) -> None:
     folder = write_pictures(tmp_path / "in", "a.png")
     deep = picture(7, bits=16)
-    cv2.imwrite(str(folder / "b.tiff"), deep)
+    cv2.imwrite(str(folder / "b.tiff"), deep, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
     colour = np.full((WH[1], WH[0], 3), (10, 200, 40), np.uint8)
     cv2.imwrite(str(folder / "c.jpg"), colour)
+    said = Image.Exif()
+    said.get_ifd(0x8769)[0xA001] = 1  # sRGB
+    Image.fromarray(picture(1)).save(folder / "d.jpg", exif=said, quality=100)
     made = import_pictures(folder, scene, tmp_path / "out")
-    assert (tmp_path / "out/images/a.png").read_bytes() == (folder / "a.png").read_bytes()
+    for name in ("a.png", "b.tiff", "c.jpg", "d.jpg"):
+        assert (tmp_path / "out/images" / name).read_bytes() == (folder / name).read_bytes()
     np.testing.assert_array_equal(read_image(made.dataset, made.dataset.frames[1]), deep)
     grey = read_image(made.dataset, made.dataset.frames[2])
     assert np.abs(grey.astype(float) - (0.114 * 10 + 0.587 * 200 + 0.299 * 40)).max() < 4.0
+    light = read_image(made.dataset, made.dataset.frames[3]) / 65535.0
+    np.testing.assert_allclose(light, transfer.SRGB.of(picture(1) / 255.0), atol=0.03)
+    assert any("sRGB" in note for note in made.notes)
 
 
 def test_given_cameras_project_like_opencv(tmp_path: Path, scene: Scene) -> None:

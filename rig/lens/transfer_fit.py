@@ -1,0 +1,109 @@
+"""A camera's curve from pictures of one still scene at several exposure times.
+
+A number v in picture j stands for the light ``f(v) = E t_j``: what changes from picture to picture is the exposure time t alone. With
+g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is piecewise straight between knots, as
+smooth as the pictures allow, and 0 at full scale. It is linear least squares.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import lsqr
+
+from rhizotwin.rig.errors import RigError
+from rhizotwin.scenes import transfer
+from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.transfer import Curve
+
+KNOTS = 65
+PIXELS = 2000
+"""Pixels that are used, spread over the brightness of the middle picture."""
+USABLE = 0.02, 0.98
+"""Numbers nearer than this to the ends of the range are noise or clipped."""
+SMOOTH = 2.0
+"""Weight of g's second differences against a pixel's equation: noise of a pixel is about 0.01 in g, bends between knots are less."""
+LEAST_PICTURES, LEAST_RANGE = 3, 3.0
+KNOWN = 0.01
+"""A measured curve this near to a known one everywhere, but for a common factor (exposures tell none), is that one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferFit:
+    """A measured curve."""
+
+    curve: Curve
+    residual: float
+    """Root mean square of what is left, as a share of the light."""
+    reached: tuple[float, float]
+    """Lowest and highest number, of full scale, that the pictures show: beyond, the curve goes on smoothly, and nobody looked."""
+
+
+def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
+    """Measure a camera's curve.
+
+    Parameters
+    ----------
+    images : (H, W) numbers as stored, of one scene before a camera at rest.
+    exposures_s : their exposure times.
+
+    Raises
+    ------
+    RigError
+        Where they are too few, too alike, or do not fit one curve.
+    """
+    times = np.asarray(exposures_s, np.float64)
+    if len(images) < LEAST_PICTURES or times.max() < LEAST_RANGE * times.min():
+        raise RigError(
+            f"{len(images)} pictures of {times.min():g} to {times.max():g} s tell no curve: take {LEAST_PICTURES} or more, "
+            f"the longest exposed at least {LEAST_RANGE:g} times as long as the shortest"
+        )
+    if len({image.shape for image in images}) > 1:
+        raise RigError("the pictures differ in size; take them of one scene with one camera")
+    full = float(np.iinfo(images[0].dtype).max)
+    order = np.argsort(images[int(np.argsort(times)[len(times) // 2])], axis=None, kind="stable")
+    chosen = order[np.linspace(0, order.size - 1, min(PIXELS, order.size)).astype(np.int64)]
+    number = np.stack([image.ravel()[chosen] / full for image in images])
+    use = (number > USABLE[0]) & (number < USABLE[1])
+    use &= use.sum(axis=0) >= 2
+    if use.sum() < 10 * KNOTS:
+        raise RigError("too few pixels are neither dark nor clipped in two pictures: light the scene evenly from dark to bright")
+    g, left = _solve(number, use, times)
+    share = np.linspace(0.0, 1.0, KNOTS)
+    light = np.maximum.accumulate(np.where(share > 0.0, np.exp(g - g[-1]), 0.0))
+    curve = Curve("the measured curve", tuple(light.tolist()))
+    known = (one for one in (transfer.LINEAR, transfer.SRGB) if _apart(light, one.of(share)) < KNOWN)
+    reached = float(number[use].min()), float(number[use].max())
+    return TransferFit(curve=next(known, curve), residual=left, reached=reached)
+
+
+def _apart(light: NDArray[np.float64], known: NDArray[np.float64]) -> float:
+    """Return how far two curves (KNOTS,) are apart at most within `USABLE`, but for a common factor."""
+    inside = np.s_[int(np.ceil(USABLE[0] * KNOTS)) : int(USABLE[1] * KNOTS)]
+    factor = float(light[inside] @ known[inside]) / float(known[inside] @ known[inside])
+    return float(np.abs(light[inside] - factor * known[inside]).max())
+
+
+def _solve(number: NDArray[np.float64], use: NDArray[np.bool_], times: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return g (KNOTS,) and the residual, from numbers (J, I) and which of them are used."""
+    picture, pixel = np.nonzero(use)
+    place = number[use] * (KNOTS - 1)
+    low = np.minimum(place.astype(np.int64), KNOTS - 2)
+    part = place - low
+    weight = np.minimum(number[use], 1.0 - number[use])  # Debevec's hat: both ends are worse known
+    row = np.arange(len(place))
+    bend = len(place) + np.arange(KNOTS - 2)
+    last = len(place) + KNOTS - 2
+    smooth = SMOOTH * np.ones(KNOTS - 2)
+    k = np.arange(KNOTS - 2)
+    rows = np.concatenate([row, row, row, bend, bend, bend, [last]])
+    columns = np.concatenate([low, low + 1, KNOTS + pixel, k, k + 1, k + 2, [KNOTS - 1]])
+    values = np.concatenate([weight * (1.0 - part), weight * part, -weight, smooth, -2.0 * smooth, smooth, [100.0]])
+    matrix = coo_matrix((values, (rows, columns)), shape=(last + 1, KNOTS + number.shape[1])).tocsr()
+    right = np.zeros(last + 1)
+    right[row] = weight * np.log(times[picture])
+    found = lsqr(matrix, right, atol=1e-10, btol=1e-10, iter_lim=5000)[0]
+    left = (matrix @ found - right)[row] / weight
+    return np.asarray(found[:KNOTS]), float(np.sqrt(np.average(left**2, weights=weight**2)))

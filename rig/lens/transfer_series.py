@@ -1,0 +1,58 @@
+"""A series of exposures from files, and the measured curve as a part of a scene file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image, UnidentifiedImageError
+
+from rhizotwin.rig.lens.transfer_fit import TransferFit
+from rhizotwin.scenes import toml_text
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.transfer import LINEAR, SRGB
+
+_EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
+
+
+def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
+    """Read pictures and their exposure times, from a text of numbers with commas or from their EXIF.
+
+    Raises
+    ------
+    UserError
+        For a damaged picture, or times that are missing or no positive numbers.
+    """
+    images = [decode_grey(path.read_bytes(), where=str(path)) for path in paths]
+    if exposures_s is None:
+        return images, [_exif_time(path) for path in paths]
+    try:
+        times = [float(part) for part in exposures_s.split(",")]
+    except ValueError:
+        raise UserError(f"--exposures-s {exposures_s}: must be numbers with commas, such as 0.002,0.004,0.008") from None
+    if len(times) != len(paths) or not all(time > 0.0 for time in times):
+        raise UserError(f"--exposures-s {exposures_s}: {len(times)} times for {len(paths)} pictures; give a positive one for each")
+    return images, times
+
+
+def transfer_text(found: TransferFit, pictures: int) -> str:
+    """Return the lines of a scene's camera that state a measured curve."""
+    low, high = found.reached
+    head = (
+        f"# Measured in {pictures} exposures, from {low:.2f} to {high:.2f} of full scale.\n"
+        f"# Residual {100.0 * found.residual:.1f} % of the light.\n"
+        "# Put these lines into the scene file's [camera].\n"
+    )
+    if found.curve in (LINEAR, SRGB):
+        return head + toml_text.dumps({"transfer": "srgb" if found.curve == SRGB else "linear"})
+    return head + toml_text.dumps({"transfer": "table", "transfer_table": [round(light, 6) for light in found.curve.light]})
+
+
+def _exif_time(path: Path) -> float:
+    try:
+        with Image.open(path) as opened:
+            time = opened.getexif().get_ifd(_EXIF).get(_EXPOSURE_TIME)
+    except (UnidentifiedImageError, OSError):
+        time = None
+    if not time or not float(time) > 0.0:
+        raise UserError(f"{path}: its EXIF does not say how long it was exposed; give all exposure times with --exposures-s")
+    return float(time)
