@@ -47,9 +47,15 @@ def llvm_version(library: Path) -> int | None:
 
 
 def usual_folders() -> list[Path]:
-    """Return the folders in which package managers put LLVM's shared library."""
+    """Return the folders in which package managers put LLVM's shared library; the first is where ``rhizotwin[llvm]`` and conda do."""
     machine = {"arm64": "aarch64", "amd64": "x86_64"}.get(platform.machine().lower(), platform.machine().lower())
-    folders = [Path(f"/usr/lib/{machine}-linux-gnu"), Path("/usr/lib64"), Path("/usr/lib"), Path("/usr/local/lib")]
+    folders = [
+        Path(sys.prefix) / "lib",
+        Path(f"/usr/lib/{machine}-linux-gnu"),
+        Path("/usr/lib64"),
+        Path("/usr/lib"),
+        Path("/usr/local/lib"),
+    ]
     folders += [path / "lib" for path in sorted(Path("/usr/lib").glob("llvm-*"))]
     for prefix in (Path("/opt/homebrew/opt"), Path("/usr/local/opt"), Path("/home/linuxbrew/.linuxbrew/opt")):
         folders += [path / "lib" for path in sorted(prefix.glob("llvm*"))]
@@ -76,12 +82,18 @@ def install_hint() -> str:
     if platform.system() == "Darwin":
         return "brew install llvm"
     if shutil.which("apt-get"):
-        return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}"
+        wheel = ", or without root: pip install 'rhizotwin[llvm]'" if has_llvm_wheel() else ""
+        return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}{wheel}"
     if shutil.which("dnf"):
         return "sudo dnf install llvm-libs"
     if shutil.which("pacman"):
         return "sudo pacman -S llvm-libs"
     return "your package manager's LLVM shared library (libLLVM.so), version 17 or newer"
+
+
+def has_llvm_wheel() -> bool:
+    """Tell whether ``rhizotwin[llvm]`` brings LLVM as a wheel to this platform."""
+    return platform.system() == "Linux" and platform.machine().lower() in ("x86_64", "amd64")
 
 
 def apt_packages() -> list[str]:

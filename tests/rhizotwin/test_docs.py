@@ -64,7 +64,7 @@ def test_line_can_be_typed(typed: Typed) -> None:
     elif words[:2] == ["./run", "bench"]:
         benchmarks_parser().parse_args(words[2:])
     elif words[0] == "./run":
-        assert words[1] in ("setup", "test")
+        assert words[1] in ("docs", "setup", "test")
         assert f"    {words[1]})\n" in (ROOT / "run").read_text(encoding="utf-8")
     else:
         assert words[0] in (".venv/bin/python", ".venv/bin/uv")
