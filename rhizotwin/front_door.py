@@ -7,12 +7,12 @@ calls the same.
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin import engine, scene_changes
 from rhizotwin.scenes import files
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.schema import Place, from_plain
@@ -142,11 +142,11 @@ def reconstruct(
     dataset : Dataset or path
         As `simulate` or `load_dataset` gives it, or its folder.
     voxel_mm : float, optional
-        Edge of the smallest voxels; default: that of `Settings`.
+        Edge of the smallest voxels; goes before that of the settings.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
     settings : Settings, optional
-        Every setting, a group for each stage; instead of ``voxel_mm``.
+        Every setting, a group for each stage.
     device : {"auto", "cpu", "cuda"}
         What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
     monitor : Monitor, type of tqdm, callable or None
@@ -159,14 +159,13 @@ def reconstruct(
     Cancelled
         After `Monitor.cancel`.
     """
-    if settings is not None and voxel_mm is not None:
-        raise UserError(f"voxel_mm = {voxel_mm:g} and settings exclude each other; set settings.voxel_mm")
     _choose(device)
     from rhizotwin.recon.reconstruct import reconstruct as find
     from rhizotwin.recon.settings import Settings
 
     if voxel_mm is not None:
-        settings = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
+        checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
+        settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
     return find(dataset, settings=settings, mass_g=mass_g, monitor=monitor)
 
 

@@ -113,7 +113,6 @@ def test_a_callable_hears_of_every_view_and_can_stop(ball: Path, tmp_path: Path)
 
 MISTAKES = {
     "voxels": (lambda dataset: rt.reconstruct(dataset, voxel_mm=0.0), "0.01"),
-    "both": (lambda dataset: rt.reconstruct(dataset, voxel_mm=1.0, settings=rt.Settings()), "exclude each other"),
     "device": (lambda dataset: rt.reconstruct(dataset, device="tpu"), "tpu"),
     "folder": (lambda _: rt.reconstruct("no_such_dataset"), "no_such_dataset"),
     "scene": (lambda _: rt.load_scene("no_such_scene"), "no_such_scene"),
