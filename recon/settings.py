@@ -62,6 +62,6 @@ def load_settings(file: Path | str) -> Settings:
     try:
         text = path.read_text(encoding="utf-8")
         mapping = tomllib.loads(text)
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, or integers of thousands of digits
         raise UserError(f"{path} is not readable TOML: {error}") from None
     return from_plain(Settings, mapping, Place(str(path), text))

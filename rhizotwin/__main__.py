@@ -3,12 +3,19 @@
 Until `rhizotwin.cli.main` can say so in a sentence, Ctrl-C ends the program without a word instead of with a traceback.
 """
 
+import logging
+import os
 import signal
 import sys
+import warnings
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-from rhizotwin.cli import main  # noqa: E402 - first the signal
+from rhizotwin.cli import DEBUG_VARIABLE, main  # noqa: E402 - first the signal
+
+if not os.environ.get(DEBUG_VARIABLE):  # what libraries have to say to programmers; what a person must know is said in a sentence
+    warnings.simplefilter("ignore")
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 if __name__ == "__main__":
     sys.exit(main())

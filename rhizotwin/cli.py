@@ -84,7 +84,8 @@ def _fail(sentence: str, code: int) -> int:
         sys.stderr.write("\n")  # behind the terminal's ^C
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
-    sys.stderr.write(f"rhizotwin: {' '.join(sentence.split())}\n")
+    shown = "".join(letter if letter.isprintable() else "?" for letter in " ".join(sentence.split()))  # names may steer it
+    sys.stderr.write(f"rhizotwin: {shown}\n")
     return code
 
 

@@ -6,7 +6,6 @@ OpenCV's: x right, y down, z forward, and pixel centres at integers. The file's 
 """
 
 import json
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,6 +19,10 @@ from rhizotwin.scenes.model import Camera
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
 _LENS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x", "camera_angle_y")
+
+
+LARGEST = 1e9
+"""Pixels and millimetres of a camera are less."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +48,7 @@ def read_cameras(path: Path, camera: Camera) -> GivenCameras:
         raise UserError(f"{path} cannot be read; give a transforms.json in nerfstudio's form") from error
     try:
         given = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not JSON ({error}); give a transforms.json in nerfstudio's form") from error
     if not isinstance(given, dict) or not isinstance(given.get("frames"), list) or not given["frames"]:
         raise UserError(f"{path} has no list 'frames'; give a transforms.json in nerfstudio's form")
@@ -106,7 +109,7 @@ def _matrix(rows: Any, *, where: str) -> frames.Array:
     """Return a rigid 4x4 transform from 3 or 4 rows of 4 numbers, its rotation freed of rounding."""
     try:
         matrix = np.array(rows, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
         raise UserError(f"{where} must be 4 rows of 4 numbers")
@@ -123,6 +126,6 @@ def _number(given: dict[str, Any], key: str, path: Path, *, default: float | Non
     value = given.get(key, default)
     if value is None:
         raise UserError(f"{path}: {key} is missing; give a transforms.json in nerfstudio's form with one lens at its top")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UserError(f"{path}: {key} must be a number, but it is {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise UserError(f"{path}: {key} must be a number below {LARGEST:g}, but it is {str(value)[:40]}")
     return float(value)

@@ -30,6 +30,9 @@ def list_pictures(folder: Path) -> list[Path]:
     )
     if not paths:
         raise UserError(f"{folder} holds no picture ({', '.join(SUFFIXES)}); give the folder that holds them")
+    for path in paths:
+        if not path.name.isprintable():  # bytes that are no UTF-8 are not, either
+            raise UserError(f"{folder} holds {path.name!a}, whose name is no UTF-8 text that can be shown; rename it")
     by_stem: dict[str, Path] = {}
     for path in paths:
         other = by_stem.setdefault(path.stem, path)

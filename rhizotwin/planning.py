@@ -136,7 +136,7 @@ def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: st
     if path.is_file():
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise UserError(f"{path} is damaged ({error}); delete it and run again") from error
         if isinstance(before, dict) and before.get("made_with") == made_with:
             return dict(before["score"])

@@ -84,7 +84,10 @@ def write_json(path: Path | str, value: Any) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """Return what `write_json` writes."""
-    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+    try:
+        return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+    except UnicodeEncodeError:  # a path that is no UTF-8: escaped, it reads back as it was
+        return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()
 
 
 def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | None = None) -> None:

@@ -230,6 +230,8 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
 def _check_frame(frame: Frame, rings: int, place: Place) -> None:
     """Check one frame's values against each other and the plan."""
     file = PurePosixPath(frame.file)
+    if not frame.file.isprintable() or not _is_utf8(frame.file):
+        raise place.at("file").error("must be a name of letters that can be shown, in UTF-8", ascii(frame.file))
     if not frame.file or "\\" in frame.file or ":" in frame.file or file.is_absolute() or ".." in file.parts:
         raise place.at("file").error("must be a path inside the dataset folder, with forward slashes", frame.file)
     if frame.sha256 and not re.fullmatch(r"[0-9a-fA-F]{64}", frame.sha256):
@@ -242,6 +244,14 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
         raise place.at("placement").error("must be 0 or more", frame.placement)
     if frame.cam_from_canister is not None:
         check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _check_names(frames: tuple[Frame, ...], place: Place) -> None:

@@ -152,7 +152,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     try:
         return tomllib.loads(text), text
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers of thousands of digits
         raise UserError(f"{path}: is not valid TOML: {error}") from error
 
 

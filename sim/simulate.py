@@ -150,7 +150,7 @@ def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
         try:
             before = json.loads(progress_path.read_text(encoding="utf-8"))
             earlier, done = before["settings"], dict(before["frames"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise CannotContinueError(f"{progress_path} is damaged: delete the folder {folder} and simulate again") from None
         different = _different(earlier, settings)
         if different:

@@ -81,7 +81,7 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
         written.append(_save(report_roots.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
         written.append(_save(report_roots.length_plots(traits), result_folder, "lengths.png"))
     page = result_folder / "report.html"
-    atomic.write_bytes(page, _page(summary, dataset, traits, written).encode("utf-8"))
+    atomic.write_bytes(page, _page(summary, dataset, traits, written).encode("utf-8", "backslashreplace"))
     return [*written, page]
 
 

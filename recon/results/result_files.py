@@ -12,7 +12,6 @@ NAME is the picture's name in the dataset.
 """
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -30,11 +29,13 @@ from rhizotwin.scenes.pictures import decode_grey
 Floats = NDArray[np.float64]
 
 SCHEMA_VERSION = 1
+LARGEST = 1e15
+"""No number of a result is as large: cubic millimetres, seconds, mebibytes."""
 """Of ``result.json``; it grows when what a key means changes."""
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # NaN is not
 
 
 def _numbers(count: int) -> Callable[[Any], bool]:
@@ -44,6 +45,16 @@ def _numbers(count: int) -> Callable[[Any], bool]:
 def _is_term(value: Any) -> bool:
     numbers = ("less_mm3", "more_mm3")
     return isinstance(value, dict) and isinstance(value.get("why"), str) and all(_number(value.get(key)) for key in numbers)
+
+
+def _is_view(value: Any) -> bool:
+    if not isinstance(value, dict) or not isinstance(value.get("file"), str) or not isinstance(value.get("used"), bool):
+        return False
+    pose = value.get("cam_from_canister")
+    numbers = ("table_deg", "reprojection_px", "markers", "fill", "position_sigma_mm", "rotation_sigma_deg", "ring")
+    return (pose is None or (isinstance(pose, list) and len(pose) == 4 and all(_numbers(4)(row) for row in pose))) and all(
+        value.get(key) is None or _number(value[key]) for key in numbers
+    )
 
 
 _RIGHT: dict[str, Callable[[Any], bool]] = {
@@ -61,7 +72,7 @@ _RIGHT: dict[str, Callable[[Any], bool]] = {
     "hull_mm3": _number,
     "untrimmed_mm3": _number,
     "blind_mm3": _number,
-    "views": lambda value: isinstance(value, list) and all(isinstance(view, dict) and {"file", "used"} <= view.keys() for view in value),
+    "views": lambda value: isinstance(value, list) and all(_is_view(view) for view in value),
     "warnings": lambda value: isinstance(value, list),
     "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
 }
@@ -100,7 +111,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
         raise UserError(f"{path} does not exist; give the folder that `rhizotwin reconstruct DATASET -o RESULT` wrote.")
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError, OSError) as error:
         raise UserError(f"{path} is not readable JSON ({error}); reconstruct again.") from None
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
@@ -151,6 +162,8 @@ def read_mesh(path: Path) -> Mesh:
         raise UserError(f"{path} is not a readable mesh ({error}).") from None
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise UserError(f"{path} is damaged: a triangle names vertex {faces.max()} (or {faces.min()}) of {len(vertices)}.")
     return Mesh(vertices_mm=vertices, faces=faces)
 
 

@@ -90,5 +90,5 @@ def _parsed(line: str) -> TakenShot | None:
         plain: dict[str, Any] = json.loads(line)
         sight: dict[str, Any] = {key: np.array(value) if isinstance(value, list) else value for key, value in plain["sight"].items()}
         return TakenShot(pixels=plain["pixels"], time_s=plain["time_s"], sight=Sight(**sight))
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -212,3 +212,20 @@ def test_damaged_truth_is_named(tmp_path: Path) -> None:
     edit(tmp_path, lambda d: d.update(schema_version=3), "truth/truth.json")
     with pytest.raises(UserError, match=r"truth\.json has version 3; this program reads 1"):
         load_truth(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["images/a\0.png", "images/\udcff.png", "images/\x1b[2J.png"], ids=ascii)
+def test_names_that_cannot_be_shown_are_refused(dataset: Dataset, name: str) -> None:
+    save_dataset(dataset)
+    edit(dataset.folder, lambda plain: plain["frames"][0].update(file=name))
+    with pytest.raises(UserError, match="must be a name of letters that can be shown") as said:
+        load_dataset(dataset.folder)
+    assert str(said.value).isprintable()
+
+
+def test_the_hash_is_of_the_bytes_that_were_read(dataset: Dataset) -> None:
+    saved = save_dataset(dataset)
+    loaded = load_dataset(dataset.folder)
+    assert loaded.sha256 == saved.sha256 == sha256_of(dataset.folder / "dataset.json")
+    again = save_dataset(replace(loaded, seed=5))
+    assert again.sha256 == sha256_of(dataset.folder / "dataset.json") != loaded.sha256

@@ -195,3 +195,10 @@ def test_own_profile_file(tmp_path: Path) -> None:
 def test_saving_replaces_whole_files_only(tmp_path: Path) -> None:
     files.save_scene(Scene(specimen=SphereSpecimen(diameter_mm=5.0)), tmp_path / "a.toml")
     assert [p.name for p in tmp_path.iterdir()] == ["a.toml"]
+
+
+@pytest.mark.parametrize("text", ["views = " + "9" * 5000, "a = " + "[" * 100_000, "\x00"], ids=["5000 digits", "deep", "NUL"])
+def test_monstrous_toml_is_refused_in_a_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(UserError, match=r"scene\.toml: is not valid TOML"):
+        files.load_scene(tmp_path / "scene.toml")

@@ -1,0 +1,90 @@
+"""Damage to files: what disks, networks, editors and enemies make of them."""
+
+import re
+
+import numpy as np
+
+Rng = np.random.Generator
+
+STRANGE = (
+    *(b"nan", b"-nan", b"inf", b"-Infinity", b"NaN", b"1e39", b"-1e308", b"1e999", b"0", b"-0.0", b"-1", b"4294967296", b"1e-320"),
+    *(b"9" * 5000, b"null", b"true", b"[]", b"{}", b'""', b'"\\u0000"', b'"\\ud800"', b"[" * 100_000, b'{"a":' * 20_000, b"--", b"\x1b[2J"),
+)
+"""What stands in place of a number."""
+
+
+def mutated(data: bytes, rng: Rng) -> bytes:
+    """Return a file with one to four damages."""
+    for _ in range(int(rng.integers(1, 5))):
+        data = DAMAGES[rng.integers(len(DAMAGES))](data, rng)
+    return data
+
+
+def _flip(data: bytes, rng: Rng) -> bytes:
+    """Flip bits of some bytes."""
+    if not data:
+        return data
+    changed = bytearray(data)
+    for at in rng.integers(0, len(data), int(rng.integers(1, 9))):
+        changed[at] ^= 1 << int(rng.integers(8))
+    return bytes(changed)
+
+
+def _span(data: bytes, rng: Rng) -> tuple[int, int]:
+    begin, end = sorted(int(at) for at in rng.integers(0, len(data) + 1, 2))
+    return begin, min(end, begin + int(2 ** rng.uniform(0.0, 12.0)))
+
+
+def _remove(data: bytes, rng: Rng) -> bytes:
+    begin, end = _span(data, rng)
+    return data[:begin] + data[end:]
+
+
+def _repeat(data: bytes, rng: Rng) -> bytes:
+    begin, end = _span(data, rng)
+    return data[:end] + data[begin:end] * int(rng.integers(1, 5)) + data[end:]
+
+
+def _blank(data: bytes, rng: Rng) -> bytes:
+    begin, end = _span(data, rng)
+    return data[:begin] + bytes([int(rng.choice([0, 255, 32, 10]))]) * (end - begin) + data[end:]
+
+
+def _cut(data: bytes, rng: Rng) -> bytes:
+    return data[: int(rng.integers(0, len(data) + 1))]
+
+
+def _noise(data: bytes, rng: Rng) -> bytes:
+    begin, end = _span(data, rng)
+    return data[:begin] + rng.bytes(end - begin) + data[end:]
+
+
+def _number(data: bytes, rng: Rng) -> bytes:
+    """Put something strange in place of a number or a word."""
+    found = list(re.finditer(rb"-?\d[\d.eE+-]*|\"[^\"\n]{0,40}\"|true|false|null", data[:200_000]))
+    if not found:
+        return data
+    spot = found[rng.integers(len(found))]
+    return data[: spot.start()] + STRANGE[rng.integers(len(STRANGE))] + data[spot.end() :]
+
+
+def _word(data: bytes, rng: Rng) -> bytes:
+    """Put one word of the file in place of another."""
+    found = list(re.finditer(rb"[\w.+-]+", data[:200_000]))
+    if len(found) < 2:
+        return data
+    one, other = (found[at] for at in rng.integers(0, len(found), 2))
+    return data[: one.start()] + other[0] + data[one.end() :]
+
+
+def _line(data: bytes, rng: Rng) -> bytes:
+    """Put a line elsewhere."""
+    lines = data.split(b"\n")
+    if len(lines) < 2:
+        return data
+    moved = lines.pop(int(rng.integers(len(lines))))
+    lines.insert(int(rng.integers(len(lines) + 1)), moved)
+    return b"\n".join(lines)
+
+
+DAMAGES = (_flip, _flip, _remove, _repeat, _blank, _cut, _noise, _number, _number, _number, _word, _line)
