@@ -16,6 +16,7 @@ from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.pictures import Pictures, read_pictures
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
@@ -79,7 +80,8 @@ def reconstruct(
     said = (solid.volume.verdict,) if failed and solid.volume.verdict not in solid.warnings else ()
     warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
-    return gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, mass_g=mass_g, monitor=monitor)
+    found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, monitor=monitor)
+    return replace(found, mass_g=mass_g)
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> tuple[Check, ...]:
@@ -107,9 +109,8 @@ def gather(
     *,
     warnings: tuple[str, ...],
     checked: tuple[Check, ...] = (),
-    settings: dict[str, Any],
+    settings: Json,
     monitor: Monitor,
-    mass_g: float | None = None,
 ) -> Result:
     """Put a result together."""
     files = [camera.file for camera in cameras.all]
@@ -119,7 +120,6 @@ def gather(
         dataset_sha256=dataset.sha256,
         scene=dataset.scene.name,
         solid=solid,
-        mass_g=mass_g,
         cameras=cameras.all,
         fill=fill,
         rig=calibrated.of_cameras(cameras),

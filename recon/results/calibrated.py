@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 
 if TYPE_CHECKING:  # the command line reads results without starting the engine
@@ -34,7 +35,7 @@ class Row:
         return f"{self.quantity}: given {self.given:.6g}, found {self.found:.6g}{sigma} {self.unit}".rstrip() + kept
 
 
-def of_cameras(cameras: Cameras) -> dict[str, Any]:
+def of_cameras(cameras: Cameras) -> Json:
     """Return what all views together told as JSON values, for the ``rig`` of a result; empty where the cameras were given and no more."""
     found = {} if cameras.markers is None else _of_markers(cameras.markers)
     if found or cameras.roots is not None:
@@ -42,7 +43,7 @@ def of_cameras(cameras: Cameras) -> dict[str, Any]:
     return found
 
 
-def _of_markers(found: MarkerCalibration) -> dict[str, Any]:
+def _of_markers(found: MarkerCalibration) -> Json:
     """Return what the markers and the canister's edges told."""
     canister = found.canister
     return {
@@ -79,7 +80,7 @@ def _of_markers(found: MarkerCalibration) -> dict[str, Any]:
     }
 
 
-def _of_roots(cameras: Cameras, focal_scale: float) -> dict[str, Any]:
+def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
     """Return what the roots told; the index's sigma is None where no roots could be asked.
 
     ``focal_scale`` is that of the markers; cameras that were corrected by the roots go with theirs.
@@ -97,7 +98,7 @@ def _of_roots(cameras: Cameras, focal_scale: float) -> dict[str, Any]:
     }
 
 
-def rows(rig: dict[str, Any]) -> list[Row]:
+def rows(rig: Json) -> list[Row]:
     """Return the table "calibrated from the pictures" of a result's ``rig``; empty where the cameras were given and nothing was found."""
     found: list[Row] = []
     if rig.get("n_water_found") is not None:
@@ -119,7 +120,7 @@ def rows(rig: dict[str, Any]) -> list[Row]:
     return found
 
 
-def reprojection(rig: dict[str, Any]) -> list[tuple[str, float, float, str]]:
+def reprojection(rig: Json) -> list[tuple[str, float, float, str]]:
     """Return what was off before and after calibration: (what, before, after, unit)."""
     edges, roots = rig.get("canister_edges"), rig.get("roots")
     found = []
@@ -132,7 +133,7 @@ def reprojection(rig: dict[str, Any]) -> list[tuple[str, float, float, str]]:
     return found
 
 
-def table(rig: dict[str, Any]) -> list[str]:
+def table(rig: Json) -> list[str]:
     """Return both tables as lines for the terminal."""
     lines = [f"  {row.text()}" for row in rows(rig)]
     if rig.get("n_water_given") is not None and rig.get("n_water_found") is None:

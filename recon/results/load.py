@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -14,6 +13,7 @@ from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import rsml
@@ -50,7 +50,7 @@ def load_result(folder: Path | str) -> Result:
     )
 
 
-def _solid(folder: Path, summary: Mapping[str, Any]) -> Solid:
+def _solid(folder: Path, summary: Json) -> Solid:
     """Read the shape."""
     mesh = result_files.read_mesh(folder / "shape.ply")
     roots = folder / "roots.rsml"
@@ -80,7 +80,7 @@ def _solid(folder: Path, summary: Mapping[str, Any]) -> Solid:
     )
 
 
-def _camera(view: Mapping[str, Any]) -> Camera:
+def _camera(view: Json) -> Camera:
     """Return the camera of a view of ``result.json``."""
     pose = view.get("cam_from_canister")
     return Camera(
@@ -97,7 +97,7 @@ def _camera(view: Mapping[str, Any]) -> Camera:
     )
 
 
-def _term(term: Mapping[str, Any]) -> Term:
+def _term(term: Json) -> Term:
     """Return a cause of uncertainty of ``result.json``."""
     return Term(name=term.get("name", ""), less_mm3=term["less_mm3"], more_mm3=term["more_mm3"], why=term["why"])
 

@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +13,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results import shading, surface_distance
-from rhizotwin.recon.results.result_files import Mesh, picture_path, read_grey
+from rhizotwin.recon.results.result_files import Json, Mesh, picture_path, read_grey
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -43,7 +42,7 @@ def figure(width_in: float, height_in: float) -> Figure:
     return made
 
 
-def inputs_and_silhouettes(summary: dict[str, Any], result_folder: Path, dataset: Dataset, *, count: int = 4) -> Figure | None:
+def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset, *, count: int = 4) -> Figure | None:
     """Draw a few views, evenly over the scan: the picture above its silhouette, what says nothing tinted red."""
     used = [view for view in summary["views"] if view["used"]]
     used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
@@ -98,7 +97,7 @@ def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
     return centres
 
 
-def camera_ring(summary: dict[str, Any], dataset: Dataset) -> Figure:
+def camera_ring(summary: Json, dataset: Dataset) -> Figure:
     """Draw the cameras round the canister from above and from the side; views that were left out are crossed."""
     scene = dataset.scene
     nominal = nominal_centres(dataset)

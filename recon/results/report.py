@@ -4,11 +4,11 @@ import base64
 import html
 import io
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
 from rhizotwin.recon.results import pictures, report_roots, report_tables, result_files, result_traits
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.traits import Traits
@@ -103,7 +103,7 @@ def _save(drawn: Figure, result_folder: Path, name: str) -> Path:
     return path
 
 
-def _page(summary: dict[str, Any], dataset: Dataset, traits: Traits, written: list[Path]) -> str:
+def _page(summary: Json, dataset: Dataset, traits: Traits, written: list[Path]) -> str:
     """Return the page as one self-contained text."""
     warnings = "".join(f'<p class="warning">{html.escape(str(warning))}</p>' for warning in summary["warnings"])
     of_roots = [path for path in written if path.name in ROOT_PICTURES]
@@ -135,7 +135,7 @@ def _figures(paths: list[Path]) -> str:
     )
 
 
-def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def _numbers(summary: Json) -> list[tuple[str, str]]:
     extents = [b - a for a, b in zip(summary["extents_min_mm"], summary["extents_max_mm"], strict=True)]
     used = [view for view in summary["views"] if view["used"]]
     return [
@@ -150,7 +150,7 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _attenuation(summary: dict[str, Any]) -> str:
+def _attenuation(summary: Json) -> str:
     """Return the attenuation of light in the roots in words."""
     mu, sigma = summary.get("root_mu_per_mm"), summary.get("root_mu_sigma_per_mm")
     if mu is None:
@@ -158,7 +158,7 @@ def _attenuation(summary: dict[str, Any]) -> str:
     return f"{mu:.2f} /mm" if sigma is None else f"{mu:.2f} ± {sigma:.2f} /mm"
 
 
-def _views(summary: dict[str, Any]) -> str:
+def _views(summary: Json) -> str:
     def number(value: float | None, digits: int, factor: float = 1.0) -> str:
         return "" if value is None else f"{factor * value:.{digits}f}"
 
@@ -181,7 +181,7 @@ def _views(summary: dict[str, Any]) -> str:
     return f"<table>{head}{''.join(rows)}</table>"
 
 
-def _provenance(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def _provenance(summary: Json) -> list[tuple[str, str]]:
     rows = [("dataset", str(summary.get("dataset", "")))]
     for key, value in summary.get("settings", {}).items():
         rows += [(f"{key}.{name}", str(part)) for name, part in value.items()] if isinstance(value, dict) else [(str(key), str(value))]

@@ -1,7 +1,5 @@
 """Pictures of the found roots: centre lines from two sides beside the input, and where their length is."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -11,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results import pictures, shading
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.rsml import Root
@@ -31,7 +30,7 @@ MARGIN_MM = 4.0
 BAR_RGB = "#4c86b0"
 
 
-def roots_and_inputs(roots: tuple[Root, ...], summary: dict[str, Any], dataset: Dataset) -> Figure:
+def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
     """Draw from the front (upper row) and from the side: the picture nearest to that side, the roots by diameter, and by order."""
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
@@ -117,7 +116,7 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: picture
     axes.set_ylabel("z (mm)")
 
 
-def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: dict[str, Any], dataset: Dataset) -> None:
+def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: Json, dataset: Dataset) -> None:
     """Show the picture whose camera stands nearest to a side, cut to the roots, with room for the lens that the water is."""
     axes.set_xticks([])
     axes.set_yticks([])

@@ -2,11 +2,11 @@
 
 import html
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from rhizotwin.recon.results import calibrated
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.trait_table import DEFINITIONS, shown
 from rhizotwin.scenes.traits import Traits
@@ -19,7 +19,7 @@ def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: S
     return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
 
 
-def volume(summary: dict[str, Any]) -> str:
+def volume(summary: Json) -> str:
     """Return the volume with its interval, and the verdict and budget where the result has them."""
     low, high = summary["volume_interval_mm3"]
     found = summary["volume_mm3"]
@@ -41,7 +41,7 @@ def traits(found: Traits) -> str:
     return note + table(rows, head=("trait", "value", "unit", "definition"), numbers=(1,))
 
 
-def calibration(summary: dict[str, Any]) -> str:
+def calibration(summary: Json) -> str:
     """Return what all views together gave, with uncertainties and the reprojection before and after; empty where the poses were given."""
     rig = summary.get("rig") or {}
     rows = [
@@ -59,7 +59,7 @@ def calibration(summary: dict[str, Any]) -> str:
     return "".join(parts)
 
 
-def _ring(ring: dict[str, Any]) -> list[list[str]]:
+def _ring(ring: Json) -> list[list[str]]:
     """Return where a ring's camera stands; its covariance is of rotation (rad) and translation (mm) along the camera's axes."""
     name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
     pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))

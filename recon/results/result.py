@@ -27,7 +27,7 @@ import trimesh
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_traits
-from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Leaves, picture_path
+from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, picture_path
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import atomic, rsml, trait_table
@@ -98,7 +98,7 @@ class Result:
     """Of every picture of the root."""
     fill: Mapping[str, float]
     """Share of the seen water that roots cover, by the frame's file."""
-    rig: dict[str, Any]
+    rig: Json
     """Cameras, canister and errors that all views together gave; empty where the poses were given."""
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
@@ -106,7 +106,7 @@ class Result:
     timings_s: dict[str, float]
     """Seconds that each stage took."""
     peak_memory_mib: float
-    settings: dict[str, Any]
+    settings: Json
     versions: dict[str, str]
     silhouettes: Mapping[str, Silhouette] = field(repr=False)
     """By the frame's file; empty where a stored result holds none."""
@@ -166,7 +166,7 @@ class Result:
 
         return notebook.html(self)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """Return the content of ``result.json``, without the traits."""
         solid, volume = self.solid, self.solid.volume
         return {
@@ -201,7 +201,7 @@ class Result:
             "versions": self.versions,
         }
 
-    def _view(self, camera: Camera) -> dict[str, Any]:
+    def _view(self, camera: Camera) -> Json:
         """Return what became of one picture as JSON values."""
         plain = {name: getattr(camera, name) for name in (*_OF_VIEW, "markers", "table_deg")}
         pose = camera.cam_from_canister

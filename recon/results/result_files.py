@@ -15,7 +15,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import trimesh
@@ -28,6 +28,8 @@ from rhizotwin.scenes.pictures import decode_grey
 
 Floats = NDArray[np.float64]
 
+Json: TypeAlias = dict[str, Any]
+"""An object of JSON: what a key holds, its reader knows."""
 SCHEMA_VERSION = 1
 LARGEST = 1e15
 """No number of a result is as large: cubic millimetres, seconds, mebibytes."""
@@ -103,7 +105,7 @@ class Mesh:
     """(F, 3)"""
 
 
-def read_summary(folder: Path) -> dict[str, Any]:
+def read_summary(folder: Path) -> Json:
     """Return ``result.json`` of a result folder; UserError where it is missing, damaged or of another version."""
     path = Path(folder) / "result.json"
     tidy(Path(folder))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import rsml, trait_table, tube_surface
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits, measure_traits
@@ -66,7 +67,7 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
     )
 
 
-def to_json(traits: Traits, summary: dict[str, Any], *, mass_g: float | None) -> dict[str, Any]:
+def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     """Return the content of ``traits.json``."""
     return {
         "scene": summary["scene"],
@@ -77,7 +78,7 @@ def to_json(traits: Traits, summary: dict[str, Any], *, mass_g: float | None) ->
     }
 
 
-def spreadsheet(rows: Sequence[tuple[str, dict[str, Any], Traits]]) -> str:
+def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """Return one row a result as CSV: its name, scene, traits with their units in the head, the volume's interval, warnings.
 
     Parameters
@@ -94,7 +95,7 @@ def spreadsheet(rows: Sequence[tuple[str, dict[str, Any], Traits]]) -> str:
     return trait_table.csv_text(table)
 
 
-def as_text(traits: Traits, summary: dict[str, Any], *, mass_g: float | None) -> dict[str, str]:
+def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
     """Return the texts of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     return {"traits.csv": trait_table.to_csv(traits), "traits.json": f"{content}\n"}

@@ -10,6 +10,7 @@ import numpy as np
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.scoring import score_traits
 from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
 from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
@@ -65,7 +66,7 @@ class Score:
     peak_memory_mib: float | None
     warnings: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Json:
         """Return plain values for JSON: recall, precision and iou at the top; what is not finite becomes None."""
         found = asdict(self)
         voxels = found.pop("voxels")

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.results.calibrated import Row, rows
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import Truth
 
@@ -38,7 +38,7 @@ class RigError:
         return f"{self.found:.6g}, true {self.true:.6g}: off by {self.error:+.2g} {self.unit}".rstrip() + sigmas
 
 
-def compare_rig(rig: dict[str, Any], cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
+def compare_rig(rig: Json, cameras: Sequence[Camera], truth: Truth) -> tuple[RigError, ...]:
     """Return the errors of those quantities of a result's rig that the truth knows."""
     found = []
     for row in rows(rig):

@@ -3,13 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rhizotwin.recon.calibration.cameras import Camera
-from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.results.result_files import picture_path, read_grey
 from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.errors import UserError
@@ -103,7 +102,7 @@ def compare_masks(silhouettes: Mapping[str, Silhouette], masks_folder: Path, *, 
     return MaskScore(mean_abs=float(middle[0]), iou=float(middle[1]), area_error=float(middle[2]), unseen=float(middle[3]), per_view=errors)
 
 
-def mask_errors(found: np.ndarray[Any, Any], true: np.ndarray[Any, Any], seen: np.ndarray[Any, Any]) -> tuple[float, float, float, float]:
+def mask_errors(found: Image, true: Image, seen: Mask) -> tuple[float, float, float, float]:
     """Return (mean_abs, iou, area_error, unseen) of one view; all pictures (H, W), coverage 0..1 and seen boolean."""
     area = float(true[seen].sum(dtype=np.float64))
     total = float(true.sum(dtype=np.float64))
