@@ -109,10 +109,8 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
 
     Parameters
     ----------
-    seen : Evidence
-        Measured coverage.
-    cameras : Cameras
-        Of its views, in their order.
+    seen, cameras : Evidence, Cameras
+        Measured coverage, and the cameras of its views in their order.
     balls : Balls
         Inside the hull, as `parsimony.trim` grew them.
     attenuation : Law or None
@@ -126,10 +124,7 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
             return None
         dr.flush_malloc_cache()  # what carving left to be used again is in the way of the footprints, and these of what follows
     with monitor.stage("density"):
-        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
-        thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
-        cells, depth = density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+        cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
         dr.flush_malloc_cache()
     with monitor.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
@@ -141,38 +136,22 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         start, _, _ = organs.thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
         core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        start, buried, organ = organs.centred(start, core, balls, near_mm)
+        start, _, organ = organs.centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
-        blur_px = find_blur(seen, fitted)
     with monitor.stage("translucency"):
-        law, fitted = tube_law.find(seen, fitted, organ, blur_px)
-        if law.mu_per_mm is None and attenuation is not None and attenuation.mu_per_mm is not None:
-            # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
-            seen = seen.by_light()
-            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
-            law = replace(law, blur_px=find_blur(seen, fitted))
-        if law.mu_per_mm is not None:
-            seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
-        blur_px = law.blur_px
+        law, seen, fitted = _attenuated(seen, fitted, organ, attenuation)
     with monitor.stage("branches"):
-        settle = _Settling(seen, core, balls, near_mm, blur_px, ghosts.FLANK_PX / px_a_mm)
-        fitted, buried, organ = settle.settled(fitted, tube_fit.STEPS)
+        settle = _Settling(seen, core, balls, near_mm, law.blur_px, ghosts.FLANK_PX / px_a_mm)
+        fitted, _, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(ghosts.short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
     with monitor.stage("residue"):
-        outside = cells.chosen(depth <= depth.min())
-        for _ in range(_SEARCHES):
-            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
-            depth_px = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
-            grown = residue.grow(seen, fitted, organ, outside, depth_px, px_a_mm)
-            fitted, buried, organ = settle.settled(grown, _BETWEEN_STEPS)
-        fitted, pull = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        fitted, buried, organ = settle.ended(fitted, pull, organ)
+        fitted, buried, organ = settle.searched(fitted, organ, cells.chosen(depth <= depth.min()), px_a_mm)
     if law.mu_per_mm is not None:
         with monitor.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
-            blur_px, seen = law.blur_px, replace(seen, mu_per_mm=law.mu_per_mm)
-            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=blur_px, steps=_AFTER_STEPS)
+            seen = replace(seen, mu_per_mm=law.mu_per_mm)
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=law.blur_px, steps=_AFTER_STEPS)
     return RootTree(
         tubes=fitted,
         buried=buried,
@@ -184,6 +163,27 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         seen=seen,
         cameras=cameras,
     )
+
+
+def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
+    """Estimate how much root is in each cell; return the cells that hold any, those of thick organs last, and their depth (N,), mm."""
+    depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+    organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
+    thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
+    return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+
+
+def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: Law | None) -> tuple[TubeLaw, Evidence, Tubes]:
+    """Find how much light thin roots let through; return that, what the pictures say then, and the tubes."""
+    law, fitted = tube_law.find(seen, fitted, organ, find_blur(seen, fitted))
+    if law.mu_per_mm is None and attenuation is not None and attenuation.mu_per_mm is not None:
+        # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
+        seen = seen.by_light()
+        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
+        law = replace(law, blur_px=find_blur(seen, fitted))
+    if law.mu_per_mm is not None:
+        seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
+    return law, seen, fitted
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
@@ -236,6 +236,25 @@ class _Settling:
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         gone = ghosts.unexplaining(tree, _proof(self.seen, tree, self.blur_px), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
+
+    def searched(self, tree: Tubes, organ: Mask, outside: Cells, px_a_mm: float) -> tuple[Tubes, Mask, Mask]:
+        """Add the roots that the tree leaves unexplained; return as `settled` does.
+
+        Parameters
+        ----------
+        organ : (N,) bool array
+            Nodes of organs.
+        outside : Cells
+            Where roots may be, beside organs.
+        """
+        seen, blur_px = self.seen, self.blur_px
+        for _ in range(_SEARCHES):
+            tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
+            depth_px = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
+            grown = residue.grow(seen, tree, organ, outside, depth_px, px_a_mm)
+            tree, _, organ = self.settled(grown, _BETWEEN_STEPS)
+        tree, pull = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        return self.ended(tree, pull, organ)
 
     def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
         """Join the ends that are none where they can go on; return as `settled` does.
