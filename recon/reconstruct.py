@@ -72,6 +72,8 @@ def reconstruct(
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         cameras, roots = tree.cameras, rooting.settle(tree, monitor=monitor)
+        if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
+            hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
     checked = (*_checks(pictures, cameras, coverage), *solid.checks)
     failed = checks.failed(checked)
