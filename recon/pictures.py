@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image
@@ -54,6 +55,8 @@ class Pictures:
     curve: CurveFound | None = None
     """By what curve they were read; None: no edges were asked."""
     warnings: tuple[str, ...] = ()
+    measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
+    """`Markers` of some of the images, by their number, where finding the curve has measured them."""
 
 
 def read_pictures(dataset: Dataset, *, monitor: Monitor) -> Pictures:

@@ -49,7 +49,7 @@ def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
         detected = monitor.each(markers_of, "curve", [pictures.images[k] for k in some])
         found = find(detected, stated_curve(dataset, captured), again)
         if found.warning is None:
-            return replace(pictures, curve=found)
+            return replace(pictures, curve=found, measured=dict(zip(some, detected, strict=True)))
         images = monitor.each(lambda frame: read_image(dataset, frame, curve=found.curve), "read", captured)
     return replace(pictures, images=tuple(images), curve=found, warnings=(*pictures.warnings, found.warning))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,7 +54,13 @@ def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, 
         lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
         return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), warnings=bare.notes(scene)))
     with monitor.stage("markers"):
-        detected = monitor.each(lambda image: markers.detect_markers(image, scene.strip, measure=measure), "markers", pictures.images)
+        known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
+
+        def find(k: int) -> markers.Markers:
+            kept: markers.Markers | None = known.get(k)
+            return markers.detect_markers(pictures.images[k], scene.strip, measure=measure) if kept is None else kept
+
+        detected = monitor.each(find, "markers", range(len(pictures.images)))
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)

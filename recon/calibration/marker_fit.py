@@ -243,12 +243,8 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArra
         factors.append([(f[:, :-1] - f[:, 1:]).astype(np.float32) for f in (step, slope, bend)])
     (s0, s1, s2), (t0, t1, t2) = factors
     cells_s0, t0_cells = cells @ s0.T, t0 @ cells
-    table = np.empty((len(GRID), len(GRID), 4), np.float32)
-    table[..., 0] = t0 @ cells_s0
-    table[..., 1] = t0_cells @ s1.T
-    table[..., 2] = t1 @ cells_s0
-    table[..., 3] = t0_cells @ s2.T + t2 @ cells_s0
-    return table
+    planes = (t0 @ cells_s0, t0_cells @ s1.T, t1 @ cells_s0, t0_cells @ s2.T + t2 @ cells_s0)
+    return np.asarray(cv2.merge(planes), np.float32)
 
 
 def _matrix(warp: Array) -> Array:
