@@ -3,8 +3,8 @@
 from rhizotwin.recon.uncertainty.checks import Check, state_of
 
 SWAY_MM = 0.06, 0.15
-"""Root mean square distance of the roots in a picture from where all pictures put them. A bench of the twin has 0.023 (radish_day05b); roots
-that swayed by 0.3 mm lost 10 % of the volume."""
+"""Root mean square distance of the roots in a picture from where all pictures put them. A bench of the twin has 0.023
+(`radish_day05b`); roots that swayed by 0.3 mm lost 10 % of the volume."""
 DIRT = 0.1, 0.35
 """Share of the wall before the roots that films, bubbles and glare cover."""
 MISSED = 0.05, 0.3
