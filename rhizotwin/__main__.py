@@ -7,14 +7,14 @@ import logging
 import os
 import signal
 import sys
-import warnings
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from rhizotwin.cli import DEBUG_VARIABLE, main  # noqa: E402 - first the signal
 
 if not os.environ.get(DEBUG_VARIABLE):  # what libraries have to say to programmers; what a person must know is said in a sentence
-    warnings.simplefilter("ignore")
+    logging.captureWarnings(True)  # not a filter, which libraries change when they are loaded
+    logging.getLogger("py.warnings").setLevel(logging.CRITICAL)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 if __name__ == "__main__":
