@@ -12,6 +12,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin import engine
+
 # Mitsuba's types exist only once a variant is chosen, so that a checker knows none of them: these names say what is meant.
 Float: TypeAlias = Any
 """mi.Float"""
@@ -29,6 +31,8 @@ Point3f: TypeAlias = Any
 """mi.Point3f"""
 Kernel: TypeAlias = Any
 """Any of them."""
+
+engine.choose_on_first_use()
 
 _ALIGNED = 64
 """Bytes of the widest vector that Dr.Jit loads."""

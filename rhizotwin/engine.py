@@ -11,7 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +204,21 @@ def ensure(device: str = "auto") -> str | None:
     if running is not None and (device == "auto" or _VARIANTS.get(device) == running):
         return None
     return start(device)
+
+
+def choose_on_first_use() -> None:
+    """Let Mitsuba start the engine when a type of a variant is used first, where it would fail as no variant is set."""
+    import mitsuba
+
+    fail: Callable[[str], Any] = mitsuba.__dict__["__getattr__"]
+
+    def first_use(name: str) -> Any:
+        if mitsuba.variant() is not None or name.startswith("__"):
+            return fail(name)
+        start()
+        return getattr(mitsuba, name)
+
+    mitsuba.__getattr__ = first_use
 
 
 def _load() -> tuple[Any, Any]:

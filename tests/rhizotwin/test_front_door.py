@@ -62,6 +62,11 @@ def test_the_device_is_chosen_on_first_use(dataset: Any) -> None:
     assert printed(program) == "True"
 
 
+def test_a_kernel_called_by_itself_starts_the_engine() -> None:
+    program = "import numpy as np; from rhizotwin.recon.device import numbers; print(list(numbers(np.arange(3.0)) + 1.0))"
+    assert printed(program) == "[1.0, 2.0, 3.0]"
+
+
 def test_a_result_in_memory_is_the_one_that_is_loaded(result: Any, dataset: Any, tmp_path: Path) -> None:
     result.save(tmp_path / "result")
     loaded = rt.load_result(tmp_path / "result")
