@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.special import erf, erfinv
 from skimage import filters
 
@@ -194,11 +195,14 @@ def level_distance(value: Image) -> Image:
     beside = inverse_2 > 0
     near = np.where(beside, 1.0 / np.sqrt(np.maximum(inverse_2, 1e-9)), 0.0).astype(np.float32)
     signed = np.where(inside, near, -near)
-    for side, sign in ((inside, 1.0), (~inside, -1.0)):
-        # distance to the nearest sample across the outline, less how far that sample lies beyond it
-        far, label = cv2.distanceTransformWithLabels(side.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-        beyond = np.zeros(int(label.max()) + 1, np.float32)
-        beyond[label[~side]] = near[~side]
-        use = side & ~beside
-        signed[use] = sign * np.maximum(far[use] - beyond[label[use]], 0.5)
+    # distance to the nearest sample across the outline, less how far that sample lies beyond it
+    far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
+    use = inside & ~beside
+    signed[use] = np.maximum(far[use] - near[row[use], column[use]], 0.5)
+    # outside, where it only tells how far an outline is for certain, a chamfer's 2 % do no harm; they take 1.7 % of a ball's radius
+    far, label = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    beyond = np.zeros(int(label.max()) + 1, np.float32)
+    beyond[label[inside]] = near[inside]
+    use = ~inside & ~beside
+    signed[use] = -np.maximum(far[use] - beyond[label[use]], 0.5)
     return signed

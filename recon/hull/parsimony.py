@@ -134,14 +134,12 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
     """Move points across their curve to where the largest ball fits into all silhouettes, and return those balls."""
     if not len(points):
         return Balls(points, np.zeros(0))
-    directions = _across(points) if len(points) >= _LEAST_CURVE else np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
-    radius = _radius(bank, maps, points)
-    for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
-        tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
-        best = tried.argmax(axis=1)
-        better = tried.max(axis=1) > radius
-        points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
-        radius = np.maximum(radius, tried.max(axis=1))
+    everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
+    points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
+    # where a curve ends inside a solid, the largest ball lies beyond its end: balls that none about them exceeds look for it
+    largest = _largest(points, radius)
+    freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
+    points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
     blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = radius > 0
     if good.any():
@@ -149,6 +147,24 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
         radius[good] *= np.clip((_held(bank, maps, points[good], blunt[good]) - none) / (whole - none), 0.0, 1.0)
         good = radius > 0
     return Balls(points[good], radius[good])
+
+
+def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
+    """Move points (N, 3) along any of their directions (N, D, 3) to where the largest balls fit; return them with the radii (N,)."""
+    radius = _radius(bank, maps, points)
+    for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
+        tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
+        best = tried.argmax(axis=1)
+        better = tried.max(axis=1) > radius
+        points = np.where(better[:, None], points + step_mm * directions[np.arange(len(points)), best], points)
+        radius = np.maximum(radius, tried.max(axis=1))
+    return points, radius
+
+
+def _largest(points: Array, radius: Array) -> NDArray[np.int64]:
+    """Return the numbers of the balls that no ball about a point inside them exceeds."""
+    inside = cKDTree(points).query_ball_point(points, radius, workers=-1)
+    return np.array([k for k, near in enumerate(inside) if radius[k] > 0 and radius[k] >= radius[near].max()], np.int64)
 
 
 def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
