@@ -116,3 +116,10 @@ def test_lock_holds_every_dependency() -> None:
     locked = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(encoding="utf-8"), re.MULTILINE))
     needed = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
     assert {re.split(r"[<>=!~ ]", need)[0] for need in needed} <= locked
+
+
+def test_every_package_is_in_the_wheel() -> None:
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"])
+    tops = [ROOT / "rhizotwin", *((ROOT / "rhizotwin" / name) for name in ("recon", "rig", "scenes", "sim"))]
+    folders = {file.parent.relative_to(ROOT) for top in tops for file in top.rglob("__init__.py")}
+    assert listed == {".".join(folder.parts) for folder in folders}
