@@ -138,8 +138,9 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
     points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
     # where a curve ends inside a solid, the largest ball lies beyond its end: balls that none about them exceeds look for it
     largest = _largest(points, radius)
-    freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
-    points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
+    if len(largest):
+        freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
+        points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
     blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
     good = radius > 0
     if good.any():
