@@ -66,6 +66,7 @@ MOST_AGREEMENT_PX = 3.0
 HEIGHTS_AGREE_MM = 1.0
 """Less is the thickness of a meniscus."""
 _ROUNDS = 200
+"""Of relaxation; in the first quarter only the scale of the whole turn is sought."""
 
 
 @dataclass(frozen=True, kw_only=True)

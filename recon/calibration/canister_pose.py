@@ -1,6 +1,6 @@
 """How the canister stands in the strip of markers: its outer wall's own edges, seen against the backlight, tell.
 
-The cameras come from the strip, which sits on a net pot that may stand askew; the light is refracted by the canister. A line of sight that
+The cameras come from the strip, which is on a net pot that may be misaligned; the light is refracted by the canister. A line of sight that
 touches the outer wall passes the canister's axis at exactly the outer radius, whatever the wall and the water do (Bouguer's invariant at
 |b| = R_o): inside of it the picture is black (grazing light is reflected away), outside it shows the bare panel. All edges of all views in
 one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o (blur, a canister of another size) is
@@ -36,7 +36,7 @@ LEAST_EDGES = 200
 LOOSE_MM = 0.1
 """Scale of the robust loss."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])
-"""How askew a net pot may sit (rad, mm), and how far the edges may lie from the nominal radius (mm)."""
+"""How misaligned a net pot may stand (rad, mm), and how far the edges may lie from the nominal radius (mm)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,14 +10,14 @@ from rhizotwin.recon.calibration.view_fit import Linearised, Sightings, adjoint,
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
-SEAT = np.array([0, 1, 3, 4])
-"""The parts of a twist that seat a canister on a table: tilt about x and y, offset in x and y (height and turn belong to the camera)."""
-SEAT_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
-"""How far a canister may be seated wrongly: rad, rad, mm, mm."""
+CANISTER = np.array([0, 1, 3, 4])
+"""How a canister stands on a table, as parts of a twist: tilt about x and y, offset in x and y (height and turn belong to the camera)."""
+CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
+"""How misaligned a canister may stand: rad, rad, mm, mm."""
 TABLE_PRIOR_RAD = np.deg2rad(0.1)
 """How far a table angle may be from the commanded one; the pictures know it a hundred times better."""
 FREE_PRIOR_RAD = 0.3
-"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a tilted, shifted seat changes."""
+"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a misaligned canister changes."""
 INSET_PRIOR_PX = 0.05
 """How much larger on each side markers may look: those of the twin were off by 0.11 px in sRGB, by 0.002 px in linear light."""
 FOCUS_PRIOR = 0.005
@@ -32,6 +32,8 @@ MOST_STEPS = 15
 """Gauss-Newton converges fast or runs away."""
 SPREAD_STEPS = 10
 """Fixed-point steps of the spreads within one step of the fit; they settle together."""
+_CHI2_MEDIAN = 7.34
+"""Median of chi square with 8 degrees of freedom: of a marker's four corners."""
 ENOUGH = 1e-6
 """Steps (rad, mm, px) below this end the fit."""
 
@@ -128,8 +130,8 @@ def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Line
 
 
 def _misfit(views: Sequence[Linearised]) -> float:
-    """Return the factor by which residuals exceed their covariances (7.34 is the median of chi square with 8 degrees of freedom)."""
-    return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / 7.34))
+    """Return the factor by which residuals exceed their covariances."""
+    return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
 
 
 def _inverse(normal: Array) -> Array:
@@ -142,13 +144,13 @@ def _inverse(normal: Array) -> Array:
 def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
     """Move a rig by a step of the shared (2 + 6 R + 4) and the local (V, 7) unknowns."""
     rings = shared[2:-4].reshape(-1, 6)
-    seat = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
+    canister = np.array([shared[-4], shared[-3], 0.0, shared[-2], shared[-1], 0.0])
     return replace(
         rig,
         inset_px=rig.inset_px + float(shared[0]),
         focal_scale=rig.focal_scale + float(shared[1]),
         cam_from_rig=np.array([twist(step) @ pose for step, pose in zip(rings, rig.cam_from_rig, strict=True)]),
-        table_from_canister=twist(seat) @ rig.table_from_canister,
+        table_from_canister=twist(canister) @ rig.table_from_canister,
         angle_rad=rig.angle_rad + local[:, 0],
         own=np.array([twist(step[1:]) @ pose for step, pose in zip(local, rig.own, strict=True)]),
     )
@@ -158,7 +160,7 @@ def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
 class _System:
     """Normal equations about a rig.
 
-    Shared unknowns: inset, focus, 6 a ring, 4 of the seat; local ones: table angle, 6 of the own movement.
+    Shared unknowns: inset, focus, 6 a ring, 4 of the canister's pose; local ones: table angle, 6 of the own movement.
     """
 
     rig: Rig
@@ -189,7 +191,7 @@ class _System:
             by_shared[k, :6, 2 + 6 * ring : 8 + 6 * ring] = adjoint(rig.own[k])
             cam_from_rig = rig.own[k] @ rig.cam_from_rig[ring]
             by_local[k, :6, 0] = adjoint(cam_from_rig)[:, 2]
-            by_shared[k, :6, -4:] = adjoint(cam_from_rig @ frames.rotation_z(float(rig.angle_rad[k])))[:, SEAT]
+            by_shared[k, :6, -4:] = adjoint(cam_from_rig @ frames.rotation_z(float(rig.angle_rad[k])))[:, CANISTER]
         own = np.array([np.concatenate([frames.to_rotvec(pose), pose[:3, 3]]) for pose in rig.own])
         normal = np.array([view.normal for view in views])
         gradient = np.array([view.gradient for view in views])
@@ -205,13 +207,13 @@ class _System:
         cross = local_from @ self.by_shared
         right = np.einsum("vij,vi->vj", self.by_local, self.gradient)
         right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
-        seat = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
+        canister = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
         shared_prior = np.full(self.by_shared.shape[2], 1e-9)
-        shared_prior[0], shared_prior[1], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, self.focus_prior**-2.0, SEAT_PRIOR**-2.0
+        shared_prior[0], shared_prior[1], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, self.focus_prior**-2.0, CANISTER_PRIOR**-2.0
         shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
         shared_right[0] -= shared_prior[0] * self.rig.inset_px
         shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)
-        shared_right[-4:] -= shared_prior[-4:] * seat
+        shared_right[-4:] -= shared_prior[-4:] * canister
         inverse = _inverse(local_normal)
         gain = inverse @ cross
         reduced = np.sum(shared_from @ self.by_shared - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(shared_prior)

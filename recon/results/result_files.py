@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 Json: TypeAlias = dict[str, Any]
 """An object of JSON: what a key holds, its reader knows."""
 SCHEMA_VERSION = 1
+"""Of ``result.json``; it grows when what a key means changes."""
 LARGEST = 1e15
 """No number of a result is as large: cubic millimetres, seconds, mebibytes."""
 """Of ``result.json``; it grows when what a key means changes."""

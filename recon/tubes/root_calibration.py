@@ -209,7 +209,7 @@ def changed(cameras: Cameras, change: Array) -> Cameras:
     moved = []
     for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
         canister = np.array([change[2], change[3], turn[v], change[4], change[5], 0.0])
-        view = sight_change.displaced(sight_change.seated(view, canister), camera[known.station[frame]])
+        view = sight_change.displaced(sight_change.with_canister_moved(view, canister), camera[known.station[frame]])
         moved.append(replace(view, camera=view.camera.focused(1.0 + float(change[1]))))
     return cameras.moved(moved, optics)
 

@@ -53,15 +53,15 @@ def _focus(sight: Sight, value: float) -> Sight:
     return replace(view, camera=view.camera.focused(1.0 + value)), optics
 
 
-def _seat(axis: int) -> Callable[[Sight, float], Sight]:
-    return lambda sight, value: (seated(sight[0], value * np.eye(6)[axis]), sight[1])
+def _canister(axis: int) -> Callable[[Sight, float], Sight]:
+    return lambda sight, value: (with_canister_moved(sight[0], value * np.eye(6)[axis]), sight[1])
 
 
 def _camera(axis: int) -> Callable[[Sight, float], Sight]:
     return lambda sight, value: (displaced(sight[0], value * np.eye(6)[axis]), sight[1])
 
 
-def seated(view: View, step: Array) -> View:
+def with_canister_moved(view: View, step: Array) -> View:
     """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
@@ -75,19 +75,19 @@ INDEX = Quantity("index of the water", "", 1e-4, _index)
 """Of the water; the step is a tenth of what ten degrees change."""
 FOCUS = Quantity("focal length", "", 1e-4, _focus)
 """Relative; the step is a hundredth of a per cent, 0.04 px at a picture's edge."""
-SEAT = tuple(
-    Quantity(f"canister {what} {'xyz'[k % 3]}", unit, step, _seat(k))
+CANISTER = tuple(
+    Quantity(f"canister {what} {'xyz'[k % 3]}", unit, step, _canister(k))
     for k, what, unit, step in ((0, "tilt", "rad", 1e-5), (1, "tilt", "rad", 1e-5), (3, "offset", "mm", 1e-3), (4, "offset", "mm", 1e-3))
 )
 """How the canister stands in the strip: tilt and offset."""
-TURN = Quantity("table angle", "rad", 1e-5, _seat(2))
+TURN = Quantity("table angle", "rad", 1e-5, _canister(2))
 """Angle of the table in one view."""
 CAMERA = tuple(
     Quantity(f"camera {'turn' if k < 3 else 'shift'} {'xyz'[k % 3]}", "rad" if k < 3 else "mm", 1e-5 if k < 3 else 1e-3, _camera(k))
     for k in range(6)
 )
 """How a station's camera stands."""
-QUANTITIES = (INDEX, FOCUS, *SEAT, TURN, *CAMERA)
+QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
