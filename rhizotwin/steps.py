@@ -5,23 +5,54 @@ from pathlib import Path
 
 from rhizotwin import engine
 from rhizotwin.front_door import reconstruct
+from rhizotwin.recon.results.result_files import RESULT_NAMES
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, tidy
 
-_RESULT_NAMES = (
-    *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
-    *("silhouettes", "seen", "pictures", "report.html", "score.json"),
-)
-"""What a result folder may hold and still be replaced by a new result."""
+SHARES = {
+    "read": 0.1,
+    "markers": 5.0,
+    "poses": 1.5,
+    "canister": 0.1,
+    "background": 1.8,
+    "wall": 0.8,
+    "silhouettes": 0.7,
+    "outlines": 0.3,
+    "carve": 3.6,
+    "trim": 3.8,
+    "search": 3.5,
+    "density": 1.3,
+    "trace": 0.1,
+    "tubes": 1.1,
+    "translucency": 3.8,
+    "branches": 2.7,
+    "residue": 3.7,
+    "calibration": 0.6,
+    "last tubes": 0.2,
+    "unite": 0.4,
+    "uncertainty": 0.3,
+    "surface": 0.3,
+    "pictures": 6.0,
+}
+"""Seconds that the stages of a reconstruction take (radish_day05b, 20 views of 400x300, 2 cores); they tell how far it is."""
 
 
-def start_engine(device: str) -> None:
+def start_engine(device: str, *, quiet: bool = False) -> None:
     """Choose what computes, and say what it is."""
-    print(engine.start(device))
+    chosen = engine.start(device)
+    if not quiet:
+        print(chosen)
 
 
 def reconstruct_whole(
-    dataset: Path, output: Path, *, voxel_mm: float | None = None, settings: Path | None = None, mass_g: float | None = None
+    dataset: Path,
+    output: Path,
+    *,
+    voxel_mm: float | None = None,
+    settings: Path | None = None,
+    mass_g: float | None = None,
+    quiet: bool = False,
+    verbose: bool = False,
 ) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
 
@@ -41,7 +72,7 @@ def reconstruct_whole(
     there = contents(output)
     if there and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
-    strange = [name for name in there if name not in _RESULT_NAMES]
+    strange = [name for name in there if name not in RESULT_NAMES]
     if strange:
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
@@ -50,8 +81,9 @@ def reconstruct_whole(
     from rhizotwin.recon.results.result_files import read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
     from rhizotwin.recon.settings import Settings, load_settings
+    from rhizotwin.report import page
     from rhizotwin.scenes.dataset import load_dataset
-    from rhizotwin.scenes.monitor import Monitor
+    from rhizotwin.scenes.terminal import OneBar
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
@@ -59,8 +91,14 @@ def reconstruct_whole(
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     loaded = load_dataset(dataset)  # once: what happens to the folder meanwhile does not change what the result was made from
-    with new_folder(output, replaces=_RESULT_NAMES) as building:
-        reconstruct(loaded, settings=chosen, mass_g=mass_g, monitor=Monitor.on_terminal()).save(building)
-        written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
+    with new_folder(output, replaces=RESULT_NAMES) as building:
+        monitor = OneBar(SHARES, quiet=quiet, verbose=verbose)
+        try:
+            reconstruct(loaded, settings=chosen, mass_g=mass_g, monitor=monitor).save(building)
+            with monitor.stage("pictures"):
+                written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
+                written.append(page.write(building, dataset=loaded))
+        finally:
+            monitor.close()
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

@@ -189,13 +189,13 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
     )
 
 
-def shape_in_canister(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
-    """Draw the shape where it is in the canister, from the front and from the side, to one scale in mm."""
-    can = scene.canister
-    reach = can.outer_radius_mm + 5.0
-    box = (-reach, reach, -can.height_mm - 5.0, 5.0)
-    drawn = figure(12.0, 12.0 * (box[3] - box[2]) / (2.0 * (box[1] - box[0])) + 0.9)
-    for axes, side in zip(drawn.subplots(1, 2), (shading.FRONT, shading.SIDE), strict=True):
+def shape_near(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
+    """Draw the shape close up, from the front and from the side, to one scale in mm."""
+    sides = (shading.FRONT, shading.SIDE)
+    boxes = [_box(shape.vertices_mm, side) for side in sides]
+    tall = max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes)
+    drawn = figure(12.0, 6.0 * tall + 0.9)
+    for axes, side, box in zip(drawn.subplots(1, 2), sides, boxes, strict=True):
         raster, px_mm = _raster(shape, side, box)
         _show(axes, scene, side, box, shading.shade(raster, SHAPE_RGB, px_mm=px_mm, shrink=SHRINK))
         axes.set_title(side.name, fontsize=10)

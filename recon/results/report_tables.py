@@ -8,8 +8,6 @@ import numpy as np
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.trait_table import DEFINITIONS, shown
-from rhizotwin.scenes.traits import Traits
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
@@ -17,28 +15,6 @@ def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: S
     top = f"<tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr>" if head else ""
     body = ("".join(f"<td{' class=number' if k in numbers else ''}>{html.escape(cell)}</td>" for k, cell in enumerate(row)) for row in rows)
     return f"<table>{top}{''.join(f'<tr>{row}</tr>' for row in body)}</table>"
-
-
-def volume(summary: Json) -> str:
-    """Return the volume with its interval, and the verdict and budget where the result has them."""
-    low, high = summary["volume_interval_mm3"]
-    found = summary["volume_mm3"]
-    text = f"<p class=volume>{found:.1f} mm³ <small>({found / 1000.0:.3f} ml), between {low:.1f} and {high:.1f} mm³</small></p>"
-    if summary.get("volume_verdict"):
-        kind = "" if summary.get("volume_trusted", True) else " class=warning"
-        text += f"<p{kind}>{html.escape(str(summary['volume_verdict']))}</p>"
-    budget = summary.get("volume_budget") or []
-    if budget:
-        rows = [[str(term["name"]), f"-{term['less_mm3']:.1f}", f"+{term['more_mm3']:.1f}"] for term in budget]
-        text += table(rows, head=("what the interval allows for", "less (mm³)", "more (mm³)"), numbers=(1, 2))
-    return text
-
-
-def traits(found: Traits) -> str:
-    """Return every trait that is one number, with unit and definition."""
-    rows = [[d.name.replace("_", " "), shown(getattr(found, d.field)), d.unit, d.meaning] for d in DEFINITIONS]
-    note = "" if found.total_length_mm is not None else "<p>No thin roots were found as centre lines: what needs them is a dash.</p>"
-    return note + table(rows, head=("trait", "value", "unit", "definition"), numbers=(1,))
 
 
 def calibration(summary: Json) -> str:
@@ -72,3 +48,28 @@ def _ring(ring: Json) -> list[list[str]]:
         [f"{name}: movement of its own from view to view", f"{ring['own_movement_mm']:.4f}", "", "mm"],
         [f"{name}: turn of its own from view to view", f"{ring['own_movement_deg']:.4f}", "", "deg"],
     ]
+
+
+def views(summary: Json) -> str:
+    """Return what became of every picture."""
+
+    def number(value: float | None, digits: int, factor: float = 1.0) -> str:
+        return "" if value is None else f"{factor * value:.{digits}f}"
+
+    head = "<tr><th>file</th><th>ring</th><th>table (deg)</th><th>markers</th><th>reprojection (px)</th><th>fill (%)</th><th></th></tr>"
+    rows = []
+    for view in summary["views"]:
+        cells = [
+            number(view.get("ring"), 0),
+            number(view.get("table_deg"), 2),
+            number(view.get("markers"), 0),
+            number(view.get("reprojection_px"), 3),
+            number(view.get("fill"), 2, 100.0),
+        ]
+        reason = "" if view["used"] else f"left out: {view.get('reason') or 'no reason given'}"
+        rows.append(
+            f"<tr{'' if view['used'] else ' class=out'}><td>{html.escape(str(view['file']))}</td>"
+            + "".join(f'<td class="number">{cell}</td>' for cell in cells)
+            + f"<td>{html.escape(reason)}</td></tr>"
+        )
+    return f"<table>{head}{''.join(rows)}</table>"

@@ -32,9 +32,13 @@ Json: TypeAlias = dict[str, Any]
 """An object of JSON: what a key holds, its reader knows."""
 SCHEMA_VERSION = 1
 """Of ``result.json``; it grows when what a key means changes."""
+RESULT_NAMES = (
+    *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
+    *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json"),
+)
+"""What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among them."""
 LARGEST = 1e15
 """No number of a result is as large: cubic millimetres, seconds, mebibytes."""
-"""Of ``result.json``; it grows when what a key means changes."""
 
 
 def _number(value: Any) -> bool:

@@ -11,6 +11,7 @@ COMMANDS = {
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
     "score": "Compare a result with the truth of a simulated dataset.",
     "view": "Look at results in a browser, and correct them.",
+    "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",
     "traits": "Print the traits of results, or write them to a table for spreadsheets.",
     "export": "Write a result in the files of other programs.",

@@ -42,6 +42,7 @@ def edit(
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_files
+    from rhizotwin.report import page
     from rhizotwin.scenes.dataset import load_dataset
 
     session = Session(result)
@@ -52,5 +53,6 @@ def edit(
         session.refit = refit.fitter(result, found)
     session.replay(made)
     summary = corrected.write(session, output)
+    page.write(output, dataset=dataset)
     print(f"{corrected.in_words(summary)}: {summary['volume_mm3'] / 1000.0:.4g} ml, in {output}")
     print(f"next: rhizotwin view {output}")

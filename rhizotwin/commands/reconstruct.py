@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from rhizotwin import steps
-from rhizotwin.arguments import DatasetFolder, Device, MassG, OutputResult, VoxelMm, named
+from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, VoxelMm, named
 
 
 def reconstruct(
@@ -17,6 +17,8 @@ def reconstruct(
     settings: Annotated[Path | None, named("FILE")] = None,
     mass_g: MassG | None = None,
     device: Device = "auto",
+    quiet: Flag = False,
+    verbose: Flag = False,
 ) -> None:
     """Find the root's shape and volume in a dataset's pictures.
 
@@ -37,6 +39,10 @@ def reconstruct(
         Mass of the roots, if weighed: gives specific root length and tissue density.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    quiet : bool
+        Show no progress and print the volume alone.
+    verbose : bool
+        Write a line for each stage, with its time, and what the scan calibrated by itself.
 
     Examples
     --------
@@ -45,29 +51,32 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml
     """
-    steps.start_engine(device)
+    steps.start_engine(device, quiet=quiet)
     from rhizotwin.recon.results import calibrated
+    from rhizotwin.report import words
 
-    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, settings=settings, mass_g=mass_g)
+    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, settings=settings, mass_g=mass_g, quiet=quiet, verbose=verbose)
     summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
-    low, high = summary["volume_interval_mm3"]
-    used = sum(view["used"] for view in summary["views"])
     for warning in summary["warnings"]:
         print(f"warning: {warning}")
-    for line in calibrated.table(summary["rig"]):
-        print(line)
-    if summary["root_mu_per_mm"] is not None:
+    if verbose:
+        for line in calibrated.table(summary["rig"]):
+            print(line)
+    if verbose and summary["root_mu_per_mm"] is not None:
         sigma = summary["root_mu_sigma_per_mm"]
         print(f"translucent roots: attenuation {summary['root_mu_per_mm']:.3g}{'' if sigma is None else f' +- {sigma:.2g}'} per mm")
-    print(
-        f"volume {summary['volume_mm3']:.1f} mm3, 90 % interval {low:.1f} to {high:.1f} mm3; {used} of {len(summary['views'])} views used"
-    )
+    found, interval = words.volume(summary)
+    used = sum(view["used"] for view in summary["views"])
+    print(f"volume {found}, 90 % interval {interval}; {used} of {len(summary['views'])} views used")
+    if quiet:
+        return
     if summary["volume_trusted"]:
-        worst = max(summary["volume_budget"], key=lambda term: max(term["less_mm3"], term["more_mm3"]), default=None)
-        if worst is not None:
-            print(f"most uncertain: {worst['why']} (-{worst['less_mm3']:.1f}, +{worst['more_mm3']:.1f} mm3)")
-    print("pictures to look at:")
-    for path in written:
-        print(f"  {path}")
+        for sentence in words.budget(summary)[:1]:
+            print(sentence)
+    if verbose:
+        for path in written:
+            print(f"  {path}")
+    print(f"look at it: {output / 'report.html'}")
+    print(f"next: rhizotwin view {output}")
     if (dataset / "truth").is_dir():
-        print(f"next: rhizotwin score {output} {dataset}")
+        print(f"or:   rhizotwin score {output} {dataset}")

@@ -23,8 +23,6 @@ from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.traits import Traits
 
 _EMPTY_MM3 = 1e-9
-_NAMES = ("result.json", "shape.npz", "shape.ply", "roots.rsml", "corrected.json", "traits.csv", "traits.json", "silhouettes", "seen")
-"""What `write` writes, and may replace."""
 _SCALED = ("less_mm3", "more_mm3")
 
 
@@ -58,7 +56,7 @@ def write(session: Session, output: Path) -> dict[str, Any]:
     roots = state.roots()
     summary = _summary(session, measured, mesh)
     traits = _traits(summary, mesh, roots)
-    with new_folder(output, replaces=_NAMES) as building:
+    with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)

@@ -21,7 +21,8 @@ def build(viewer: Viewer) -> None:
     """Make the panel and answer clicks into the scene."""
     server = viewer.served.server
     gui = server.gui
-    gui.configure_theme(control_layout="collapsible", dark_mode=False, show_logo=False, show_share_button=False, control_width="medium")
+    gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False, control_width="medium")
+    gui.main_panel.dock_right()
     head = gui.add_html("")
     said = gui.add_html("", visible=False)
     if len(viewer.names) > 1:

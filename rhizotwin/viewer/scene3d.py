@@ -14,7 +14,7 @@ from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.root_mesh import tube
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
-from rhizotwin.viewer.through_water import Pictures
+from rhizotwin.through_water import Pictures
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -206,19 +206,6 @@ class Scene3d:
         handle = self._handles.pop(name, None)
         if handle is not None:
             handle.remove()
-
-
-def coarse(mesh: Mesh) -> Mesh:
-    """Return a surface of at most `MOST_TRIANGLES`: vertices that fall into one cell of a grid become one."""
-    vertices, faces = mesh.vertices_mm, mesh.faces
-    edge = float(np.median(np.linalg.norm(vertices[faces[:1000, 0]] - vertices[faces[:1000, 1]], axis=1)))
-    while len(faces) > MOST_TRIANGLES:
-        edge *= 1.5
-        _, first, number = np.unique(np.floor(vertices / edge).astype(np.int64), axis=0, return_index=True, return_inverse=True)
-        joined = number.ravel()[faces]
-        faces = joined[(joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])]
-        vertices = vertices[first]
-    return Mesh(vertices_mm=vertices, faces=faces)
 
 
 def field_of_view(pictures: Pictures, place: int) -> float:

@@ -15,9 +15,10 @@ from rhizotwin.recon.results import result_files, surface_distance
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.simpler import simpler
+from rhizotwin.through_water import Pictures
 from rhizotwin.viewer.picking import Strung
-from rhizotwin.viewer.scene3d import coarse
-from rhizotwin.viewer.through_water import Pictures
+from rhizotwin.viewer.scene3d import MOST_TRIANGLES
 
 FARTHEST_MM = 1.0
 """Distance colours end here."""
@@ -58,7 +59,7 @@ class Shown:
     def truth(self) -> Mesh | None:
         """Return the true solid of a simulated dataset."""
         file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
-        return coarse(result_files.read_mesh(file)) if file is not None and file.is_file() else None
+        return simpler(result_files.read_mesh(file), MOST_TRIANGLES) if file is not None and file.is_file() else None
 
     @cached_property
     def surface(self) -> Mesh:
@@ -68,8 +69,8 @@ class Shown:
     def surface_now(self) -> Mesh:
         """Return the surface as corrected."""
         if not self.session.log.edits:
-            return coarse(self.surface)
-        return coarse(corrected.read_mesh(self.session))
+            return simpler(self.surface, MOST_TRIANGLES)
+        return simpler(corrected.read_mesh(self.session), MOST_TRIANGLES)
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
         """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,18 +11,9 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.session import Measured
+from rhizotwin.said import ml
 
 Array = NDArray[np.float64]
-
-
-def ml(mm3: float, *, half_mm3: float) -> str:
-    """Return a volume in ml with the digits that its uncertainty leaves it."""
-    return f"{mm3 / 1000.0:.{digits(half_mm3 / 1000.0)}f}"
-
-
-def digits(half: float) -> int:
-    """Return how many decimals a number has whose 90 % interval reaches this far: the second digit of the reach is the last told."""
-    return 3 if not half > 0.0 else min(6, max(0, 1 - math.floor(math.log10(half))))
 
 
 def volume(summary: dict[str, Any], measured: Measured | None) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, read_image
 
 Array = NDArray[np.float64]
@@ -80,6 +81,17 @@ class Pictures(Cameras):
         for side in sides:
             for place_of, number in enumerate(lines):
                 _polyline(image, side[first[place_of] : first[place_of + 1]], colours[number], thickness)
+        return image
+
+    def with_outline(self, place: int, mesh: Mesh, colour: tuple[int, int, int], *, thickness: int = 1) -> Colour:
+        """Return a picture with the outline of a surface drawn over it."""
+        image, pixels = self.picture(place), self.pixels(place, mesh.vertices_mm)
+        corners = pixels[mesh.faces]
+        seen = corners[np.isfinite(corners).all(axis=(1, 2))]
+        mask = np.zeros(image.shape[:2], np.uint8)
+        cv2.fillPoly(mask, list(np.round(seen * 2**_SHIFT).astype(np.int32)), 255, cv2.LINE_8, _SHIFT)
+        contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, contours, -1, colour, thickness, cv2.LINE_AA)
         return image
 
 

@@ -1,0 +1,57 @@
+"""The shape of a result packed for the page: centre lines and diameters, or a surface, as whole numbers in base64."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.simpler import simpler
+
+MOST_TRIANGLES = 120_000
+"""Of a surface in a page: about 2.5 MB."""
+_LEVELS = 65535
+
+
+def packed(roots: Sequence[Root], mesh: Mesh) -> dict[str, Any]:
+    """Return roots, or where there are none the surface, as JSON values that `page.js` reads.
+
+    Coordinates are steps of the largest extent over 65535, a few micrometres; diameters steps of 1 micrometre.
+    """
+    return _lines(roots) if roots else _surface(simpler(mesh, MOST_TRIANGLES))
+
+
+def _lines(roots: Sequence[Root]) -> dict[str, Any]:
+    points = np.concatenate([root.points_mm for root in roots])
+    steps, origin, scale = _steps(points)
+    diameters = np.clip(np.round(1000.0 * np.concatenate([root.diameters_mm for root in roots])), 0, _LEVELS).astype("<u2")
+    return {
+        "kind": "roots",
+        "origin": origin,
+        "scale": scale,
+        "points": _text(steps),
+        "diameters": _text(diameters),
+        "counts": [len(root.points_mm) for root in roots],
+        "orders": [root.order for root in roots],
+        "parents": [root.parent for root in roots],
+    }
+
+
+def _surface(mesh: Mesh) -> dict[str, Any]:
+    steps, origin, scale = _steps(mesh.vertices_mm)
+    return {"kind": "surface", "origin": origin, "scale": scale, "points": _text(steps), "faces": _text(mesh.faces.astype("<u4"))}
+
+
+def _steps(points_mm: NDArray[np.float64]) -> tuple[NDArray[np.uint16], list[float], float]:
+    low = points_mm.min(axis=0)
+    scale = max(float(np.ptp(points_mm, axis=0).max()), 1e-6) / _LEVELS
+    return np.round((points_mm - low) / scale).astype("<u2"), [float(x) for x in low], scale
+
+
+def _text(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,0 +1,94 @@
+"""Progress on a terminal: one bar for the whole work with its stage's name and the time left; a line a stage where nobody watches."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from tqdm import tqdm
+
+from rhizotwin.scenes.monitor import Monitor
+
+COLOUR = "#2e8b57"
+_FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
+_UNKNOWN = 0.02
+"""Share of the time for a stage that no share is known of."""
+
+
+class OneBar(Monitor):
+    """A monitor with one bar.
+
+    Parameters
+    ----------
+    shares : mapping of str to float
+        About how much of the time each stage takes, in any unit. The bar is moved by them; what is left is told from the time that was
+        taken for what is done.
+    quiet : bool
+        Show nothing.
+    verbose : bool
+        Also write a line for each stage, with its time, where a bar is shown.
+    stream : text stream, optional
+        Where to; default: stderr.
+    """
+
+    def __init__(self, shares: Mapping[str, float], *, quiet: bool = False, verbose: bool = False, stream: Any = None) -> None:
+        super().__init__()
+        total = sum(shares.values()) or 1.0
+        self._shares = {name: share / total for name, share in shares.items()}
+        self._stream = sys.stderr if stream is None else stream
+        watched = bool(getattr(self._stream, "isatty", lambda: False)())
+        self._lines = not quiet and (verbose or not watched)
+        self._bar: tqdm[Any] | None = None
+        self._begun, self._done, self._part, self._stage = time.perf_counter(), 0.0, 0.0, ""
+        if watched and not quiet:
+            colour = None if "NO_COLOR" in os.environ else COLOUR
+            self._bar = tqdm(total=1.0, bar_format=_FORM, file=self._stream, dynamic_ncols=True, leave=False, colour=colour)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage, and show its name."""
+        with super().stage(name):
+            self._stage, self._part = name, 0.0
+            self._show()
+            yield
+        self._done = min(1.0, self._done + self._shares.get(name, _UNKNOWN))
+        self._part = 0.0
+        self._show()
+        if self._lines:
+            line = f"{name}: {self.timings_s[name]:.1f} s"
+            if self._bar is None:
+                print(line, file=self._stream, flush=True)
+            else:
+                self._bar.write(line, file=self._stream)
+
+    @contextmanager
+    def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
+        """Move the bar within a stage."""
+        with super().steps(name, total, unit) as step:
+            done = 0
+
+            def shown() -> None:
+                nonlocal done
+                done += 1
+                self._part = done / max(total, 1)
+                self._show()
+                step()
+
+            yield shown
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _show(self) -> None:
+        if self._bar is not None:
+            self._bar.set_description_str(self._stage, refresh=False)
+            now = self._done + self._part * self._shares.get(self._stage, _UNKNOWN)
+            self._bar.n = min(1.0, max(self._bar.n, now))
+            self._bar.refresh()

@@ -1,0 +1,213 @@
+"""The page of a result: what it says, that nothing in it asks a network, and that a real browser draws it."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rhizotwin.corrections import log
+from rhizotwin.corrections.corrected import write as write_corrected
+from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results import report
+from rhizotwin.report import page, rig_figure, solid, words
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
+from tests.recon.conftest import scan  # noqa: F401 - a fixture
+from tests.rhizotwin import plant as plants
+from tests.rhizotwin.browser import PATIENCE_MS, chromium
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
+    return plants.make(tmp_path_factory.mktemp("plant"), name="a <b>plant</b></script>")
+
+
+def test_the_page_of_a_solid_body(scan):  # noqa: F811
+    made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,))
+    report.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+    text = page.write(made.result, dataset=made.dataset).read_text(encoding="utf-8")
+    assert text.count("data:image/png;base64,") == 4
+    assert 1 <= text.count("data:image/jpeg;base64,") <= 4
+    assert "a ball &lt;6 mm&gt;" in text
+    assert "2 markers found, 4 are needed" in text
+    assert "No thin roots were found" in text
+    assert "Root extent (x, y, z)" in text
+    assert "data-file=rsml" not in text
+
+
+def test_the_page_says_what_the_scan_calibrated(scan):  # noqa: F811
+    made = scan(voxel_mm=1.0)
+    stood = np.eye(4)
+    stood[:2, 3] = 0.25, -0.5
+    ring = {
+        "ring": 0,
+        "placement": 1,
+        "cam_from_rig": frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=8.0).tolist(),
+        "covariance": np.diag([1e-8, 1e-8, 1e-8, 4e-4, 4e-4, 9e-4]).tolist(),
+        "own_movement_mm": 0.01,
+        "own_movement_deg": 0.002,
+    }
+    rig = {
+        "canister_from_strip": stood.tolist(),
+        "canister_from_strip_sigma": [0.001, 0.001, 0.012, 0.013],
+        "rings": [ring],
+        "n_water": 1.33412,
+        "n_water_given": 1.333,
+        "n_water_found": 1.33412,
+        "n_water_sigma": 0.00021,
+        "reprojection_before_px": 1.25,
+        "reprojection_after_px": 0.037,
+        "canister_edges": {"count": 720, "before_mm": 0.3, "after_mm": 0.004, "radius_excess_mm": 0.0},
+    }
+    made.edit_summary(rig=rig, volume_verdict="this scan <cannot> give a volume", volume_trusted=False)
+    text = page.write(made.result, dataset=made.dataset).read_text(encoding="utf-8")
+    for expected in (
+        "This scan &lt;cannot&gt; give a volume",
+        '<div class="light bad">',
+        "<td class=number>1.333</td><td class=number>1.33412</td><td class=number>0.00021</td>",
+        "<td class=number>1.2500</td><td class=number>0.0370</td>",
+        "<td class=number>400.000</td><td class=number>0.030</td>",
+    ):
+        assert expected in text
+
+
+def test_nothing_in_the_page_asks_a_network_or_runs_what_a_name_says(plant: plants.Plant):
+    text = page.write(plant.result).read_text(encoding="utf-8")
+    assert not re.search(r'(src|href)="(?!data:|#)', text)
+    assert "<b>plant" not in text
+    assert text.count("</script>") == 2  # of the data and of the drawing
+    assert "because the views disagree about &lt;radii&gt;" in text
+    assert len(text) < 2e6
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1000, "light"), (400, "dark")])
+def test_a_browser_draws_the_page_from_disk(browser: Any, plant: plants.Plant, width: int, scheme: str):
+    path = page.write(plant.result)
+    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme, offline=True, accept_downloads=True)
+    shown = context.new_page()
+    shown.set_default_timeout(PATIENCE_MS)
+    complaints: list[str] = []
+    shown.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
+    shown.on("pageerror", lambda error: complaints.append(str(error)))
+    shown.goto(path.as_uri())
+    shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 0", timeout=PATIENCE_MS)
+    assert shown.evaluate("document.documentElement.scrollWidth") <= width
+    canvas = shown.locator("canvas")
+    before = _pixels(canvas)
+    assert 0.002 < (np.ptp(before.reshape(-1, 3).astype(int) - before[0, 0], axis=1) > 30).mean() < 0.5  # blue laterals on grey
+    box = canvas.bounding_box()
+    shown.mouse.move(box["x"] + 100, box["y"] + 100)
+    shown.mouse.down()
+    shown.mouse.move(box["x"] + 220, box["y"] + 130)
+    shown.mouse.up()
+    shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 1", timeout=PATIENCE_MS)
+    assert np.abs(_pixels(canvas).astype(int) - before).mean() > 0.05
+    for kind, beginning in (("csv", b"trait,"), ("rsml", b"<?xml"), ("stl", b"\0" * 80)):
+        with shown.expect_download(timeout=PATIENCE_MS) as waiting:
+            shown.locator(f"button[data-file={kind}]").click()
+        assert Path(waiting.value.path()).read_bytes().startswith(beginning)
+    assert complaints == []
+    context.close()
+
+
+def _pixels(canvas: Any) -> np.ndarray:
+    picture = cv2.imdecode(np.frombuffer(canvas.screenshot(timeout=PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)
+    return picture[60:-40]
+
+
+def test_centre_lines_saved_from_the_page_are_those_of_the_result(browser: Any, plant: plants.Plant, tmp_path: Path):
+    from rhizotwin.scenes.rsml import read_rsml
+
+    shown = browser.new_page()
+    shown.goto(page.write(plant.result).as_uri())
+    with shown.expect_download(timeout=PATIENCE_MS) as waiting:
+        shown.locator("button[data-file=rsml]").click()
+    waiting.value.save_as(tmp_path / "saved.rsml")
+    saved = read_rsml(tmp_path / "saved.rsml")
+    for one, other in zip(saved, plant.roots, strict=True):
+        assert one.points_mm == pytest.approx(other.points_mm, abs=2e-3)
+        assert one.diameters_mm == pytest.approx(other.diameters_mm, abs=1e-3)
+        assert (one.order, one.parent) == (other.order, other.parent)
+    shown.close()
+
+
+def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
+    text = page.write_many([plant.result, plant.result], tmp_path / "many.html").read_text(encoding="utf-8")
+    assert text.count("<canvas") == 2
+    assert text.count("can be used</td>") == 2
+
+
+def test_corrections_are_told(plant: plants.Plant, tmp_path: Path):
+    session = Session(plant.result)
+    session.do(log.edit("delete roots", roots=[1], who="ann <x>"))
+    write_corrected(session, tmp_path / "new")
+    text = page.write(tmp_path / "new").read_text(encoding="utf-8")
+    assert "Corrected by hand: 1 edit by ann &lt;x&gt;, -" in text
+
+
+def test_a_page_without_the_pictures_says_so(plant: plants.Plant, tmp_path: Path):
+    session = Session(plant.result)
+    write_corrected(session, tmp_path / "alone")
+    summary = Path(tmp_path / "alone" / "result.json")
+    summary.write_text(summary.read_text().replace(str(plant.dataset), "/gone"))
+    assert "The pictures are not where they were" in page.write(tmp_path / "alone").read_text(encoding="utf-8")
+
+
+def test_the_shape_is_packed_to_micrometres(plant: plants.Plant):
+    import base64
+
+    packed = solid.packed(plant.roots, None)  # type: ignore[arg-type]
+    steps = np.frombuffer(base64.b64decode(packed["points"]), "<u2").reshape(-1, 3)
+    points = np.array(packed["origin"]) + packed["scale"] * steps
+    assert points == pytest.approx(np.concatenate([root.points_mm for root in plant.roots]), abs=1e-3)
+
+
+SUMMARY: dict[str, Any] = {
+    "volume_mm3": 137070.4,
+    "volume_interval_mm3": [128000.0, 146000.0],
+    "volume_trusted": True,
+    "volume_verdict": "",
+    "warnings": [],
+    "volume_budget": [
+        {"name": "a", "less_mm3": 8000.0, "more_mm3": 8000.0, "why": "of one thing"},
+        {"name": "b", "less_mm3": 0.0, "more_mm3": 3000.0, "why": "of another"},
+        {"name": "c", "less_mm3": 1.0, "more_mm3": 1.0, "why": "of nothing"},
+    ],
+}
+
+
+def test_no_false_precision():
+    assert words.volume(SUMMARY) == ("137.1 ml", "128.0 to 146.0 ml")
+    assert words.budget(SUMMARY)[:2] == [
+        "The volume may be 8.0 ml smaller or larger, because of one thing.",
+        "The volume may be 3.0 ml larger, because of another.",
+    ]
+    assert "1 other causes" in words.budget(SUMMARY)[2]
+
+
+def test_the_light_follows_checks_and_trust():
+    check = {"name": "motion", "state": "fair", "found": "roots sway by 0.3 px", "advice": "wait longer"}
+    assert words.light(SUMMARY)[0] == "good"
+    state, _, told = words.light(SUMMARY | {"checks": [check]})
+    assert (state, told) == ("fair", ["Roots sway by 0.3 px. Wait longer."])
+    assert words.light(SUMMARY | {"checks": [check | {"state": "bad"}], "volume_trusted": False})[0] == "bad"
+    assert words.light(SUMMARY | {"volume_trusted": False, "volume_verdict": "no"})[2] == ["No."]
+
+
+def test_the_rig_is_drawn_with_its_dimensions():
+    import xml.etree.ElementTree as ET
+
+    drawn = rig_figure.svg(Scene(name="a <b>"))
+    ET.fromstring(drawn)
+    for text in ("152.4 mm", "160 mm", "n = 1.333", "camera", "canister frame"):
+        assert text in drawn

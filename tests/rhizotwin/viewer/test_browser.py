@@ -1,0 +1,157 @@
+"""The viewer in a real browser: the first picture, picking, correcting, saving, and two browsers with one state."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rhizotwin.corrections import corrected, log
+from rhizotwin.corrections.session import Session
+from rhizotwin.viewer import app
+from rhizotwin.viewer.app import Viewer, screen_of
+from tests.rhizotwin import plant as plants
+from tests.rhizotwin.browser import PATIENCE_MS, chromium
+
+WIDE, HIGH = 760, 480
+LARGEST = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
+    .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""
+"""The canvas that the scene is drawn on."""
+OWN = ("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def viewer(tmp_path: Path) -> Iterator[Viewer]:
+    made = plants.make(tmp_path, fibre=True)
+    running = app.start([made.result], made.dataset, port=8190)
+    yield running
+    running.served.server.stop()
+
+
+def wait(until: Callable[[], Any], what: str) -> Any:
+    """Wait for something to become true and return it."""
+    end = time.monotonic() + PATIENCE_MS / 1000.0
+    while time.monotonic() < end:
+        found = until()
+        if found:
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"waited in vain for {what}")
+
+
+def opened(browser: Any, viewer: Viewer) -> tuple[Any, list[str]]:
+    """Open the viewer and wait for its camera; return the page and what it complained about."""
+    page = browser.new_page(viewport={"width": WIDE, "height": HIGH})
+    complaints: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on("request", lambda request: None if request.url.startswith(OWN) else complaints.append(request.url))
+    page.set_default_timeout(PATIENCE_MS)
+    known = set(viewer.served.server.get_clients())
+    page.goto(viewer.served.address)
+    wait(lambda: set(viewer.served.server.get_clients()) - known, "the browser's camera")
+    return page, complaints
+
+
+def click_root(page: Any, viewer: Viewer, number: int) -> None:
+    """Click the middle of a root on the screen."""
+    client = max(viewer.served.server.get_clients().items())[1]
+    screen = screen_of(client)
+    line = viewer.shown.session.state.lines[number]
+    point = line.points_mm[3 * len(line.points_mm) // 4]
+    seen = screen.camera_from_world[:3, :3] @ point + screen.camera_from_world[:3, 3]
+    half = np.tan(screen.fov / 2.0) * seen[2]
+    canvas = page.evaluate(LARGEST)
+    x = canvas["x"] + canvas["width"] * (0.5 + 0.5 * seen[0] / (half * screen.aspect))
+    y = canvas["y"] + canvas["height"] * (0.5 + 0.5 * seen[1] / half)
+    page.mouse.click(x, y)
+
+
+def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewer: Viewer, tmp_path: Path):
+    clean = plants.make(tmp_path / "clean")
+    page, complaints = opened(browser, viewer)
+    page.get_by_role("tab", name="Correct").click()
+    viewer.shown.strung()
+    click_root(page, viewer, 4)
+    wait(lambda: viewer.roots == [4], "the click to choose the fibre")
+    page.get_by_text("Root 4").wait_for()
+    page.get_by_role("button", name="Delete", exact=True).click()
+    wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go")
+    expected = Session(clean.result).measure().volume_mm3
+    assert viewer.shown.session.measure().volume_mm3 == pytest.approx(expected, rel=5e-3)
+    page.get_by_text("1 edit: delete roots").wait_for()
+    page.get_by_role("button", name="Undo").click()
+    wait(lambda: 4 in viewer.shown.session.state.lines, "the fibre to come back")
+    page.get_by_role("button", name="Redo").click()
+    wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go again")
+    page.get_by_role("button", name="Save").click()
+    folder = viewer.shown.session.folder
+    wait((folder / log.LOG_NAME).is_file, "the log")
+    again = Session(folder)
+    again.replay(log.read(folder / log.LOG_NAME, folder))
+    summary = corrected.write(again, tmp_path / "corrected")
+    assert summary["volume_mm3"] == pytest.approx(viewer.shown.session.measure().volume_mm3, rel=1e-9)
+    assert not complaints
+    page.close()
+
+
+def test_the_picture_shows_roots_and_another_browser_sees_the_same_state(browser: Any, viewer: Viewer):
+    page, _ = opened(browser, viewer)
+    box = page.evaluate(LARGEST)
+    clip = {"x": box["x"], "y": box["y"] + 130, "width": min(box["width"], 440), "height": box["height"] - 130}
+
+    def dark() -> float:
+        shot = cv2.imdecode(np.frombuffer(page.screenshot(clip=clip, timeout=PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)
+        blue, green, red = (shot[..., k].astype(int) for k in range(3))
+        return float(((blue - red > 60) & (green > 40)).mean())  # laterals are blue
+
+    with_roots = wait(lambda: dark() if dark() > 1e-3 else 0.0, "roots in the picture")
+    other, _ = opened(browser, viewer)
+    other.get_by_role("tab", name="Look").click()
+    other.get_by_label("Roots").first.click()
+    wait(lambda: "roots" not in viewer.look.layers, "roots to be switched off")
+    wait(lambda: dark() < 0.3 * with_roots, "the first browser to follow")
+    page.close()
+    other.close()
+
+
+def test_the_token_is_asked_for(viewer: Viewer):
+    import http.client
+
+    def asked(path: str, **headers: str) -> int:
+        line = http.client.HTTPConnection(viewer.served.host, viewer.served.port, timeout=20)
+        line.request("GET", path, headers=headers)
+        answer = line.getresponse()
+        cookie = answer.getheader("Set-Cookie") or ""
+        assert "HttpOnly" in cookie or answer.status != 200 or "Cookie" in headers
+        line.close()
+        return answer.status
+
+    good, port = viewer.served.token, viewer.served.port
+    socket = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    }
+    own = {"Origin": f"http://127.0.0.1:{port}"}
+    cookie = {"Cookie": f"rhizotwin_{port}={good}"}
+    assert asked("/") == 403
+    assert asked("/?token=wrong") == 403
+    assert asked("/", Cookie=f"rhizotwin_{port}=wrong") == 403
+    assert asked(f"/?token={good}") == 200
+    assert asked("/", **cookie) == 200
+    assert asked("/../../../../etc/passwd", **cookie) == 404
+    assert asked("/%2e%2e/%2e%2e/etc/passwd", **cookie) == 404
+    assert asked("/", **socket, **own) == 403
+    assert asked("/", **socket, **cookie) == 403  # from no page
+    assert asked("/", **socket, **cookie, Origin="http://127.0.0.1:1") == 403  # from another page of this machine
+    assert asked("/", **socket, **cookie, **own) == 101

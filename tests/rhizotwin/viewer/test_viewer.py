@@ -1,0 +1,129 @@
+"""What the viewer does without a browser: picking, pictures through the water, words."""
+
+import time
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+
+from rhizotwin import said
+from rhizotwin.recon.optics import cameras
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.through_water import Pictures
+from rhizotwin.viewer import app, picking, words
+from rhizotwin.viewer.app import CLICKS, Viewer
+from tests.rhizotwin import plant as plants
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
+    return plants.make(tmp_path_factory.mktemp("plant"), name="a *plant* <b>")
+
+
+@pytest.fixture
+def viewer(plant: plants.Plant) -> Iterator[Viewer]:
+    running = app.start([plant.result], plant.dataset, port=8290)
+    yield running
+    running.served.server.stop()
+
+
+def ray_to(point: np.ndarray) -> picking.Ray:
+    eye = np.array([300.0, -200.0, 20.0])
+    return picking.Ray(eye, (point - eye) / np.linalg.norm(point - eye))
+
+
+def test_a_click_finds_the_root_it_meets_first(viewer: Viewer, plant: plants.Plant):
+    for number in range(4):
+        point = plant.roots[number].points_mm[30]
+        viewer.clicked(ray_to(point))
+        assert viewer.roots == [number]
+    viewer.clicked(ray_to(np.array([60.0, 60.0, -100.0])))
+    assert viewer.roots == []
+
+
+def test_clicks_measure_cut_and_end(viewer: Viewer, plant: plants.Plant):
+    a, b = plant.roots[1].points_mm[30], plant.roots[2].points_mm[30]
+    viewer.look.click = CLICKS[2]
+    viewer.clicked(ray_to(a))
+    viewer.clicked(ray_to(b))
+    assert np.linalg.norm(viewer.measured[0] - viewer.measured[1]) == pytest.approx(np.linalg.norm(a - b), abs=1.0)
+    viewer.look.click = CLICKS[3]
+    viewer.clicked(ray_to(plant.roots[0].points_mm[15]))
+    assert len(viewer.shown.session.state.lines) == 5
+    viewer.look.click = CLICKS[4]
+    viewer.clicked(ray_to(a))
+    assert viewer.shown.session.state.lines[1].length_mm < 0.9 * plants_length(plant, 1)
+
+
+def plants_length(plant: plants.Plant, number: int) -> float:
+    return float(np.linalg.norm(np.diff(plant.roots[number].points_mm, axis=0), axis=1).sum())
+
+
+def test_a_click_finds_the_voxel_that_its_ray_enters_first():
+    centre = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 5.0, 0.0]])
+    half = np.full(3, 0.5)
+    assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.4, 0.0]), np.array([-1.0, 0.0, 0.0]))) == 1
+    assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.6, 0.0]), np.array([-1.0, 0.0, 0.0]))) is None
+
+
+def test_voxels_are_chosen_in_a_box_and_deleted_quickly(viewer: Viewer):
+    before = viewer.shown.session.measure().volume_mm3
+    viewer.choose_box((-20.0, -20.0, -60.0), (20.0, 20.0, -45.0))
+    assert len(viewer.voxels) > 200
+    begin = time.perf_counter()
+    viewer.delete()
+    assert time.perf_counter() - begin < 3.0  # 0.03 s by itself; other tests run beside it
+    assert viewer.shown.session.measure().volume_mm3 < 0.9 * before
+    viewer.undo()
+    assert viewer.shown.session.measure().volume_mm3 == before
+
+
+def test_what_cannot_be_done_is_said(viewer: Viewer):
+    viewer.delete()
+    assert viewer.told == "nothing is chosen"
+    viewer.pair("join")
+    assert "choose two roots" in viewer.told
+
+
+def test_pixels_are_those_of_the_reference(plant: plants.Plant):
+    found = Pictures.of(load_dataset(plant.dataset), {"views": [], "rig": {}} | _summary(plant))
+    points = np.concatenate([root.points_mm for root in plant.roots])[::7]
+    for place in (0, 3):
+        px = found.pixels(place, points)
+        reference, count = cameras.project(found.views[place], found.optics, points)
+        assert (count == 1).all()
+        assert px == pytest.approx(reference[:, 0], abs=1e-6)
+
+
+def _summary(plant: plants.Plant) -> dict:
+    from rhizotwin.recon.results.result_files import read_summary
+
+    return read_summary(plant.result)
+
+
+def test_roots_drawn_over_pictures_lie_on_the_roots(viewer: Viewer):
+    pictures, lines = viewer.shown.pictures, viewer.shown.session.state.lines
+    assert pictures is not None
+    drawn = pictures.drawn(0, lines, dict.fromkeys(lines, (255, 0, 0))).astype(int)
+    plain = pictures.picture(0).astype(int)
+    marked = (drawn != plain).any(axis=2)
+    assert 50 < marked.sum() < 0.2 * marked.size
+    roots = cv2.dilate((plain[..., 0] < 200).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert roots[marked].mean() > 0.98
+
+
+def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: Viewer):
+    assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
+    assert said.ml(137070.4, half_mm3=9000.0) == "137.1"
+    assert said.ml(58.2967, half_mm3=11.7) == "0.058"
+    assert "<script>" not in words.root(0, viewer.shown.session.state.lines, 0, ["<script>.png"])
+
+
+def test_standing_in_a_picture_hides_what_does_not_fit(viewer: Viewer):
+    viewer.stand(2)
+    assert viewer.standing == 2
+    viewer.clicked(ray_to(np.array([0.0, 0.0, -30.0])))
+    assert viewer.roots == []
+    viewer.stand(None)
+    assert viewer.standing is None
