@@ -81,7 +81,7 @@ def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output:
     """
     read = _Read.of(Path(result_folder), dataset)
     path = Path(result_folder) / "report.html" if output is None else output
-    atomic.write_text(path, _whole(f"Roots of {read.name}", [_one(read)]))
+    atomic.write_bytes(path, _whole(f"Roots of {read.name}", [_one(read)]).encode("utf-8", "backslashreplace"))
     return path
 
 
@@ -101,7 +101,7 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     head = "<tr><th>result</th><th>scene</th><th>volume</th><th>90 % interval</th><th></th><th>root length (mm)</th></tr>"
     table = f"<h1>{len(read)} results</h1><div class=wide><table>{head}{''.join(rows)}</table></div>"
     parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(read)]
-    atomic.write_text(output, _whole(f"{len(read)} results", [table, *parts]))
+    atomic.write_bytes(output, _whole(f"{len(read)} results", [table, *parts]).encode("utf-8", "backslashreplace"))
     return output
 
 
