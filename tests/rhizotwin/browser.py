@@ -18,7 +18,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-dev-shm-usage",
 )
-PATIENCE_MS = 120_000
+PATIENCE_MS = 300_000
 """Software draws slowly while other tests run."""
 
 

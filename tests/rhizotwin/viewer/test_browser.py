@@ -16,7 +16,7 @@ from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS, chromium
 
-WIDE, HIGH = 760, 480
+WIDE, HIGH = 640, 400
 LARGEST = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
     .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""
 """The canvas that the scene is drawn on."""
@@ -106,7 +106,7 @@ def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewe
 def test_the_picture_shows_roots_and_another_browser_sees_the_same_state(browser: Any, viewer: Viewer):
     page, _ = opened(browser, viewer)
     box = page.evaluate(LARGEST)
-    clip = {"x": box["x"], "y": box["y"] + 130, "width": min(box["width"], 440), "height": box["height"] - 130}
+    clip = {"x": box["x"], "y": box["y"] + 130, "width": min(box["width"], 320), "height": box["height"] - 130}
 
     def dark() -> float:
         shot = cv2.imdecode(np.frombuffer(page.screenshot(clip=clip, timeout=PATIENCE_MS), np.uint8), cv2.IMREAD_COLOR)
