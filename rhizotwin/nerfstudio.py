@@ -114,7 +114,7 @@ def _matrix(rows: Any, *, where: str) -> frames.Array:
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
         raise UserError(f"{where} must be 4 rows of 4 numbers")
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
+    if np.abs(rotation).max() > 1.1 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0.0:
         raise UserError(f"{where} is not a rotation and a translation; remove scale, shear and mirroring")
     if matrix.shape == (4, 4) and np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
         raise UserError(f"{where} must end with the row 0 0 0 1")

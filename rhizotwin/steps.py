@@ -5,7 +5,6 @@ from pathlib import Path
 
 from rhizotwin import engine
 from rhizotwin.front_door import reconstruct
-from rhizotwin.recon.results.result_files import RESULT_NAMES
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, tidy
 
@@ -68,6 +67,8 @@ def reconstruct_whole(
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
+    from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
+
     tidy(output)
     there = contents(output)
     if there and not (output / "result.json").is_file():
@@ -78,7 +79,6 @@ def reconstruct_whole(
     if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
     from rhizotwin.recon.results import report
-    from rhizotwin.recon.results.result_files import read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page

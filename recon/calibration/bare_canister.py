@@ -63,6 +63,9 @@ ROWS_TOGETHER = 8.0
 """Rows of a picture that share one root's error and count as one."""
 MOST_AGREEMENT_PX = 3.0
 """Centres of mass that are farther than this from where one turning point would be: bent rays, another canister, or no turn at all."""
+STEPS_AGREE = 0.15
+"""Share by which all steps together may be longer or shorter than told (a real table: 0.01 to 0.02); a turn with one view in six more or
+less is another plan."""
 HEIGHTS_AGREE_MM = 1.0
 """Less is the thickness of a meniscus."""
 _ROUNDS = 200
@@ -334,6 +337,12 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
             azimuth = azimuth + start * float(pull @ start / max(float(hold @ start**2), 1e-9))
             ideal = azimuth
         else:
+            steps = float(ideal @ start / max(float(start @ start), 1e-9))
+            if abs(steps - 1.0) > STEPS_AGREE:
+                raise UserError(
+                    f"the pictures turn by {100.0 * steps:.0f} % of the steps that the table was told; a table that slips or stands still, "
+                    "or a plan with another number of views a turn"
+                )
             off = azimuth - ideal
             azimuth = azimuth + (pull - off / table_sigma**2) / (hold + table_sigma**-2)
             # how uneven this table is, by expectation and maximisation: what a view's angle is off by, and how far it is not known

@@ -21,7 +21,7 @@ def checkout(folder: Path, megabytes: int, loops: int) -> Path:
 
 
 def test_ratios_are_of_this_code_by_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    heavy, light = checkout(tmp_path / "heavy", 600, 5_000_000), checkout(tmp_path / "light", 1, 1)
+    heavy, light = checkout(tmp_path / "heavy", 600, 30_000_000), checkout(tmp_path / "light", 1, 1)
     monkeypatch.setattr(against, "ROOT", light)
     monkeypatch.setattr(against, "checked_out", lambda _: heavy)
     said: list[str] = []

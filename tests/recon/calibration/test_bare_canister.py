@@ -110,7 +110,7 @@ def test_the_other_sense_of_turning_is_the_mirror_image():
     ("change", "sentence"),
     [
         (lambda drawn: (drawn[:5], TABLE_DEG[:5]), "too few"),
-        (lambda drawn: ([drawn[0]] * 30, TABLE_DEG), "do not turn"),
+        (lambda drawn: ([drawn[0]] * 30, TABLE_DEG), "slips or stands still"),
         (lambda drawn: ([np.where(picture > 250, picture, 0) for picture in drawn], TABLE_DEG), "edges"),
         (lambda drawn: ([picture[60:] for picture in drawn], TABLE_DEG), "surface"),
     ],

@@ -1,6 +1,5 @@
 """Films and bubbles on the canister's wall, told from roots by turning the canister."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
 
 VIEWS = 16
 
@@ -28,11 +28,6 @@ def turn() -> tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]:
     return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}
 
 
-def each(work: Callable[[int], object], name: str, indices: list[int], /) -> list:
-    del name
-    return [work(k) for k in indices]
-
-
 def painted(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Paint a wall with a film of optical depth 0.2, and one with a bubble and a thin root that runs down."""
     film, things = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
@@ -48,7 +43,7 @@ def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_sta
     where = {k: wall.crossings(view, optics) for k, view in views.items()}
     depth = {k: sum(wall.look_up(film + things, where[k].column[side], where[k].row[side]) for side in (0, 1)) * seen[k] for k in views}
     opacity = {k: (1.0 - np.exp(-d)).astype(np.float32) for k, d in depth.items()}
-    found = wall.study(opacity, seen, where, optics, each)
+    found = wall.study(opacity, seen, where, optics, Monitor())
     assert found.film[44:48, 104:110] == pytest.approx(0.2, abs=0.02)
     assert found.bubbles[71, 201], "the bubble stands alone"
     assert not found.bubbles[:, 290:312].any(), "the root goes on"
