@@ -6,6 +6,7 @@ profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or gamma.
 
 import io
 import struct
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -85,7 +86,8 @@ def of_camera(camera: Camera) -> Curve:
 def stated_in(picture: bytes | Path) -> Curve | None:
     """Return the curve that a picture file states; None where it states none that can be read."""
     try:
-        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
+        # Pillow warns of a damaged EXIF block, which is no word on the curve and nothing more
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:
             info = opened.info
             if profile := info.get("icc_profile"):
                 return _of_profile(profile)

@@ -252,7 +252,7 @@ SPECIMENS = [
     Spoilt("floor.obj", lambda path: ball(shift=(0.0, 0.0, -145.0)).export(path), ("floor.obj", "below the floor", "move or shrink")),
     Spoilt("surface.stl", lambda path: ball(shift=(0.0, 0.0, 0.0)).export(path), ("surface.stl", "above the water's surface")),
     Spoilt("metres.stl", lambda path: ball(0.008, (0.0, 0.0, -0.06)).export(path), ("metres.stl", "millimetres", "scale it up")),
-    Spoilt("cut.stl", lambda path: (ball().export(path), cut(path)), ("cut.stl", "cannot be read")),
+    Spoilt("cut.stl", lambda path: (ball().export(path), cut(path)), ("cut.stl", "export")),
     Spoilt("text.ply", lambda path: path.write_text("no mesh"), ("text.ply", "cannot be read")),
     Spoilt("nothing.obj", lambda path: path.write_text(""), ("nothing.obj",)),
     Spoilt("picture.png", lambda path: path.write_bytes(b"\x89PNG"), ("picture.png", "PLY, STL or OBJ")),

@@ -15,6 +15,8 @@ import pytest
 
 import rhizotwin.importer
 import rhizotwin.scenes.atomic
+import rhizotwin.scenes.dataset
+import rhizotwin.scenes.folders
 import rhizotwin.sim.simulate
 from rhizotwin import cli
 from rhizotwin.recon import pictures, reconstruct, shaping
@@ -161,7 +163,7 @@ def test_full_disk_in_reconstruct(moment: Moment, earlier: bool, scan: Path, com
 
 
 EARLY = [
-    Moment(reconstruct, "load_dataset"),
+    Moment(rhizotwin.scenes.dataset, "load_dataset"),
     Moment(pictures, "read_image", 3),
     Moment(markers, "detect_markers", 2),
     Moment(poses, "find_poses"),
@@ -222,13 +224,13 @@ def test_result_json_is_written_last_and_an_old_one_removed_first(found: Any, sc
     """For whoever calls the library: a folder with a result.json is whole."""
     fault.stop(result.atomic, "write_bytes", at=1)
     with pytest.raises(KeyboardInterrupt):
-        result.write(found.result, scan / "result")
+        found.result.save(scan / "result")
     assert not (scan / "result" / "result.json").exists()
     fault.mend()
     names: list[str] = []
     write = result.atomic.write_bytes
     fault.patch.setattr(result.atomic, "write_bytes", lambda path, data: (names.append(path.name), write(path, data)))
-    result.write(found.result, scan / "result")
+    found.result.save(scan / "result")
     assert names.index("result.json") == len(names) - 1
 
 
@@ -270,13 +272,13 @@ def test_stopped_demo_keeps_its_pictures(tmp_path: Path, command: Any, fault: An
 
 
 def test_ctrl_c_pressed_twice_lets_the_tidying_finish(made: Path, rig: Path, tmp_path: Path, command: Any, fault: Any) -> None:
-    tidy = rhizotwin.scenes.atomic.shutil.rmtree
+    tidy = rhizotwin.scenes.folders.shutil.rmtree
 
     def press_again(*arguments: Any, **options: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         tidy(*arguments, **options)
 
-    fault.patch.setattr(rhizotwin.scenes.atomic.shutil, "rmtree", press_again)
+    fault.patch.setattr(rhizotwin.scenes.folders.shutil, "rmtree", press_again)
     fault.patch.setattr(rhizotwin.importer, "save_dataset", lambda _: signal.raise_signal(signal.SIGINT))
     command.fails("import", made / "images", "--scene", rig, "-o", tmp_path / "out", named=["stopped"], code=130)
     assert list(tmp_path.iterdir()) == []
