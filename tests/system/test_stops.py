@@ -180,7 +180,6 @@ LATE = [
     Moment(report, "_save", 2),
     Moment(Path, "mkdir"),
     Moment(Path, "rename", 1),
-    Moment(Path, "rename", 2),
 ]
 
 
@@ -210,6 +209,18 @@ def test_ctrl_c_while_reconstruct_writes(moment: Moment, scan: Path, command: An
 
 
 @pytest.mark.usefixtures("quick_shape")
+def test_a_move_that_ctrl_c_stops_is_finished_by_who_reads_next(scan: Path, command: Any, fault: Any) -> None:
+    """Between the two renames the earlier result is going and the new one is whole: the next command puts it in place."""
+    fault.patch.setattr(report, "write_pictures", lambda *_, **__: [])
+    fault.stop(Path, "rename", at=2)
+    command.fails("reconstruct", scan / "dataset", "-o", scan / "result", *FAST, named=["stopped"], code=130)
+    fault.mend()
+    command.works("traits", scan / "result")
+    assert (scan / "result" / "result.json").is_file()
+    no_temporary(scan)
+
+
+@pytest.mark.usefixtures("quick_shape")
 def test_second_run_replaces_a_result_whole(scan: Path, command: Any, fault: Any) -> None:
     stop_reconstruct(LATE[0], scan, command, fault, scan / "result")
     (scan / "result" / "silhouettes" / "view_777.png").touch()
@@ -229,7 +240,7 @@ def test_result_json_is_written_last_and_an_old_one_removed_first(found: Any, sc
     fault.mend()
     names: list[str] = []
     write = result.atomic.write_bytes
-    fault.patch.setattr(result.atomic, "write_bytes", lambda path, data: (names.append(path.name), write(path, data)))
+    fault.patch.setattr(result.atomic, "write_bytes", lambda path, data, **how: (names.append(path.name), write(path, data, **how)))
     found.result.save(scan / "result")
     assert names.index("result.json") == len(names) - 1
 
