@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import statistics
 import subprocess
 import sys
@@ -25,6 +26,14 @@ from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
 
 ROOT = Path(__file__).resolve().parent.parent
+_SMALL = """
+import resource, subprocess, sys
+code = subprocess.call(sys.argv[1:], stdout=subprocess.DEVNULL)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss)
+sys.exit(code)
+"""
+"""Between us and what is measured: Linux counts the memory of whoever starts a process as the process's own peak."""
 SET = "SET"
 """Stands for the folder of a job's pictures in its words."""
 LAST_WORDS = 2000
@@ -150,25 +159,26 @@ def _run(root: Path, words: Sequence[str]) -> Used:
     began = time.perf_counter()
     with tempfile.TemporaryFile() as errors:
         child = subprocess.Popen(
-            [sys.executable, "-m", "rhizotwin", *words],
+            [sys.executable, "-c", _SMALL, sys.executable, "-m", "rhizotwin", *words],
             cwd=root,
             env={**os.environ, "PYTHONPATH": str(root)},
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=errors,
+            start_new_session=True,
         )
         try:
-            _, status, usage = os.wait4(child.pid, 0)
+            said, _ = child.communicate()
         except BaseException:
-            child.kill()
+            os.killpg(child.pid, signal.SIGKILL)
             child.wait()
             raise
-        child.returncode = os.waitstatus_to_exitcode(status)
         if child.returncode != 0:
             errors.seek(0)
             last = errors.read().decode(errors="replace")[-LAST_WORDS:]
             raise UserError(f"`rhizotwin {' '.join(words)}` of {root} ended with code {child.returncode}: {last}")
+    cpu_s, peak = (float(word) for word in said.split()[-2:])
     unit = 1024.0**2 if sys.platform == "darwin" else 1024.0  # bytes there, KiB elsewhere
-    return Used(cpu_s=usage.ru_utime + usage.ru_stime, wall_s=time.perf_counter() - began, memory_mib=usage.ru_maxrss / unit)
+    return Used(cpu_s=cpu_s, wall_s=time.perf_counter() - began, memory_mib=peak / unit)
 
 
 def _ratio(job: Job, pairs: Sequence[tuple[Used, Used]]) -> Ratio:
