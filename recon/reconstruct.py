@@ -79,7 +79,7 @@ def reconstruct(
     failed = checks.failed(checked)
     if failed:
         solid = replace(solid, volume=solid.volume.doubted(failed))
-    said = (solid.volume.verdict,) if failed and solid.volume.verdict not in solid.warnings else ()
+    said = () if solid.volume.trusted else (solid.volume.verdict,)
     warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, monitor=monitor)

@@ -294,14 +294,14 @@ def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Leaves:
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
-    """Say when the volume is not to be trusted."""
+    """Say what the shape holds that no silhouette asks for."""
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(
             f"{100.0 * kept:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
             "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
         )
-    return [*found, budget.verdict] if budget.doubts else found
+    return found
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:

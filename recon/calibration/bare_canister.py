@@ -157,11 +157,10 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         )
     lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # right hand of each view in (X, Y)
     slope = np.column_stack([np.ones(len(azimuth)), -lean])
-    roll, tilt_x, tilt_y = np.linalg.lstsq(slope, edges.axis_px[:, 1], rcond=None)[0]
+    _, tilt_x, tilt_y = np.linalg.lstsq(slope, edges.axis_px[:, 1], rcond=None)[0]
     nearer = np.cos(azimuth)[:, None] * place[0] + np.sin(azimuth)[:, None] * place[1]
     shift, elevation = _lift(mass, nearer)
     towards = tilt_x * np.cos(azimuth) + tilt_y * np.sin(azimuth)
-    del roll
     level_row = edges.rows[0] - 0.5
     zero_row = level_row + scene.water.level_mm / mm_per_px
     poses = tuple(
