@@ -108,6 +108,7 @@ _SCATTER = "how far every number moves when only the last bits of the pictures d
 def _add_scatter(one: argparse.ArgumentParser) -> None:
     one.add_argument("--quick", action="store_true", required=True, help="of the small set (the full one would take weeks)")
     one.add_argument("--scenes", type=_words, metavar="PATTERN,...", help="only these scenes of it; the others' numbers stay as they are")
+    _add_profiles_and_methods(one)
     one.add_argument("--runs", type=int, default=scatter.RUNS, metavar="N", help="default: %(default)s")
     one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
 
@@ -121,7 +122,7 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
     one.add_argument(
         "--scenes", type=_words, metavar="PATTERN,...", help="only the ladder's scenes whose name fits, such as 'radish_day0*'"
     )
-    one.add_argument("--profiles", type=_words_of(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
+    _add_profiles_and_methods(one)
     one.add_argument(
         "--seeds",
         type=_seeds,
@@ -130,7 +131,6 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
         + ", ".join(f"{name} ({', '.join(map(str, seeds))})" for name, seeds in cases.SEED_SETS.items())
         + "; default: first. The second set is for the end: never look at it while something is developed",
     )
-    one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
     one.add_argument(
         "--change",
         type=_change,
@@ -140,6 +140,11 @@ def _add_selection(one: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--list", action="store_true", help="name the cases and end")
     one.add_argument("--afresh", action="store_true", help="measure again what an earlier run with the same code measured")
+
+
+def _add_profiles_and_methods(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--profiles", type=_words_of(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
+    one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
 
 
 def _change(text: str) -> str:
@@ -209,7 +214,8 @@ def _compare(given: argparse.Namespace) -> int:
 
 def _scatter(given: argparse.Namespace) -> int:
     """Measure the scatter and record it."""
-    values, crashed = scatter.measure(cases.quick(scenes=given.scenes or ("*",)), runs=given.runs, device=given.device, say=say)
+    selection = {name: getattr(given, name) for name in ("scenes", "profiles", "methods") if getattr(given, name) is not None}
+    values, crashed = scatter.measure(cases.quick(**selection), runs=given.runs, device=given.device, say=say)
     if crashed:
         raise UserError(f"{next(iter(crashed))} crashed, so that the scatter is left as it was.")
     say("\n" + scatter.table(values))

@@ -79,8 +79,8 @@ class ArmPart:
     """Base, shoulder, elbow, wrist pitch, wrist roll."""
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
     """Base plate to shoulder axis, shoulder to elbow, elbow to wrist pitch, wrist pitch to the camera's centre."""
-    position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -100.0), -5000.0, 5000.0)
-    """Centre of the base plate's underside in the rig frame; by default 95 mm above the floor, to reach rings above the rim."""
+    position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
+    """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root and shoot."""
     rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
     """Rotation vector from the arm's frame (+z along the base's axis, +x where the arm leans at positive shoulder angles) to the rig's."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)

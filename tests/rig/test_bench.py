@@ -146,12 +146,16 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
     assert bench.twin.world.panel.level == 0.0
 
 
+ARM = ArmPart()
+
+
 @dataclass(frozen=True)
 class Refused:
     """A line that is not done, and what is said."""
 
     line: str
     named: str
+    arm: ArmPart = ARM
 
 
 REFUSED = [
@@ -162,7 +166,7 @@ REFUSED = [
     Refused("lights nan", "is not understood, write: lights"),
     Refused("joint 6 +5", "is not understood, write: joint"),
     Refused("joint 2 +400", "limits"),
-    Refused("joint 2 89", "arm: "),
+    Refused("joint 2 89", "the floor", ArmPart(position_mm=(650.0, 0.0, -100.0))),
     Refused("go 60 -42", "arm: "),
     Refused("go 400 900", "out of reach"),
     Refused("go -5 0", "is not understood, write: go"),
@@ -174,7 +178,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("refused", REFUSED, ids=lambda refused: refused.line)
 def test_refused_with_the_reason_and_nothing_moves(refused: Refused) -> None:
-    bench = Bench()
+    bench = Bench(rig=replace(twin_of().rig, arm=refused.arm))
     before = bench.twin.world.joints_deg
     moved: list[tuple[float, ...]] = []
     said = bench.types(refused.line, before_leaving=lambda: moved.append(bench.twin.world.joints_deg))

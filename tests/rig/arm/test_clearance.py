@@ -1,6 +1,8 @@
 """Paths of the arm against canister, table, floor and bars: distances by brute force, and that nothing is missed between samples."""
 
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Canister, Ring, Scene
 
-ARM = ArmPart()
+ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
+"""On a stand so low that it reaches the floor."""
 RIG = RigFile(arm=ARM)
 SCENE = Scene()
 RING = joints_for(RIG, camera_wanted(Ring()))
@@ -120,14 +123,23 @@ def test_distances_of_a_pose_told_by_hand() -> None:
 
 
 def test_default_arm_is_clear_at_rest_and_on_its_way_to_the_rings() -> None:
-    at_rest = pairs(RIG, SCENE, np.array([ARM.park_deg]))
+    arm = ArmPart()
+    rig = RigFile(arm=arm)
+    at_rest = pairs(rig, SCENE, np.array([arm.park_deg]))
     assert (at_rest.distance_mm > at_rest.margin_mm + 20.0).all()
-    at: Joints = ARM.park_deg
-    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), Ring(height_mm=80.0, kind="shoot"), Ring(height_mm=-110.0)):
-        goal = joints_for(RIG, camera_wanted(ring))
-        assert plan_path(RIG, SCENE, at, goal) == [goal]
+    at: Joints = arm.park_deg
+    for ring in (Ring(), Ring(height_mm=45.0, tilt_deg=15.0), shoot_ring_of_the_page(), Ring(height_mm=-65.0)):
+        goal = joints_for(rig, camera_wanted(ring))
+        assert plan_path(rig, SCENE, at, goal) == [goal]
         at = goal
-    assert plan_path(RIG, SCENE, at, ARM.park_deg) == [ARM.park_deg]
+    assert plan_path(rig, SCENE, at, arm.park_deg) == [arm.park_deg]
+
+
+def shoot_ring_of_the_page() -> Ring:
+    """Return the second ring of the thesis's 80 pictures as docs/scanning.md writes it."""
+    page = (Path(__file__).parents[3] / "docs" / "scanning.md").read_text(encoding="utf-8")
+    plan = tomllib.loads(page[page.index("[[plan.rings]]") :].partition("```")[0])
+    return Ring(**plan["plan"]["rings"][1])
 
 
 def test_base_near_the_floor_is_no_collision() -> None:
