@@ -30,7 +30,7 @@ SAME_VOLUME = 1e-9
 def settings(pictures: Pictures) -> dict[str, Any]:
     """Return all that decides what a dataset looks like, besides the sources, as JSON values."""
     return {
-        "scene": scene_to_dict(pictures.scene_to_render()),
+        "scene": {key: value for key, value in scene_to_dict(pictures.scene_to_render()).items() if key != "subject"},  # changes no picture
         "profile": pictures.profile,
         "seed": pictures.seed,
         "fidelity": "backlit",

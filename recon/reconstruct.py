@@ -121,6 +121,8 @@ def gather(
         dataset=str(dataset.folder),
         dataset_sha256=dataset.sha256,
         scene=dataset.scene.name,
+        subject=dataset.scene.subject,
+        strip=dataset.scene.strip,
         solid=solid,
         cameras=cameras.all,
         fill=fill,

@@ -4,17 +4,23 @@ A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from cyclopts import Parameter
+
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.subject import check_subject
 
 T = TypeVar("T")
 
 VOXEL_LIMITS_MM = (0.01, 10.0)
 DIAMETER_LIMITS_MM = (0.01, 50.0)
 MASS_LIMITS_G = (1e-6, 1e6)
+DAY_LIMITS = (0.0, 36500.0)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 MAX_SAMPLES = 1 << 16
@@ -126,6 +132,52 @@ Port: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, 65535, "give
 VoxelMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, VOXEL_LIMITS_MM), "MM")]
 DiameterMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, DIAMETER_LIMITS_MM), "D")]
 MassG: TypeAlias = Annotated[float, option(read_mass_g, "G")]
+
+
+def read_day(text: str) -> float:
+    """Read a plant's age."""
+    return between(text, DAY_LIMITS, "days")
+
+
+def read_date(text: str) -> str:
+    """Read a date."""
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ValueError(f"{text!r} is not a date, write it as 2022-10-06") from None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SubjectOptions:
+    """Whose roots are in the canister; what is given goes before the scene's [subject]."""
+
+    plant: Annotated[str | None, named("NAME")] = None
+    """Name of the plant, the same on every day."""
+    species: Annotated[str | None, named("NAME")] = None
+    """Its species, such as 'Raphanus sativus'."""
+    treatment: Annotated[str | None, named("NAME")] = None
+    """What was done to it and not to others."""
+    day: Annotated[float | None, option(read_day, "DAYS")] = None
+    """Days since sowing."""
+    date: Annotated[str | None, option(read_date, "DATE")] = None
+    """Date of the scan, as 2022-10-06."""
+    replicate: Annotated[int | None, option(lambda text: whole(text, 0, 1000000, "give 0 or a positive whole number"), "N")] = None
+    """Which of the plants that were treated alike."""
+    notes: Annotated[str | None, named("TEXT")] = None
+    """Anything else that tables shall tell."""
+
+    def told(self, scene: Scene) -> Scene:
+        """Return a scene whose subject is changed by what was given.
+
+        Raises
+        ------
+        UserError
+            For text that cannot stand in a table.
+        """
+        subject = replace(scene.subject, **{name: value for name, value in vars(self).items() if value is not None})
+        check_subject(subject, Place("the command line").at("subject"))
+        return replace(scene, subject=subject)
 
 
 @Parameter(name="*")

@@ -1,6 +1,5 @@
 """The program: it runs a command, and each failure ends in one sentence and an exit code."""
 
-import errno
 import os
 import signal
 import sys
@@ -10,10 +9,10 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
+from rhizotwin.said import DEBUG_VARIABLE, FULL, failure
 from rhizotwin.scenes.errors import UserError
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
-DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
 AFTER_STOP = {
     "simulate": "the same command takes it up again",
     "demo": "the same command takes it up again",
@@ -94,15 +93,5 @@ def _explain(error: BaseException, command: str) -> tuple[str, int]:
     if isinstance(error, KeyboardInterrupt):
         after = AFTER_STOP.get(command, "nothing was written; run it again")
         return f"stopped; {after}" if after else "stopped", EXIT_STOPPED
-    if isinstance(error, UserError):
-        return str(error), EXIT_MISTAKE
-    if isinstance(error, MemoryError):
-        return "not enough memory; use larger voxels (--voxel-mm) or smaller pictures", EXIT_FAILED
-    text = " ".join(str(error).split())[:300]
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return f"{where}the disk is full; free some space and run the same command again", EXIT_MISTAKE
-        return f"{where}{error.strerror or text}; check the path and your rights to it", EXIT_FAILED
-    what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
-    return f"{what}; run it again with {DEBUG_VARIABLE}=1 to see where", EXIT_FAILED
+    full = isinstance(error, OSError) and error.errno in FULL
+    return failure(error), EXIT_MISTAKE if full or isinstance(error, UserError) else EXIT_FAILED

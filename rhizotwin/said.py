@@ -1,6 +1,13 @@
-"""Numbers as people say them: with the digits that their uncertainty leaves them, and without exponents."""
+"""What people read: numbers with the digits that their uncertainty leaves them and without exponents, and an error as one sentence."""
 
+import errno
 import math
+
+from rhizotwin.scenes.errors import UserError
+
+DEBUG_VARIABLE = "RHIZOTWIN_DEBUG"
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Errors of a disk without space."""
 
 
 def decimals(half: float) -> int:
@@ -19,3 +26,19 @@ def rounded(value: float, digits: int = 3) -> str:
         return "0" if value == 0.0 else "-"
     last = digits - 1 - math.floor(math.log10(abs(value)))
     return f"{round(value, last):.{max(0, last)}f}"
+
+
+def failure(error: BaseException) -> str:
+    """Return the sentence that explains an error to who can do something about it."""
+    if isinstance(error, UserError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory; use larger voxels (--voxel-mm) or smaller pictures"
+    text = " ".join(str(error).split())[:300]
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        if error.errno in FULL:
+            return f"{where}the disk is full; free some space and run the same command again"
+        return f"{where}{error.strerror or text}; check the path and your rights to it"
+    what = f"stopped by an unexpected error ({type(error).__name__}: {text})"
+    return f"{what}; run it again with {DEBUG_VARIABLE}=1 to see where"

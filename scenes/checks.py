@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
+from rhizotwin.scenes.subject import check_subject
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,6 +36,7 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
         For the first thing that cannot stand on a rig.
     """
     place = Place(where, text)
+    check_subject(scene.subject, place.at("subject"))
     _check_canister(scene, place)
     _check_strip(scene, place)
     _check_camera(scene.camera, scene, place)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.specimens import Specimen
+from rhizotwin.scenes.subject import Subject
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.frames import Array
@@ -283,6 +284,7 @@ class Scene:
 
     name: str = "scene"
     description: str = ""
+    subject: Subject = Subject()
     canister: Canister = Canister()
     water: Water = Water()
     net_pot: NetPot = NetPot()

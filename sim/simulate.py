@@ -180,7 +180,8 @@ def _different(earlier: dict[str, Any], settings: dict[str, Any]) -> list[str]:
 
 
 def _scene_hash(scene: Scene, solid: SpecimenSolid) -> str:
-    text = json.dumps(asdict(scene), sort_keys=True).encode()
+    told = {key: value for key, value in asdict(scene).items() if key != "subject"}  # whose it is changes no picture
+    text = json.dumps(told, sort_keys=True).encode()
     shape = np.ascontiguousarray(solid.vertices, dtype=np.float64).tobytes() + np.ascontiguousarray(solid.faces, dtype=np.int32).tobytes()
     return hashlib.sha256(text + shape).hexdigest()
 

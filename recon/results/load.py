@@ -16,7 +16,7 @@ from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.scenes import rsml
+from rhizotwin.scenes import rsml, subject
 
 
 def load_result(folder: Path | str) -> Result:
@@ -35,6 +35,8 @@ def load_result(folder: Path | str) -> Result:
         dataset=str(summary.get("dataset", "")),
         dataset_sha256=summary["dataset_sha256"],
         scene=summary["scene"],
+        subject=subject.of_summary(summary, str(folder / "result.json")),
+        strip=result_files.read_strip(folder, summary),
         solid=_solid(folder, summary),
         mass_g=summary.get("mass_g"),
         cameras=tuple(_camera(view) for view in views),

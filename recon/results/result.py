@@ -31,8 +31,10 @@ from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, p
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes import atomic, rsml, trait_table
+from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 
 Triple = tuple[float, float, float]
@@ -92,6 +94,10 @@ class Result:
     """Of the dataset's manifest, which holds the hashes of its pictures."""
     scene: str
     solid: Solid
+    subject: Subject = Subject()
+    """Whose roots they are, as the dataset tells."""
+    strip: MarkerStrip | None = None
+    """The marker strip, which holds the canister's frame; None in results of earlier versions."""
     mass_g: float | None = None
     """Of the roots, where they were weighed."""
     cameras: tuple[Camera, ...]
@@ -174,6 +180,8 @@ class Result:
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
             "scene": self.scene,
+            "subject": to_plain(self.subject),
+            "strip": to_plain(self.strip),
             "voxel_mm": solid.voxel_mm,
             "volume_mm3": volume.mm3,
             "volume_interval_mm3": volume.interval_mm3,

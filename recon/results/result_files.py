@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import tidy
+from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.schema import Place, from_plain
 
 Floats = NDArray[np.float64]
 
@@ -130,6 +132,12 @@ def read_summary(folder: Path) -> Json:
     if wrong:
         raise UserError(f"{path} has a value of the wrong kind for {wrong[0]!r}; reconstruct again.")
     return summary
+
+
+def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
+    """Return the marker strip that a result was measured by; None in results of earlier versions, UserError where it is damaged."""
+    told = summary.get("strip")
+    return None if told is None else from_plain(MarkerStrip, told, Place(str(Path(folder) / "result.json")).at("strip"))
 
 
 def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:

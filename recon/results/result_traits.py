@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result_files import Json
-from rhizotwin.scenes import rsml, trait_table, tube_surface
+from rhizotwin.scenes import rsml, subject, trait_table, tube_surface
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.traits import Traits, measure_traits
 
 Floats = NDArray[np.float64]
@@ -71,6 +72,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     """Return the content of ``traits.json``."""
     return {
         "scene": summary["scene"],
+        "subject": to_plain(subject.of_summary(summary, "result.json")),
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
         **trait_table.to_json(traits),
@@ -79,19 +81,22 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
 
 
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return one row a result as CSV: its name, scene, traits with their units in the head, the volume's interval, warnings.
+    """Return one row a result as CSV: its name, scene, whose it is, traits with their units in the head, the volume's interval, warnings.
 
     Parameters
     ----------
     rows : (name, summary, traits) of each result.
     """
-    head = ["result", "scene", *(d.heading for d in trait_table.DEFINITIONS), "volume_low (mm3)", "volume_high (mm3)", "warnings"]
+    ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "warnings")
+    head = ["result", "scene", *subject.NAMES, *(d.heading for d in trait_table.DEFINITIONS), *ends]
     table: list[Sequence[Any]] = [head]
     for name, summary, traits in rows:
         values = (getattr(traits, d.field) for d in trait_table.DEFINITIONS)
         low, high = summary["volume_interval_mm3"]
         numbers = [trait_table.written(value) for value in (*values, low, high)]
-        table.append([name, summary["scene"], *numbers, "; ".join(str(warning) for warning in summary["warnings"])])
+        whose = subject.as_text(subject.of_summary(summary, name)).values()
+        trusted, warnings = "yes" if summary["volume_trusted"] else "no", "; ".join(str(warning) for warning in summary["warnings"])
+        table.append([name, summary["scene"], *whose, *numbers, trusted, warnings])
     return trait_table.csv_text(table)
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, OutputDataset, SceneName, named
+from rhizotwin.arguments import Flag, OutputDataset, SceneName, SubjectOptions, named
 from rhizotwin.scenes import files
 
 
@@ -16,6 +16,7 @@ def import_(
     cameras: Annotated[Path | None, named("JSON")] = None,
     masks: Flag = False,
     no_strip: Flag = False,
+    subject: SubjectOptions = SubjectOptions(),
 ) -> None:
     """Make a dataset of a folder of pictures taken elsewhere.
 
@@ -34,20 +35,22 @@ def import_(
         Poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: no markers are needed then.
     masks : bool
         The pictures are silhouettes already: white root on black; needs --cameras, they show no markers.
-
     no_strip : bool
         There is no marker strip: 'reconstruct' finds the cameras by the canister's edges and the roots. For a telecentric camera
         (camera.kind in the scene) and one turn; the scene's canister.outer_radius_mm gives the scale.
+    subject : SubjectOptions
+        Whose roots they are.
 
     Examples
     --------
     rhizotwin import my_pictures --scene my_rig.toml -o my_dataset
+    rhizotwin import my_pictures --scene my_rig.toml -o my_dataset --plant P7 --treatment "low N" --day 15
     rhizotwin import my_masks --scene my_rig.toml --cameras transforms.json --masks -o my_dataset
     rhizotwin import my_gel_pictures --scene gel_cylinder --no-strip -o my_gel_scan
     """
     from rhizotwin.importer import import_pictures
 
-    made = import_pictures(pictures, files.load_scene(scene), output, cameras=cameras, masks=masks, no_strip=no_strip)
+    made = import_pictures(pictures, subject.told(files.load_scene(scene)), output, cameras=cameras, masks=masks, no_strip=no_strip)
     for note in made.notes:
         print(f"note: {note}")
     print(f"{len(made.dataset.frames)} pictures in {output}")

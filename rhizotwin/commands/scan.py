@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rhizotwin import rigs
-from rhizotwin.arguments import Flag, OutputDataset, SceneName, between, named, option
+from rhizotwin.arguments import Flag, OutputDataset, SceneName, SubjectOptions, between, named, option
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import to_plain
@@ -32,6 +32,7 @@ def scan(
     table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None,
     record: Annotated[Path | None, named("FILE")] = None,
     twin: rigs.TwinPictures = rigs.TwinPictures(),
+    subject: SubjectOptions = SubjectOptions(),
 ) -> None:
     """Take the pictures of a plan on a rig, or on its emulated twin.
 
@@ -58,12 +59,14 @@ def scan(
         Keep every byte on the wire in this file (JSON lines); it grows.
     twin : TwinPictures
         What the emulated rig gets wrong, and how its pictures are made.
+    subject : SubjectOptions
+        Whose roots they are.
 
     Examples
     --------
     rhizotwin scan --rig twin -o my_scan --fidelity sketch
     rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan
-    rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan
+    rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --plant P7 --treatment "low N" --day 15
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
@@ -76,6 +79,7 @@ def scan(
     if not emulated and scene is None:
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
     bench = rigs.open_bench(rig, scene, errors=twin, plan=plan)
+    told = subject.told(bench.scene)
     settings: dict[str, Any] = {"twin": None}
     if emulated:
         settings = {"twin": {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": _hash(bench.twin.scene)}}
@@ -88,7 +92,7 @@ def scan(
         stack.callback(devices.close)
         made = take(
             devices,
-            bench.scene,
+            told,
             output,
             resume=resume,
             settings=settings,

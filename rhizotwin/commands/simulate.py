@@ -3,7 +3,7 @@
 from typing import Literal
 
 from rhizotwin import front_door, steps
-from rhizotwin.arguments import Device, OutputDataset, Samples, SceneChanges, SceneName, Seed
+from rhizotwin.arguments import Device, OutputDataset, Samples, SceneChanges, SceneName, Seed, SubjectOptions
 from rhizotwin.scenes.monitor import Monitor
 
 
@@ -13,6 +13,7 @@ def simulate(
     *,
     output: OutputDataset,
     changes: SceneChanges = SceneChanges(),
+    subject: SubjectOptions = SubjectOptions(),
     fidelity: Literal["backlit", "path"] = "backlit",
     samples: Samples | None = None,
     seed: Seed = 0,
@@ -31,6 +32,8 @@ def simulate(
         Folder to make the dataset in: new, empty, or left by the same command when it was stopped.
     changes : SceneChanges
         What is changed in the scene.
+    subject : SubjectOptions
+        Whose roots they are.
     fidelity : str
         backlit: fast, without noise of its own; path: full path tracing with all reflections, slower.
     samples : int, optional
@@ -47,7 +50,7 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_root.stl
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
-    changed = front_door.load_scene(scene, **vars(changes))
+    changed = subject.told(front_door.load_scene(scene, **vars(changes)))
     steps.start_engine(device)
     bars = Monitor.on_terminal()
     dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, fidelity=fidelity, samples=samples, monitor=bars)

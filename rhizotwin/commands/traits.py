@@ -44,7 +44,7 @@ def traits(
     if table is not None and table.exists():
         raise UserError(f"{table} exists already; choose another name")
     from rhizotwin.recon.results import result_files, result_traits
-    from rhizotwin.scenes import atomic, trait_table
+    from rhizotwin.scenes import atomic, subject, trait_table
 
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
@@ -53,7 +53,8 @@ def traits(
     if table is None:
         for folder, summary, one in zip(results, summaries, found, strict=True):
             low, high = summary["volume_interval_mm3"]
-            print(f"{folder} ({summary['scene']}), volume between {low:.1f} and {high:.1f} mm3")
+            whose = subject.of_summary(summary, str(folder))
+            print(f"{folder} ({str(whose) or summary['scene']}), volume between {low:.1f} and {high:.1f} mm3")
             print("\n".join(f"  {line}" for line in trait_table.lines(one)))
             if one.total_length_mm is None:
                 print("  no roots were found as centre lines: what needs them is a dash")

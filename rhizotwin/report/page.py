@@ -22,10 +22,11 @@ from rhizotwin.corrections.session import read_roots
 from rhizotwin.recon.results import report_tables, result_files, result_traits
 from rhizotwin.report import rig_figure, solid, words
 from rhizotwin.said import rounded
-from rhizotwin.scenes import atomic, trait_table
+from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.simpler import simpler
 from rhizotwin.through_water import Pictures
@@ -66,6 +67,10 @@ class _Read:
     def name(self) -> str:
         return str(self.summary["scene"])
 
+    @property
+    def subject(self) -> Subject:
+        return subject.of_summary(self.summary, str(self.folder / "result.json"))
+
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
     """Write the page of a result, as ``report.html`` in its folder or elsewhere, and return its path.
@@ -88,17 +93,20 @@ def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output:
 def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     """Write one page for many results, a table of their volumes first."""
     read = [_Read.of(Path(folder), None) for folder in result_folders]
+    told = [name for name in subject.NAMES if any(name in one.subject.known for one in read)]
     rows = []
     for place, one in enumerate(read):
         found, interval = words.volume(one.summary)
         state = {"good": "can be used", "fair": "can be used", "bad": "do not use"}[words.light(one.summary)[0]]
         length = rounded(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
         link = f'<a href="#result-{place}">{html.escape(one.folder.resolve().name)}</a>'
+        whose = "".join(f"<td>{html.escape(subject.as_text(one.subject)[name])}</td>" for name in told)
         rows.append(
-            f"<tr><td>{link}</td><td>{html.escape(one.name)}</td><td class=number>{found}</td><td class=number>{interval}</td>"
+            f"<tr><td>{link}</td><td>{html.escape(one.name)}</td>{whose}<td class=number>{found}</td><td class=number>{interval}</td>"
             f"<td>{state}</td><td class=number>{length}</td></tr>"
         )
-    head = "<tr><th>result</th><th>scene</th><th>volume</th><th>90 % interval</th><th></th><th>root length (mm)</th></tr>"
+    names = "".join(f"<th>{name}</th>" for name in ("result", "scene", *told, "volume", "90 % interval", "", "root length (mm)"))
+    head = f"<tr>{names}</tr>"
     table = f"<h1>{len(read)} results</h1><div class=wide><table>{head}{''.join(rows)}</table></div>"
     parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(read)]
     atomic.write_bytes(output, _whole(f"{len(read)} results", [table, *parts]).encode("utf-8", "backslashreplace"))
@@ -138,6 +146,8 @@ def _short(read: _Read) -> str:
 def _head(read: _Read) -> str:
     """Return name, number and traffic light."""
     described = "" if read.dataset is None else f"<p class=soft>{html.escape(read.dataset.scene.description)}</p>"
+    whose = str(read.subject)
+    described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
     found, interval = words.volume(read.summary)
     state, meaning, told = words.light(read.summary)
     edits = corrected.in_words(read.summary)

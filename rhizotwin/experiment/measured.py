@@ -1,0 +1,143 @@
+"""Many results as numbers with their plants: result folders, or tables of traits as `rhizotwin traits -o FILE.csv` writes them."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import log
+from pathlib import Path
+
+from rhizotwin.experiment import tables
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.scenes import subject, trait_table
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.subject import Subject
+
+IN_90 = 1.6448536269514722
+"""Standard deviations on each side that hold 90 % of a normal distribution."""
+_MM3 = {"mm3": 1.0, "ml": 1000.0, "cm3": 1000.0, "l": 1e6}
+_HEAD = re.compile(r"(\w+)(?: \((\S+)\))?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """The traits of one plant on one day."""
+
+    name: str
+    """Of the result's folder, or file and line of a table."""
+    subject: Subject
+    traits: Mapping[str, float]
+    """Those that are known, by their names in tables, in the units of `scenes.trait_table`."""
+    volume_sigma: float = 0.0
+    """Standard deviation of the volume's logarithm, from its 90 % interval; 0: not told."""
+    trusted: bool = True
+    folder: Path | None = None
+    """The result's; None for a line of a table."""
+
+    @property
+    def who(self) -> str:
+        """Return the plant and its day, for messages."""
+        day = self.subject.known.get("day") or self.subject.date
+        return f"{self.subject.plant or self.name}{f' on day {day}' if day else ''}"
+
+
+def read_all(sources: Sequence[Path]) -> list[Measured]:
+    """Read result folders, folders of results, and tables of traits (.csv).
+
+    Raises
+    ------
+    UserError
+        Where one is missing or damaged, or nothing is found.
+    """
+    found = []
+    for source in sources:
+        if source.suffix.lower() == ".csv":
+            found += [_of_row(row) for row in tables.read_table(source)]
+        elif (source / "result.json").is_file():
+            found.append(_of_folder(source))
+        else:
+            inside = sorted(path.parent for path in source.glob("*/result.json"))
+            if not inside:
+                raise UserError(f"{source}: is no result, no folder of results, and no table (.csv) of traits")
+            found += [_of_folder(folder) for folder in inside]
+    return found
+
+
+def by_plant(found: Sequence[Measured]) -> dict[str, list[Measured]]:
+    """Return the results of each plant by day, the youngest first.
+
+    Raises
+    ------
+    UserError
+        For a result without a plant's name, or a plant that has no day, or twice the same.
+    """
+    plants: dict[str, list[Measured]] = {}
+    for one in found:
+        if not one.subject.plant:
+            raise UserError(f"{one.name}: names no plant; give it when the dataset is made, with --plant, or as plant in its [subject]")
+        if one.subject.day is None:
+            raise UserError(f"{one.name}: plant {one.subject.plant} has no day; give it with --day, or as day in the scene's [subject]")
+        plants.setdefault(one.subject.plant, []).append(one)
+    for plant, days in plants.items():
+        days.sort(key=lambda one: one.subject.day or 0.0)
+        for before, after in pairwise(days):
+            if before.subject.day == after.subject.day:
+                raise UserError(f"plant {plant} is there twice on day {after.subject.day:g}: {before.name} and {after.name}; leave one out")
+    return plants
+
+
+def one_species(found: Sequence[Measured]) -> str:
+    """Return the species of all results; empty where none names one.
+
+    Raises
+    ------
+    UserError
+        For two.
+    """
+    named = {one.subject.species: one for one in found if one.subject.species}
+    if len(named) > 1:
+        (first, one), (second, other) = list(named.items())[:2]
+        raise UserError(f"{one.who} is of the species {first}, {other.who} of {second}; they cannot share a model")
+    return next(iter(named), "")
+
+
+def _of_folder(folder: Path) -> Measured:
+    summary = result_files.read_summary(folder)
+    traits = result_traits.read(folder)
+    values = {d.name: getattr(traits, d.field) for d in trait_table.DEFINITIONS}
+    return Measured(
+        name=folder.resolve().name,
+        subject=subject.of_summary(summary, str(folder / "result.json")),
+        traits={name: float(value) for name, value in values.items() if value is not None},
+        volume_sigma=_sigma(*summary["volume_interval_mm3"]),
+        trusted=summary["volume_trusted"],
+        folder=folder,
+    )
+
+
+def _of_row(row: tables.Row) -> Measured:
+    known = {d.name for d in trait_table.DEFINITIONS} | {"volume_low", "volume_high"}
+    traits = {}
+    for column in row.cells:
+        match = _HEAD.fullmatch(column)
+        if match is None or match[1] not in known:
+            continue
+        value = tables.number(row, column)
+        if value is None:
+            continue
+        if match[1].startswith("volume") and match[2] not in _MM3:
+            raise UserError(f"{row.where}: {column} must have its unit behind it, (mm3) or (ml)")
+        traits[match[1]] = value * (_MM3[match[2]] if match[1].startswith("volume") else 1.0)
+    low, high = traits.pop("volume_low", 0.0), traits.pop("volume_high", 0.0)
+    return Measured(
+        name=row.cells.get("result") or row.where,
+        subject=subject.of_cells(row.cells, row.where),
+        traits=traits,
+        volume_sigma=_sigma(low, high),
+        trusted=row.cells.get("trusted", "yes") != "no",
+    )
+
+
+def _sigma(low: float, high: float) -> float:
+    """Return the standard deviation of the logarithm between the ends of a 90 % interval."""
+    return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0

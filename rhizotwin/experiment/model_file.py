@@ -1,0 +1,79 @@
+"""The model of `rhizotwin biomass fit` as a JSON file, and what is predicted with it as a table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rhizotwin.experiment.biomass import Model, Relation, known_for
+from rhizotwin.experiment.measured import Measured
+from rhizotwin.scenes import atomic, subject
+from rhizotwin.scenes.dataset import read_versioned_json
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.schema import Place, from_plain, to_plain
+from rhizotwin.scenes.trait_table import csv_text, written
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predicted:
+    """A mass that nobody weighed."""
+
+    measured: Measured
+    relation: Relation
+    grams: float
+    low_g: float
+    """Ends of the 90 % interval."""
+    high_g: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the trait lies outside what the model was fitted to."""
+        return not self.relation.least <= self.measured.traits[self.relation.trait] <= self.relation.most
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stored:
+    """What the file holds."""
+
+    schema_version: int
+    model: Model
+    versions: dict[str, str]
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write a model atomically; `load_model` gives an equal one back."""
+    atomic.write_json(path, to_plain(_Stored(schema_version=SCHEMA_VERSION, model=model, versions=versions(("numpy", "scipy")))))
+
+
+def load_model(path: Path) -> Model:
+    """Read a model.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, damaged or of another version.
+    """
+    return from_plain(_Stored, read_versioned_json(path, SCHEMA_VERSION), Place(str(path))).model
+
+
+def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
+    """Return the masses of all results, of every kind that the model knows and the result has the trait for."""
+    found = []
+    for one in measured:
+        for relation in known_for(model, one):
+            sigma = one.volume_sigma if relation.trait == "volume" else 0.0
+            grams, low, high = relation.predict(one.traits[relation.trait], sigma)
+            found.append(Predicted(measured=one, relation=relation, grams=grams, low_g=low, high_g=high))
+    return found
+
+
+def to_csv(found: Sequence[Predicted]) -> str:
+    """Return one row a mass: whose it is, the mass with its 90 % interval, and what to know of it."""
+    rows: list[list[str]] = [["result", *subject.NAMES, "mass", "mass (g)", "low (g)", "high (g)", "from", "trusted", "extrapolated"]]
+    for one in found:
+        numbers = [written(value) for value in (one.grams, one.low_g, one.high_g)]
+        states = ["yes" if state else "no" for state in (one.measured.trusted, one.beyond)]
+        whose = subject.as_text(one.measured.subject).values()
+        rows.append([one.measured.name, *whose, one.relation.kind, *numbers, one.relation.trait, *states])
+    return csv_text(rows)

@@ -1,0 +1,107 @@
+"""A straight line through points that have errors in both coordinates, and a scatter of their own about the line.
+
+York et al. 2004, American Journal of Physics 72:367, equations 13: the line of greatest likelihood for normal errors. A scatter that the
+errors do not explain (plants differ) adds to the errors of y; it is as large as makes chi squared equal to the degrees of freedom (Paule
+and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import t as student
+
+Array = NDArray[np.float64]
+
+MOST_ROUNDS = 200
+CONVERGED = 1e-13
+"""Relative change of the slope."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """``y = intercept + slope * x`` with what is not known of it."""
+
+    intercept: float
+    slope: float
+    covariance: tuple[tuple[float, float], tuple[float, float]]
+    """Of intercept and slope."""
+    scatter: float
+    """Standard deviation of y about the line that the errors do not explain."""
+    chi2: float
+    dof: int
+    """Points less parameters."""
+
+    def at(self, x: Array, *, x_sigma: Array | float = 0.0, y_sigma: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return y and the standard deviation of a new point of given errors about it.
+
+        Parameters
+        ----------
+        x : (N,) as measured, with the standard deviation ``x_sigma``.
+        y_sigma : error of the y that the prediction is compared with.
+        """
+        (a, ab), (_, b) = self.covariance
+        variance = a + 2.0 * ab * x + b * x**2 + self.slope**2 * np.square(x_sigma) + self.scatter**2 + np.square(y_sigma)
+        return self.intercept + self.slope * x, np.sqrt(variance)
+
+    def reach(self, share: float) -> float:
+        """Return how many standard deviations hold a share of the points: Student's t with the line's degrees of freedom."""
+        return float(student.ppf(0.5 + share / 2.0, self.dof))
+
+
+def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float | None = None, scatter: bool = True) -> Line:
+    """Fit a line to points with errors in both coordinates.
+
+    Parameters
+    ----------
+    x, y : (N,) points.
+    x_sigma, y_sigma : (N,) their standard deviations, independent of each other; 0 is no error.
+    slope : held at this value; None: fitted.
+    scatter : whether points may lie apart by more than their errors; False: as York et al. do.
+
+    Raises
+    ------
+    ValueError
+        With no more points than parameters, or without any error where none may be found.
+    """
+    parameters = 1 if slope is not None else 2
+    if len(x) <= parameters:
+        raise ValueError(f"{len(x)} points cannot give {parameters} parameters with an uncertainty")
+    spread = float(np.var(y)) + float(np.var(x))
+    least = 1e-12 * max(spread, 1e-12)  # points without error and without scatter still have a line
+
+    def line(extra: float) -> Line:
+        return _weighted(x, y, x_sigma**2, y_sigma**2 + extra + (least if scatter else 0.0), slope)
+
+    bare = line(0.0)
+    if not scatter or bare.chi2 <= bare.dof:
+        return bare
+    most = spread
+    while line(most).chi2 > bare.dof:
+        most *= 2.0
+    found = float(brentq(lambda extra: line(extra).chi2 - bare.dof, 0.0, most, xtol=1e-12 * most))
+    return replace(line(found), scatter=found**0.5)
+
+
+def _weighted(x: Array, y: Array, x_var: Array, y_var: Array, slope: float | None) -> Line:
+    """Return York's line for given variances; a slope that is held has no uncertainty."""
+    b = slope if slope is not None else float(np.polyfit(x, y, 1)[0])
+    for _ in range(MOST_ROUNDS):
+        weight = 1.0 / (y_var + b**2 * x_var)
+        x_mean, y_mean = np.average(x, weights=weight), np.average(y, weights=weight)
+        u, v = x - x_mean, y - y_mean
+        beta = weight * (u * y_var + b * v * x_var)
+        if slope is not None:
+            break
+        before, b = b, float(np.sum(weight * beta * v) / np.sum(weight * beta * u))
+        if abs(b - before) <= CONVERGED * abs(b):
+            break
+    chi2 = float(np.sum(weight * (v - b * u) ** 2))
+    adjusted = x_mean + beta
+    centre = float(np.average(adjusted, weights=weight))
+    b_var = 0.0 if slope is not None else float(1.0 / np.sum(weight * (adjusted - centre) ** 2))
+    a_var = float(1.0 / np.sum(weight)) + centre**2 * b_var
+    covariance = ((a_var, -centre * b_var), (-centre * b_var, b_var))
+    dof = len(x) - (1 if slope is not None else 2)
+    return Line(intercept=float(y_mean - b * x_mean), slope=b, covariance=covariance, scatter=0.0, chi2=chi2, dof=dof)

@@ -1,0 +1,108 @@
+"""Which plant is in the canister: who, of what species, how treated, how old. MIAPPE's terms stand beside each field.
+
+MIAPPE 1.1: Papoutsoglou et al. 2020, New Phytologist 227:260.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from datetime import date
+from typing import Any
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place, from_plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """The plant of a scan; what is not known is empty."""
+
+    plant: str = ""
+    """Name of the plant, the same on every day (MIAPPE: observation unit ID)."""
+    species: str = ""
+    """Such as Raphanus sativus (MIAPPE: organism)."""
+    treatment: str = ""
+    """What was done to it and not to others (MIAPPE: observation unit factor value)."""
+    day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})
+    """Days since sowing (MIAPPE: time since the event 'sowing')."""
+    date: str = ""
+    """Of the scan, as 2022-10-06 (MIAPPE: observation date)."""
+    replicate: int | None = field(default=None, metadata={"limits": (0, 1000000)})
+    """Which of the plants that were treated alike (MIAPPE: replicate of the observation unit)."""
+    notes: str = ""
+    """Anything else."""
+
+    @property
+    def known(self) -> dict[str, str]:
+        """Return what is known, as text, by the name of the field."""
+        return {name: text for name, text in as_text(self).items() if text}
+
+    def __str__(self) -> str:
+        """Return what is known as words for people; empty where nothing is."""
+        told = {"treatment": "treatment {}", "day": "day {}", "date": "{}", "replicate": "replicate {}", "notes": "{}"}
+        known = self.known
+        who = f"{known['plant']} ({known['species']})" if {"plant", "species"} <= known.keys() else self.plant or self.species
+        return ", ".join(filter(None, [who, *(form.format(known[name]) for name, form in told.items() if name in known)]))
+
+
+NAMES = tuple(f.name for f in fields(Subject))
+"""Columns of every table that tells whose the numbers are."""
+
+
+def as_text(subject: Subject) -> dict[str, str]:
+    """Return every field as text for a table; empty where it is not known."""
+    values = {name: getattr(subject, name) for name in NAMES}
+    return {name: "" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for name, value in values.items()}
+
+
+def check_subject(subject: Subject, place: Place) -> None:
+    """Refuse a date that is none, and text that cannot stand in a table's cell.
+
+    Raises
+    ------
+    UserError
+        With the field, its value and what it must be.
+    """
+    for name in ("plant", "species", "treatment", "notes"):
+        text = getattr(subject, name)
+        if not text.isprintable():
+            raise place.at(name).error("must be one line of letters that can be shown", ascii(text))
+    if subject.date:
+        try:
+            date.fromisoformat(subject.date)
+        except ValueError:
+            raise place.at("date").error("must be a date as 2022-10-06", subject.date) from None
+
+
+def of_summary(summary: Mapping[str, Any], where: str) -> Subject:
+    """Return the subject that a ``result.json`` tells; an empty one in results of earlier versions.
+
+    Raises
+    ------
+    UserError
+        Where it is damaged.
+    """
+    place = Place(where).at("subject")
+    subject = from_plain(Subject, summary.get("subject") or {}, place)
+    check_subject(subject, place)
+    return subject
+
+
+def of_cells(cells: Mapping[str, str], where: str) -> Subject:
+    """Return the subject that a row of a table tells; columns that it lacks are not known.
+
+    Raises
+    ------
+    UserError
+        For a day or replicate that is no number, or a value beyond its limits.
+    """
+    given: dict[str, Any] = {name: cells[name].strip() for name in NAMES if (cells.get(name) or "").strip()}
+    for name, read in (("day", float), ("replicate", int)):
+        if name in given:
+            try:
+                given[name] = read(given[name])
+            except ValueError:
+                raise UserError(f"{where}: the {name} {given[name]!r} is not a {'number' if read is float else 'whole number'}") from None
+    place = Place(where)
+    subject = from_plain(Subject, given, place)
+    check_subject(subject, place)
+    return subject

@@ -1,0 +1,77 @@
+"""Lines with errors on both sides: published values, simulation, the closed forms at its limits."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from rhizotwin.experiment.york import fit_line
+
+# Pearson's points with York's weights; York et al. 2004, table II: a = 5.47991022, b = -0.480533407, chi squared over dof 1.483294149.
+X = np.array([0.0, 0.9, 1.8, 2.6, 3.3, 4.4, 5.2, 6.1, 6.5, 7.4])
+Y = np.array([5.9, 5.4, 4.4, 4.6, 3.5, 3.7, 2.8, 2.8, 2.4, 1.5])
+X_SIGMA = np.array([1000.0, 1000.0, 500.0, 800.0, 200.0, 80.0, 60.0, 20.0, 1.8, 1.0]) ** -0.5
+Y_SIGMA = np.array([1.0, 1.8, 4.0, 8.0, 20.0, 20.0, 70.0, 70.0, 100.0, 500.0]) ** -0.5
+
+
+def test_pearsons_points_with_yorks_weights() -> None:
+    line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
+    assert line.intercept == pytest.approx(5.47991022, rel=1e-8)
+    assert line.slope == pytest.approx(-0.480533407, rel=1e-8)
+    assert line.chi2 / line.dof == pytest.approx(1.483294149, rel=1e-8)
+
+
+def test_its_uncertainty_is_that_of_many_draws() -> None:
+    rng = np.random.default_rng(6)
+    line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
+    true_x, drawn = np.linspace(0.0, 7.0, 10), []
+    for _ in range(2000):
+        x, y = rng.normal(true_x, X_SIGMA), rng.normal(5.5 - 0.48 * true_x, Y_SIGMA)
+        once = fit_line(x, y, X_SIGMA, Y_SIGMA, scatter=False)
+        drawn.append((once.intercept, once.slope))
+    assert np.std(drawn, axis=0) == pytest.approx(np.sqrt(np.diag(line.covariance)), rel=0.15)
+
+
+def test_it_is_what_scipys_orthogonal_distance_regression_finds() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # scipy.odr leaves SciPy for a package of its own
+        odr = pytest.importorskip("scipy.odr")
+        data = odr.RealData(X, Y, sx=X_SIGMA, sy=Y_SIGMA)
+        found = odr.ODR(data, odr.Model(lambda b, x: b[0] + b[1] * x), beta0=[5.0, -0.5], sstol=1e-14, partol=1e-14).run()
+    line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
+    assert (line.intercept, line.slope) == pytest.approx(tuple(found.beta), rel=1e-5)
+
+
+def test_without_errors_in_x_it_is_the_weighted_line() -> None:
+    line = fit_line(X, Y, np.zeros(10), Y_SIGMA, scatter=False)
+    slope, intercept = np.polyfit(X, Y, 1, w=1.0 / Y_SIGMA)
+    assert (line.intercept, line.slope) == pytest.approx((intercept, slope), rel=1e-8)
+
+
+def test_scatter_makes_chi_squared_what_it_should_be_and_is_found() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0.0, 5.0, 400)
+    x_sigma, y_sigma = np.full(400, 0.05), np.full(400, 0.02)
+    y = 0.7 + x + rng.normal(0.0, 0.2, 400)
+    line = fit_line(x + rng.normal(0.0, 0.05, 400), y + rng.normal(0.0, 0.02, 400), x_sigma, y_sigma)
+    assert line.chi2 == pytest.approx(line.dof, rel=1e-6)
+    assert line.scatter == pytest.approx(0.2, rel=0.1)
+    assert line.slope == pytest.approx(1.0, abs=3.0 * line.covariance[1][1] ** 0.5)
+
+
+def test_an_interval_holds_the_share_that_it_says() -> None:
+    rng = np.random.default_rng(4)
+    held = []
+    for _ in range(300):
+        x, sigma = rng.normal(0.0, 1.0, 12), np.full(12, 0.1)
+        y = 1.0 + x + rng.normal(0.0, 0.3, 12)
+        line = fit_line(x[:11] + rng.normal(0.0, 0.1, 11), y[:11], sigma[:11], np.zeros(11), slope=1.0)
+        middle, spread = line.at(x[11:] + rng.normal(0.0, 0.1, 1), x_sigma=0.1)
+        held.append(abs(middle[0] - y[11]) <= line.reach(0.9) * spread[0])
+    assert 0.85 < np.mean(held) < 0.95
+
+
+def test_two_points_give_no_line_with_an_uncertainty() -> None:
+    with pytest.raises(ValueError, match="2 points"):
+        fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2])
+    assert fit_line(X[:2], Y[:2], X_SIGMA[:2], Y_SIGMA[:2], slope=1.0).dof == 1
