@@ -19,6 +19,7 @@ from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -27,6 +28,8 @@ from rhizotwin.scenes.provenance import peak_memory_mib, versions
 from rhizotwin.scenes.schema import to_plain
 
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
+_ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
+"""What hull and roots carry of coverage and cameras, as the kernels want it."""
 
 
 def reconstruct(
@@ -34,6 +37,7 @@ def reconstruct(
     *,
     settings: Settings | None = None,
     mass_g: float | None = None,
+    keep_stages: Path | str | None = None,
     monitor: Monitor | type[Any] | Listener | None = None,
 ) -> Result:
     """Reconstruct a dataset, in memory; `Result.save` writes it.
@@ -46,6 +50,8 @@ def reconstruct(
         What may be set, a group for each stage.
     mass_g : float, optional
         Mass of the roots, if they were weighed; for the traits only.
+    keep_stages : path, optional
+        Folder for what each stage made, for study (`recon.stages`).
     monitor : Monitor, type of tqdm, callable or None
         Hears how far the work is, and may stop it.
 
@@ -64,17 +70,24 @@ def reconstruct(
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     settings, monitor = settings or Settings(), Monitor.of(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    stages = StageFolder.begin(keep_stages)
     cameras = find_cameras(pictures, monitor=monitor)
+    stages.keep("cameras", cameras)
     coverage = measure_coverage(pictures, cameras, monitor=monitor)
+    stages.keep("coverage", coverage)
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+    stages.keep("hull", hull, leave=_ON_DEVICE)
     tree = shaping.find_roots(hull, coverage, settings, monitor=monitor)
     roots = None
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         cameras, roots = tree.cameras, rooting.settle(tree, monitor=monitor)
+        stages.keep("roots", roots, leave=_ON_DEVICE)
         if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
             hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+            stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
     solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
+    stages.keep("solid", solid)
     checked = (*_checks(pictures, cameras, coverage), *solid.checks)
     failed = checks.failed(checked)
     if failed:

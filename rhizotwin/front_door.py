@@ -130,6 +130,7 @@ def reconstruct(
     voxel_mm: float | None = None,
     mass_g: float | None = None,
     settings: Settings | None = None,
+    keep_stages: Path | str | None = None,
     device: Device = "auto",
     monitor: Progress = None,
 ) -> Result:
@@ -147,6 +148,8 @@ def reconstruct(
         Mass of the roots, if weighed: gives specific root length and tissue density.
     settings : Settings, optional
         Every setting, a group for each stage.
+    keep_stages : path, optional
+        Folder for what each stage made, for study: NAME.json with NAME.npz of cameras, coverage, hull, roots and solid.
     device : {"auto", "cpu", "cuda"}
         What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
     monitor : Monitor, type of tqdm, callable or None
@@ -166,7 +169,7 @@ def reconstruct(
     if voxel_mm is not None:
         checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
-    return find(dataset, settings=settings, mass_g=mass_g, monitor=monitor)
+    return find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor)
 
 
 def score(result: Result | str | Path, dataset: Dataset | str | Path) -> Score:

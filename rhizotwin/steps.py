@@ -50,6 +50,7 @@ def reconstruct_whole(
     voxel_mm: float | None = None,
     settings: Path | None = None,
     mass_g: float | None = None,
+    keep_stages: bool = False,
     quiet: bool = False,
     verbose: bool = False,
 ) -> list[Path]:
@@ -61,6 +62,8 @@ def reconstruct_whole(
         Goes before that of the settings.
     settings : Path, optional
         TOML file, see `recon.settings`.
+    keep_stages : bool
+        Keep what each stage made, in the folder ``stages`` of the result.
 
     Raises
     ------
@@ -94,7 +97,8 @@ def reconstruct_whole(
     with new_folder(output, replaces=RESULT_NAMES) as building:
         monitor = OneBar(SHARES, quiet=quiet, verbose=verbose)
         try:
-            reconstruct(loaded, settings=chosen, mass_g=mass_g, monitor=monitor).save(building)
+            kept = building / "stages" if keep_stages else None
+            reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, monitor=monitor).save(building)
             with monitor.stage("pictures"):
                 written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))

@@ -36,7 +36,7 @@ SCHEMA_VERSION = 1
 """Of ``result.json``; it grows when what a key means changes."""
 RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
-    *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json"),
+    *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
 """What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among them."""
 LARGEST = 1e15

@@ -1,11 +1,25 @@
 """`rhizotwin reconstruct`."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from cyclopts import Parameter
+
 from rhizotwin import steps
 from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, VoxelMm, named
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What those give who study the method."""
+
+    settings: Annotated[Path | None, named("FILE")] = None
+    """TOML file of settings of the stages (docs/settings.md); --voxel-mm goes before it."""
+    keep_stages: Flag = False
+    """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
 
 
 def reconstruct(
@@ -14,8 +28,8 @@ def reconstruct(
     *,
     output: OutputResult,
     voxel_mm: VoxelMm | None = None,
-    settings: Annotated[Path | None, named("FILE")] = None,
     mass_g: MassG | None = None,
+    study: Study = Study(),
     device: Device = "auto",
     quiet: Flag = False,
     verbose: Flag = False,
@@ -33,10 +47,10 @@ def reconstruct(
         Folder to write the result to: new, empty, or an earlier result, which is replaced.
     voxel_mm : float
         Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
-    settings : Path, optional
-        TOML file of what may be set, for who studies the method (docs/settings.md); --voxel-mm goes before it.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
+    study : Study
+        For who studies the method.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
     quiet : bool
@@ -49,13 +63,22 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result
     rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
-    rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml
+    rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     steps.start_engine(device, quiet=quiet)
     from rhizotwin.recon.results import calibrated
     from rhizotwin.report import words
 
-    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, settings=settings, mass_g=mass_g, quiet=quiet, verbose=verbose)
+    written = steps.reconstruct_whole(
+        dataset,
+        output,
+        voxel_mm=voxel_mm,
+        settings=study.settings,
+        mass_g=mass_g,
+        keep_stages=study.keep_stages,
+        quiet=quiet,
+        verbose=verbose,
+    )
     summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
     for warning in summary["warnings"]:
         print(f"warning: {warning}")

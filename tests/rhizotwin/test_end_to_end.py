@@ -34,7 +34,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reconstruct_and_score(dataset: Path, result: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
-    assert cli.main(["reconstruct", str(dataset), "-o", str(result), "--device", "cpu", "--voxel-mm", "0.6"]) == 0, capsys.readouterr().err
+    assert cli.main(["reconstruct", str(dataset), "-o", str(result), "--device", "cpu", "--voxel-mm", "0.6", "--keep-stages"]) == 0, (
+        capsys.readouterr().err
+    )
+    assert (result / "stages" / "solid.json").is_file()
     capsys.readouterr()
     assert cli.main(["score", str(result), str(truth), "--json"]) == 0
     found: dict[str, object] = json.loads(capsys.readouterr().out)

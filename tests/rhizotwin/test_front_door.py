@@ -1,10 +1,12 @@
 """The front door: light to import, works in a process where nothing was started, in memory and saved, heard and stopped."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -39,9 +41,14 @@ def dataset(ball: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.fixture(scope="module")
-def result(dataset: Any) -> Any:
+def stages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("stages")
+
+
+@pytest.fixture(scope="module")
+def result(dataset: Any, stages: Path) -> Any:
     """Reconstruct it in memory."""
-    return rt.reconstruct(dataset, voxel_mm=2.0)
+    return rt.reconstruct(dataset, voxel_mm=2.0, keep_stages=stages)
 
 
 def test_importing_loads_nothing() -> None:
@@ -77,6 +84,18 @@ def test_a_result_in_memory_is_the_one_that_is_loaded(result: Any, dataset: Any,
     in_memory, of_folder = rt.score(result, dataset), rt.score(tmp_path / "result", dataset.folder)
     assert in_memory.volume_error == of_folder.volume_error
     assert abs(in_memory.volume_error) < 0.1
+
+
+def test_stages_are_kept_for_study(result: Any, stages: Path) -> None:
+    kept = {path.stem: json.loads(path.read_text()) for path in stages.glob("*.json")}
+    assert set(kept) == {"cameras", "coverage", "hull", "solid"}  # a ball has no thin roots
+    poses, coverage, hull = (np.load(stages / f"{name}.npz", allow_pickle=False) for name in ("cameras", "coverage", "hull"))
+    assert np.array_equal(poses[kept["cameras"]["all"][3]["cam_from_canister"]["npz"]], result.cameras[3].cam_from_canister)
+    assert np.array_equal(coverage["silhouettes/3/coverage"], result.silhouettes[result.cameras[3].file].coverage)
+    leaves = kept["hull"]["carved"]["hull"]["leaves"]
+    cubes_mm3 = (hull[leaves["size"]["npz"]] * leaves["grid"]["size_mm"]) ** 3
+    assert cubes_mm3 @ hull[leaves["occupancy"]["npz"]] == pytest.approx(result.solid.hull_mm3)
+    assert kept["solid"]["volume"]["mm3"] == result.volume_mm3
 
 
 def test_traits_have_units(result: Any) -> None:

@@ -1,0 +1,96 @@
+"""The values that a reconstruction hands from stage to stage, written for study in open formats.
+
+Each stage has two files: NAME.json holds its fields as they are named in Python, NAME.npz the arrays among them. Where an array stands, the
+JSON has ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from rhizotwin.scenes import atomic
+
+STAGES = ("cameras", "coverage", "hull", "roots", "hull_calibrated", "solid")
+"""What there is, in the order in which it is made; the first hull is carved again where the roots told of the cameras."""
+
+
+@dataclass(frozen=True)
+class StageFolder:
+    """Where the stages of a reconstruction are kept."""
+
+    folder: Path | None
+    """None: nothing is kept."""
+
+    @staticmethod
+    def begin(folder: Path | str | None) -> StageFolder:
+        """Return a folder for stages, from which those of an earlier reconstruction are taken away."""
+        kept = StageFolder(None if folder is None else Path(folder))
+        if kept.folder is not None:
+            for name in STAGES:
+                for suffix in (".json", ".npz"):
+                    (kept.folder / f"{name}{suffix}").unlink(missing_ok=True)
+        return kept
+
+    def keep(self, stage: str, value: object, *, leave: tuple[str, ...] = ()) -> None:
+        """Write a stage's value; its ``.json`` comes last, so that a stage with one is whole.
+
+        Parameters
+        ----------
+        stage : str
+            One of `STAGES`.
+        value : dataclass
+            What the stage made.
+        leave : tuple of str
+            Names of fields that are left out wherever they stand: what comes from an earlier stage, or is made from it on the device.
+
+        Raises
+        ------
+        UserError
+            Where the folder cannot be written.
+        """
+        if stage not in STAGES:
+            raise ValueError(f"{stage=} is none of {STAGES}")
+        if self.folder is None:
+            return
+        arrays: dict[str, NDArray[Any]] = {}
+        plain = _plain(value, stage, frozenset(leave), arrays)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        atomic.write_bytes(self.folder / f"{stage}.npz", buffer.getvalue())
+        atomic.write_json(self.folder / f"{stage}.json", plain)
+
+
+def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDArray[Any]]) -> object:
+    """Return a value as JSON has it, and put the arrays in it among ``arrays``; numbers that are not finite become null."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, trimesh.Trimesh):
+        return _plain({"vertices_mm": np.asarray(value.vertices), "faces": np.asarray(value.faces)}, at, leave, arrays)
+    if is_dataclass(value):
+        parts = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in leave}
+        return _plain(parts, at, leave, arrays)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{at}/{key}", leave, arrays) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item, f"{at}/{place}", leave, arrays) for place, item in enumerate(value)]
+    array = np.asarray(value)  # also of Dr.Jit
+    if array.dtype.hasobject:
+        raise TypeError(f"{at}: {type(value).__name__} has no open format")
+    if not array.shape:
+        return _plain(array.item(), at, leave, arrays)
+    key = at.partition("/")[2] or at
+    arrays[key] = array
+    return {"npz": key, "shape": list(array.shape), "dtype": str(array.dtype)}
