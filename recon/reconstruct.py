@@ -18,7 +18,7 @@ from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import rooting
-from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
@@ -71,9 +71,9 @@ def reconstruct(
     settings, monitor = settings or Settings(), Monitor.of(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)
-    cameras = find_cameras(pictures, monitor=monitor)
+    cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     stages.keep("cameras", cameras)
-    coverage = measure_coverage(pictures, cameras, monitor=monitor)
+    coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
     stages.keep("coverage", coverage)
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     stages.keep("hull", hull, leave=_ON_DEVICE)
@@ -88,7 +88,7 @@ def reconstruct(
             stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
     solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
     stages.keep("solid", solid)
-    checked = (*_checks(pictures, cameras, coverage), *solid.checks)
+    checked = (*_checks(pictures, cameras, coverage, settings.trust), *solid.checks)
     failed = checks.failed(checked)
     if failed:
         solid = replace(solid, volume=solid.volume.doubted(failed))
@@ -99,19 +99,19 @@ def reconstruct(
     return replace(found, mass_g=mass_g)
 
 
-def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage) -> tuple[Check, ...]:
+def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
     """Check the pictures themselves; silhouettes, and pictures with given cameras, tell only some of it."""
     dataset, found = pictures.dataset, cameras.markers
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
-    made = [picture_checks.of_scan(dataset.origin, pictures.frames), picture_checks.of_views(azimuth_deg, len(pictures.frames))]
+    made = [picture_checks.of_scan(dataset.origin, pictures.frames), picture_checks.of_views(azimuth_deg, len(pictures.frames), trust)]
     if not dataset.masks:
-        made += [picture_checks.of_exposure(coverage.exposures), shape_checks.of_dirt(coverage.dirt)]
+        made += [picture_checks.of_exposure(coverage.exposures, trust), shape_checks.of_dirt(coverage.dirt, trust)]
     if found is not None:
         made += [
             picture_checks.of_curve(pictures.curve),
-            picture_checks.of_sharpness(found.blur_px),
-            picture_checks.of_markers(found.inset_px, found.after_px),
-            picture_checks.of_canister(found.canister, dataset.scene.canister),
+            picture_checks.of_sharpness(found.blur_px, trust),
+            picture_checks.of_markers(found.inset_px, found.after_px, trust),
+            picture_checks.of_canister(found.canister, dataset.scene.canister, trust),
         ]
     return tuple(made)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
@@ -12,12 +12,65 @@ from rhizotwin.scenes.schema import Place, from_plain
 
 
 @dataclass(frozen=True, kw_only=True)
+class CalibrationSettings:
+    """From markers and the canister's edges to cameras."""
+
+    worst_px: float = bounded(1.0, 0.05, 100.0)
+    """A view whose reprojection error (px) is larger is left out, when it is also `worst_factor` times the median.
+    Views of a bench have 0.1 to 0.2 (`docs/calibration.md`); a view off by a pixel carves roots of a pixel's width
+    away."""
+    worst_factor: float = bounded(6.0, 1.0, 1000.0)
+    """An error is a mean over tens of corners, so that those of views of one scan differ by tens of per cent, not by
+    factors."""
+    hopeless_px: float = bounded(5.0, 0.05, 1000.0)
+    """A view whose reprojection error (px) is larger is left out in any case: it would carve away all but the thick
+    organs."""
+    focus_sure: float = bounded(5.0, 0.0, 100.0)
+    """A change of focus since the lens was calibrated is believed beyond this many standard deviations: it looks much
+    like distance, and while it is free the distance is two to three times less certain
+    (`docs/log/self-calibration.md`)."""
+    focus_prior: float = bounded(0.005, 1e-6, 0.1)
+    """Standard deviation of the focal lengths over the calibrated ones: focusing changes them by parts of a per
+    cent."""
+    table_prior_deg: float = bounded(0.1, 1e-4, 30.0)
+    """Standard deviation of the table's angles (degrees) from the commanded ones; the pictures know them a hundred
+    times better."""
+    inset_prior_px: float = bounded(0.05, 1e-4, 2.0)
+    """Standard deviation of how much larger on each side (px) markers may look: those of the twin were off by 0.11 in
+    sRGB, by 0.002 in linear light."""
+    edge_mm: float = bounded(0.1, 0.001, 5.0)
+    """Scale (mm) of Cauchy's loss on the canister's edges: about a third of a pixel of a bench, and ten times the
+    edges' noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings:
+    """From pictures to the share of each pixel that roots cover."""
+
+    noise_sigmas: float = bounded(4.0, 0.0, 20.0)
+    """Coverage counts where its surroundings (Gaussian of a pixel) are darker by this many standard deviations of the
+    empty backlight's noise: of 480 000 empty pixels 15 are so by chance."""
+    dim: float = bounded(0.25, 0.0, 1.0)
+    """A background darker than this share of the ring's bright one (its 90 % quantile) says nothing: flanks,
+    shadows."""
+    glare: float = bounded(0.05, 0.001, 1.0)
+    """What is brighter than the smooth panel by this share is a reflection; what it adds hides roots."""
+    film_depth: float = bounded(0.03, 0.001, 2.0)
+    """Optical depth from which a film on the wall is told: those of the profile `harsh` are found within 0.01
+    (`docs/log/silhouettes-from-coverage.md`)."""
+    film_most: float = bounded(0.5, 0.01, 10.0)
+    """Optical depth up to which it is a film: what is darker is a thing."""
+    bubble_depth: float = bounded(0.06, 0.001, 2.0)
+    """Mean optical depth of a millimetre of wall with the least bubble that is told: twice the faintest film."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HullSettings:
     """From silhouettes to a hull."""
 
     finest_mm: float = bounded(0.14, 0.01, 5.0)
     """Larger voxels are carved finer than this and gathered, so that their occupancy is measured and not guessed."""
-    slack_px: float = bounded(0.3, 0.0, 5.0)
+    slack_px: float = bounded(0.3, 0.01, 5.0)
     """By how much outlines are moved in and out for the silhouette-consistent bounds."""
 
 
@@ -25,9 +78,9 @@ class HullSettings:
 class RootSettings:
     """When roots are sought as tubes: where much of the trimmed hull is untrimmed and small, or much of what is seen is missed.
 
-    Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large leaves (14 %
-    small). Translucent roots of five days that no resolved root told to be so leave a half of their coverage, a print with felt fibres
-    about it 1 %.
+    Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large
+    leaves (14 % small). Translucent roots of five days that no resolved root told to be so leave a half of their
+    coverage, a print with felt fibres about it 1 %.
     """
 
     least_untrimmed: float = bounded(0.3, 0.0, 1.0)
@@ -39,13 +92,79 @@ class RootSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrustSettings:
+    """When a volume is not trusted. Of two limits a number beyond the first is only fair, beyond the second bad."""
+
+    widest: float = bounded(0.25, 0.0, 10.0)
+    """Share of the volume that its 90 % interval may reach to one side: two scans a week apart, each this wide, tell no
+    growth of a third."""
+    least_views: int = bounded(8, 3, 1000)
+    """Fewer views leave no view to contradict a ghost."""
+    unexplained: tuple[float, float] = bounded((0.1, 0.2), 0.0, 1.0)
+    """Share of the covered area that the shape leaves unexplained: beyond, the roots that were not found are too many
+    to be guessed."""
+    fill: tuple[float, float] = bounded((0.35, 0.5), 0.0, 1.0)
+    """Share of the root zone's picture that thin roots cover: above one half no set of silhouettes tells roots from
+    gaps."""
+    missed: tuple[float, float] = bounded((0.05, 0.3), 0.0, 1.0)
+    """Share of what the pictures show that the hull of all views leaves out: views that disagree about where things are
+    carve them away."""
+    structure: tuple[float, float] = bounded((0.25, 0.5), 0.0, 10.0)
+    """What is left beside the tubes over what they cover: roots that are no plain absorbers."""
+    sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
+    """Root mean square distance (mm) of the roots in a picture from where all pictures put them. A bench of the twin
+    has 0.023 (`radish_day05b`); roots that swayed by 0.3 mm lost 10 % of the volume."""
+    dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
+    """Share of the wall before the roots that films, bubbles and glare cover."""
+    clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
+    """Share of the panel's pixels at full scale: where the panel is clipped, what roots absorb of it is not known."""
+    dim: tuple[float, float] = bounded((0.2, 0.05), 0.0, 1.0)
+    """Brightness of the panel, below which: at a twentieth of full scale eight bits have 13 steps, and a root of half a
+    pixel three of them."""
+    wander: tuple[float, float] = bounded((0.05, 0.3), 0.0, 10.0)
+    """Standard deviation of the exposure, which is divided out; by a third it moves the panel out of the camera's
+    range."""
+    blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
+    """Standard deviation (px) of the blur, the pixel's own 0.29 included. A root of 0.3 mm is a pixel wide at 800
+    pixels across 250 mm; blurred by 2.5 px it darkens the panel by a sixth."""
+    inset_px: tuple[float, float] = bounded((0.03, 0.06), 0.0, 10.0)
+    """How much larger on each side (px) the markers look: their blurred edges stay where they are in light. The twin
+    has 0.002; sRGB taken for light 0.11."""
+    corners_px: tuple[float, float] = bounded((0.3, 1.0), 0.0, 100.0)
+    """How far (px) the markers' corners lie from where the cameras put them; OpenCV's own corners reach 0.1 to 0.2
+    (`docs/calibration.md`)."""
+    radius_share: tuple[float, float] = bounded((0.002, 0.006), 0.0, 1.0)
+    """Outer radius of the canister over the drawing's, less one, that is left after it was corrected: a lens as strong
+    by so much less."""
+    edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
+    """The canister's edges about a circle (mm, median): a tube half a millimetre out of round (0.25 either way) has 0.1
+    to 0.18."""
+    left_out: tuple[float, float] = bounded((0.1, 0.34), 0.0, 1.0)
+    """Share of the pictures that could not be used."""
+    gap_deg: tuple[float, float] = bounded((30.0, 75.0), 0.0, 360.0)
+    """Largest step (degrees) between neighbouring views round the canister: what no view looks along is bounded by the
+    two beside it."""
+
+    def __post_init__(self) -> None:
+        """Refuse limits in the wrong order; only the panel's brightness is bad where it is small."""
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, tuple) and (value[0] < value[1] if each.name == "dim" else value[0] > value[1]):
+                side = "above" if each.name == "dim" else "below"
+                raise UserError(f"[trust] {each.name} = {list(value)}: the second limit must not be {side} the first")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of a reconstruction, a group for each stage."""
 
     voxel_mm: float = bounded(0.27, 0.01, 20.0)
     """Edge of the voxels that are written (0.27: the thesis's); measuring inside them is finer."""
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    coverage: CoverageSettings = field(default_factory=CoverageSettings)
     hull: HullSettings = field(default_factory=HullSettings)
     roots: RootSettings = field(default_factory=RootSettings)
+    trust: TrustSettings = field(default_factory=TrustSettings)
 
 
 def load_settings(file: Path | str) -> Settings:

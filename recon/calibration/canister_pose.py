@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
@@ -33,8 +34,6 @@ LEAST_RISE = 0.25
 """An edge must rise by this share of the brightness outside of it within three pixels."""
 LEAST_EDGES = 200
 """Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
-LOOSE_MM = 0.1
-"""Scale of the robust loss."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])
 """How misaligned a net pot may stand (rad, mm), and how far the edges may lie from the nominal radius (mm)."""
 
@@ -55,14 +54,21 @@ class CanisterPose:
     after_mm: float
 
 
-def find_canister(views: Sequence[View], images: Callable[[int], Grey], scene: Scene) -> CanisterPose | None:
+def find_canister(
+    views: Sequence[View], images: Callable[[int], Grey], scene: Scene, *, settings: CalibrationSettings = CalibrationSettings()
+) -> CanisterPose | None:
     """Find how the canister stands in the strip.
 
     Parameters
     ----------
-    views : cameras in the strip's frame.
-    images : gives the picture of a view by its index.
-    scene : the canister's radius and height, the net pot's skirt.
+    views : sequence of View
+        Cameras in the strip's frame.
+    images : callable
+        Gives the picture of a view by its index.
+    scene : Scene
+        The canister's radius and height, the net pot's skirt.
+    settings : CalibrationSettings
+        How loosely the edges are fitted.
 
     Returns
     -------
@@ -82,9 +88,9 @@ def find_canister(views: Sequence[View], images: Callable[[int], Grey], scene: S
         return np.asarray(_from_axis(start, along) - radius_mm)
 
     def residuals(unknown: Array) -> Array:
-        return np.concatenate([distances(unknown) - unknown[4], unknown / PRIOR * LOOSE_MM / np.sqrt(len(origin))])
+        return np.concatenate([distances(unknown) - unknown[4], unknown / PRIOR * settings.edge_mm / np.sqrt(len(origin))])
 
-    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=LOOSE_MM, x_scale=np.array([1e-3, 1e-3, 0.1, 0.1, 0.1]))
+    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=settings.edge_mm, x_scale=np.array([1e-3, 1e-3, 0.1, 0.1, 0.1]))
     left = distances(fit.x) - fit.x[4]
     spread_mm = 1.4826 * float(np.median(np.abs(left)))
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)

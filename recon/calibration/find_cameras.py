@@ -13,6 +13,7 @@ from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_caniste
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
@@ -26,11 +27,20 @@ FOCUS_GIVEN = 1e-4
 """How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
 
 
-def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, single_view: bool = False) -> Cameras:
+def find_cameras(
+    pictures: Pictures,
+    *,
+    settings: CalibrationSettings = CalibrationSettings(),
+    monitor: Monitor,
+    measure: bool = True,
+    single_view: bool = False,
+) -> Cameras:
     """Take the given cameras, or find every camera from the markers.
 
     Parameters
     ----------
+    settings : CalibrationSettings
+        Which views are left out, and what is known of the rig beforehand.
     measure, single_view : bool
         As in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also trusts the strip.
 
@@ -62,11 +72,11 @@ def find_cameras(pictures: Pictures, *, monitor: Monitor, measure: bool = True, 
 
         detected = monitor.each(find, "markers", range(len(pictures.images)))
     with monitor.stage("poses"):
-        solved = poses.find_poses(detected, scene, pictures.frames, single_view=single_view)
+        solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
     left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
-        canister = None if single_view else _canister(pictures, solved.views, lens)
+        canister = None if single_view else _canister(pictures, solved.views, lens, settings)
     strip_from_canister = np.eye(4) if canister is None else frames.invert(canister.canister_from_strip)
     found = tuple(
         view if view.cam_from_canister is None else replace(view, cam_from_canister=view.cam_from_canister @ strip_from_canister)
@@ -119,12 +129,12 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
     return cameras
 
 
-def _canister(pictures: Pictures, found: Sequence[Camera], lens: model.Camera) -> CanisterPose | None:
+def _canister(pictures: Pictures, found: Sequence[Camera], lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
     """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
     used = {k: view.cam_from_canister for k, view in enumerate(found) if view.used}
     views = [View(camera=lens, cam_from_canister=pose) for pose in used.values() if pose is not None]
     keys = list(used)
-    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene)
+    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, settings=settings)
 
 
 def _uncertainty(captured: Sequence[Frame], solved: poses.Poses, canister: CanisterPose | None) -> RigUncertainty:

@@ -12,17 +12,12 @@ from rhizotwin.recon.calibration.markers import Markers
 from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
 from rhizotwin.recon.calibration.rig_start import first_rig
 from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, Sightings
+from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 
-WORST_PX = 1.0
-"""A view is left out above this reprojection error when it is also above `WORST_FACTOR` times the median of all views."""
-WORST_FACTOR = 6.0
-"""An error is a mean over tens of corners, so that those of views of one scan differ by tens of per cent, not by factors."""
-HOPELESS_PX = 5.0
-"""A view is left out above this reprojection error in any case."""
 STILL_PX = 2.0
 """A camera that moves more than this between the views was not meant to stand still: none of its views is left out for moving."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
@@ -33,8 +28,6 @@ OUTLIER_WEIGHT = 0.1
 """Cauchy weight of a marker that is nine standard deviations off."""
 AS_CALIBRATED = 1e-7
 """Prior of the relative change of focus that holds the lens as it is."""
-SURE = 5.0
-"""A change of focus since the calibration is believed beyond this many standard deviations."""
 STRANGERS = 3
 """So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's strip is another."""
 
@@ -64,7 +57,14 @@ class Poses:
     warnings: tuple[str, ...] = field(default=())
 
 
-def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame], *, single_view: bool = False) -> Poses:
+def find_poses(
+    detected: Sequence[Markers],
+    scene: Scene,
+    captured: Sequence[Frame],
+    *,
+    settings: CalibrationSettings = CalibrationSettings(),
+    single_view: bool = False,
+) -> Poses:
     """Find the camera of every picture from its markers.
 
     Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
@@ -73,10 +73,16 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
 
     Parameters
     ----------
-    detected : markers of each picture.
-    scene : camera with lens distortion, strip and net pot as given.
-    captured : the pictures' frames: ring and commanded table angle (None: free).
-    single_view : stop at each picture's own pose, corners unweighted (the thesis's way).
+    detected : sequence of Markers
+        Of each picture.
+    scene : Scene
+        Camera with lens distortion, strip and net pot as given.
+    captured : sequence of Frame
+        The pictures' rings and commanded table angles (None: free).
+    settings : CalibrationSettings
+        Which views are left out, and what is known of the rig beforehand.
+    single_view : bool
+        Stop at each picture's own pose, corners unweighted (the thesis's way).
 
     Raises
     ------
@@ -100,7 +106,7 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
         )
     median_px = float(np.median([views[k].reprojection_px for k in seen]))
     for k in list(seen):
-        reason = _misfit(views[k].reprojection_px, median_px)
+        reason = _misfit(views[k].reprojection_px, median_px, settings)
         if reason:
             views[k] = replace(views[k], used=False, reason=reason)
             if not single_view and len(seen) > 1:
@@ -108,7 +114,7 @@ def find_poses(detected: Sequence[Markers], scene: Scene, captured: Sequence[Fra
     if single_view:
         _need_one(views, captured)
         return Poses(views=tuple(views), after_px=median_px)
-    return _together(views, seen, scene, captured)
+    return _together(views, seen, scene, captured, settings)
 
 
 def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
@@ -162,9 +168,9 @@ def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: A
     )
 
 
-def _misfit(error_px: float | None, median_px: float) -> str | None:
+def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
     """Return why a view is left out, or None."""
-    if error_px is None or error_px <= min(max(WORST_PX, WORST_FACTOR * median_px), HOPELESS_PX):
+    if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
     return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
 
@@ -176,7 +182,9 @@ def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
         )
 
 
-def _together(views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame]) -> Poses:
+def _together(
+    views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
+) -> Poses:
     """Fit the rig to the views, leave out those that moved, fit again. Views of cameras that went about freely keep their own pose."""
     keys = _rig_keys(views, sorted(seen), scene, captured)
     if not keys:
@@ -184,25 +192,24 @@ def _together(views: list[Camera], seen: dict[int, Sightings], scene: Scene, cap
     while True:
         first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
         sights = [seen[k] for k in keys]
-        fit = fit_rig(sights, first.rig, first.command_rad, first.known, focus_prior=AS_CALIBRATED)
-        worst = _moved(fit, keys)
+        fit = fit_rig(sights, first.rig, first.command_rad, first.known, replace(settings, focus_prior=AS_CALIBRATED))
+        worst = _moved(fit, keys, settings)
         if not worst:
             break
         for k, moved in worst.items():
             views[k] = replace(views[k], used=False, reason=moved)
         keys = [k for k in keys if k not in worst]
-    refocused = fit_rig(sights, fit.rig, first.command_rad, first.known)
+    refocused = fit_rig(sights, fit.rig, first.command_rad, first.known, settings)
     focal_scale = 1.0
-    if (
-        abs(refocused.rig.focal_scale - 1.0) > SURE * refocused.focal_sigma
-    ):  # else the calibration knows better: focus looks much like distance
+    # else the calibration knows better: focus looks much like distance
+    if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(seen) - set(keys):
             views[k] = _refocused(views[k], seen[k], focal_scale)
     for i, k in enumerate(keys):
         view = _placed(views[k], fit.rig.pose(i), fit.views[i], fit.covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
-        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])))
+        reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
         views[k] = replace(
             view,
             used=reason is None,
@@ -248,7 +255,7 @@ def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: 
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
-def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
+def _moved(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
     """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
@@ -257,7 +264,7 @@ def _moved(fit: RigFit, keys: Sequence[int]) -> dict[int, str]:
             continue
         median_px = float(np.median(fit.rig_px[members]))
         for i in members:
-            reason = _misfit(float(fit.rig_px[i]), median_px) if median_px < STILL_PX else None
+            reason = _misfit(float(fit.rig_px[i]), median_px, settings) if median_px < STILL_PX else None
             if reason:
                 found[keys[i]] = reason
     return found

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.view_fit import Linearised, Sightings, adjoint, linearise, twist
+from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
@@ -14,14 +15,8 @@ CANISTER = np.array([0, 1, 3, 4])
 """How a canister stands on a table, as parts of a twist: tilt about x and y, offset in x and y (height and turn belong to the camera)."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
 """How misaligned a canister may stand: rad, rad, mm, mm."""
-TABLE_PRIOR_RAD = np.deg2rad(0.1)
-"""How far a table angle may be from the commanded one; the pictures know it a hundred times better."""
 FREE_PRIOR_RAD = 0.3
 """How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a misaligned canister changes."""
-INSET_PRIOR_PX = 0.05
-"""How much larger on each side markers may look: those of the twin were off by 0.11 px in sRGB, by 0.002 px in linear light."""
-FOCUS_PRIOR = 0.005
-"""How far a lens may be from its calibration: focusing changes the focal lengths by parts of a per cent."""
 TAIL = 4.0
 """Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
@@ -89,9 +84,7 @@ class RigFit:
     """Factor between the corners' residuals and their covariances."""
 
 
-def fit_rig(
-    seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], *, focus_prior: float = FOCUS_PRIOR
-) -> RigFit:
+def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings) -> RigFit:
     """Fit the rig to all pictures by Gauss-Newton; each step reduces a picture to the normal equations of its pose, which loses nothing.
 
     Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is found from the pictures
@@ -100,26 +93,31 @@ def fit_rig(
 
     Parameters
     ----------
-    seen : the markers of each view.
-    start : a rig near the solution; ``own`` such that the views' poses are those of the single views.
-    command_rad : (V,) commanded table angles.
-    known : (V,) whether the angle was commanded at all.
-    focus_prior : standard deviation of the focal lengths over the given ones; tiny: they are as given.
+    seen : sequence of Sightings
+        The markers of each view.
+    start : Rig
+        Near the solution; ``own`` such that the views' poses are those of the single views.
+    command_rad : (V,) float64 array
+        Commanded table angles.
+    known : (V,) bool array
+        Whether the angle was commanded at all.
+    settings : CalibrationSettings
+        Priors of table, inset and focus; a tiny one of the focus takes the lens as it is given.
     """
     rig, scale = start, 1.0
-    angle_sigma = np.where(known, TABLE_PRIOR_RAD, FREE_PRIOR_RAD)
+    angle_sigma = np.where(known, np.deg2rad(settings.table_prior_deg), FREE_PRIOR_RAD)
     weight = np.ones(len(seen))
     for _ in range(MOST_STEPS):
         views = _linearised(seen, rig, scale)
         scale = max(scale * _misfit(views), LEAST_SCALE)
-        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
+        system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
         spread, weight = system.find_spread(rig.spread, weight)
         shared, local = system.solve(spread, weight)[:2]
         rig = _stepped(replace(rig, spread=spread), shared, local)
         if max(np.abs(local).max(), np.abs(shared).max()) < ENOUGH:
             break
     views = _linearised(seen, rig, scale)
-    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, focus_prior)
+    system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
     rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
     return system.report(weight, views, scale, np.array(rig_px))
 
@@ -178,10 +176,10 @@ class _System:
     """(V,) table angle less the commanded one."""
     angle_sigma: Array
     """(V,)."""
-    focus_prior: float
+    settings: CalibrationSettings
 
     @classmethod
-    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, focus_prior: float) -> "_System":
+    def about(cls, rig: Rig, views: Sequence[Linearised], angle_off: Array, angle_sigma: Array, settings: CalibrationSettings) -> "_System":
         count, rings = len(views), len(rig.cam_from_rig)
         by_shared, by_local = np.zeros((count, 8, 2 + 6 * rings + 4)), np.zeros((count, 8, 7))
         by_shared[:, 6, 0] = by_shared[:, 7, 1] = 1.0
@@ -195,7 +193,7 @@ class _System:
         own = np.array([np.concatenate([frames.to_rotvec(pose), pose[:3, 3]]) for pose in rig.own])
         normal = np.array([view.normal for view in views])
         gradient = np.array([view.gradient for view in views])
-        return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, focus_prior)
+        return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, settings)
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return the shared (S,) and local (V, 7) step, the covariances (S, S), (V, 7, 7), and the cross covariance (V, S, 7)."""
@@ -209,7 +207,8 @@ class _System:
         right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
         canister = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
         shared_prior = np.full(self.by_shared.shape[2], 1e-9)
-        shared_prior[0], shared_prior[1], shared_prior[-4:] = INSET_PRIOR_PX**-2.0, self.focus_prior**-2.0, CANISTER_PRIOR**-2.0
+        shared_prior[0], shared_prior[1] = self.settings.inset_prior_px**-2.0, self.settings.focus_prior**-2.0
+        shared_prior[-4:] = CANISTER_PRIOR**-2.0
         shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
         shared_right[0] -= shared_prior[0] * self.rig.inset_px
         shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.model import Scene
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_DIM = 0.25
-"""A background darker than this fraction of the ring's typical one says nothing (flanks, shadows)."""
 _MARGIN_MM = 0.1
 """Beside what is opaque: the cameras' and the canister's errors."""
 _STEP = 4
@@ -23,8 +22,8 @@ _FLANK = 0.98
 """Share of the canister's width beyond which the wall reflects nearly everything."""
 _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
-_GLARE, _RIM_PX = 0.05, 11
-"""What is brighter than the smooth panel by this share is glare, with so many pixels about it."""
+_RIM_PX = 11
+"""Width of the square about each pixel of glare that is glare too: five pixels each way for its blurred flank."""
 _AGREED = 0.5
 """Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
 _LEAST_SURE = 0.1
@@ -86,7 +85,7 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     return np.asarray(fine[:height, :width])
 
 
-def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
+def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> tuple[Image, Mask]:
     """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
 
     Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the panel in
@@ -95,13 +94,19 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
 
     Parameters
     ----------
-    stack : (V, H, W) linear grey, any scale.
-    inside : (H, W), or (V, H, W) where the canister wobbles: pixels to be filled; others are 0 in the result.
+    stack : (V, H, W) float32 array
+        Linear grey, any scale.
+    inside : (H, W) or (V, H, W) bool array
+        Pixels to be filled, of each view where the canister wobbles; others are 0 in the result.
+    settings : CoverageSettings
+        What is too dim, and what is glare.
 
     Returns
     -------
-    background : (H, W) in the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
-    glare : (H, W) pixels of reflections. What they add hides roots, so that nothing can be said there.
+    background : (H, W) float32 array
+        In the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
+    glare : (H, W) bool array
+        Pixels of reflections. What they add hides roots, so that nothing can be said there.
     """
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
@@ -127,15 +132,15 @@ def estimate(stack: Image, inside: Mask) -> tuple[Image, Mask]:
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
         list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
     background[~often] = 0.0
-    smooth = _smooth_surface(background, often, agreed)
-    spots = (smooth > 0) & (background > (1.0 + _GLARE) * smooth)
+    smooth = _smooth_surface(background, often, agreed, settings)
+    spots = (smooth > 0) & (background > (1.0 + settings.glare) * smooth)
     glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
     covered = often & (background < 0.96 * smooth)
     return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
 
 
-def _smooth_surface(background: Image, inside: Mask, sure: Mask) -> Image:
+def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
     """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out.
 
     It begins with the pixels (H, W) that are ``sure``; where it runs on from them, it decides on the others.
@@ -150,7 +155,7 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask) -> Image:
     sample = sample[core[sample]]
     degrees = (8, 4)
     basis = np.polynomial.chebyshev.chebvander2d(u[sample], v[sample], degrees)
-    lit = values[sample] > _DIM * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
+    lit = values[sample] > settings.dim * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
     first = lit & sure[rows[sample], columns[sample]]
     trusted = first if first.sum() > _LEAST_SURE * lit.sum() else lit
     coefficients = np.zeros(basis.shape[1])
@@ -162,37 +167,42 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask) -> Image:
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
-        trusted = (residual > -3.0 * scale) & (residual < np.maximum(_GLARE * values[sample], 3.0 * scale))
+        trusted = (residual > -3.0 * scale) & (residual < np.maximum(settings.glare * values[sample], 3.0 * scale))
     shape = (degrees[0] + 1, degrees[1] + 1)
     surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
     return surface
 
 
-def bright_enough(background: Image, inside: Mask) -> Mask:
+def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
     """Return the pixels of ``inside`` whose background is bright enough to tell root from none."""
     if not inside.any():
         return inside
-    return inside & (background > _DIM * np.quantile(background[inside], 0.9))
+    return inside & (background > settings.dim * np.quantile(background[inside], 0.9))
 
 
-def estimate_single(image: Image, inside: Mask) -> Image:
+def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Image:
     """Estimate the empty backlight of one picture from itself: dark things up to 31 px wide are closed, wider ones bridged.
 
     For cameras that moved from view to view.
 
     Parameters
     ----------
-    image : (H, W) one picture, linear in light.
-    inside : (H, W) pixels that look through the water.
+    image : (H, W) float32 array
+        One picture, linear in light.
+    inside : (H, W) bool array
+        Pixels that look through the water.
+    settings : CoverageSettings
+        What is too dim, and what is glare.
 
     Returns
     -------
-    background : (H, W) in the scale of the image.
+    (H, W) float32 array
+        The backlight in the scale of the image.
     """
     closed = cv2.morphologyEx(
         np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
     )
     closed[~inside] = 0.0
-    smooth = _smooth_surface(closed, inside, inside)
+    smooth = _smooth_surface(closed, inside, inside, settings)
     covered = inside & (smooth > 0)
     return np.where(covered, smooth, closed).astype(np.float32)

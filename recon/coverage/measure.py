@@ -15,6 +15,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
+from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
@@ -50,11 +51,20 @@ class Coverage:
         return None if silhouette is None else float((silhouette.coverage[silhouette.seen] > 0.5).mean())
 
 
-def measure_coverage(pictures: Pictures, cameras: Cameras, *, monitor: Monitor, outline: Outline | None = None) -> Coverage:
+def measure_coverage(
+    pictures: Pictures,
+    cameras: Cameras,
+    *,
+    settings: CoverageSettings = CoverageSettings(),
+    monitor: Monitor,
+    outline: Outline | None = None,
+) -> Coverage:
     """Measure in every view how much of each pixel roots cover.
 
     Parameters
     ----------
+    settings : CoverageSettings
+        What is noise, too dim, glare, a film or a bubble.
     outline : callable, optional
         How a silhouette comes from a picture, if not by measuring coverage.
 
@@ -66,9 +76,9 @@ def measure_coverage(pictures: Pictures, cameras: Cameras, *, monitor: Monitor, 
     if pictures.dataset.masks:
         found = _given(pictures, cameras, monitor)
     elif outline is None:
-        found = _measured(pictures, cameras, monitor)
+        found = _measured(pictures, cameras, settings, monitor)
     else:
-        found = _outlined(pictures, cameras, outline, monitor)
+        found = _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
     drawn = found.silhouettes
     blank = [k for k in cameras.order if not drawn[k].seen.any()]
     if blank:
@@ -108,7 +118,7 @@ class _Backlight:
     exposures: Exposures
 
 
-def _backlight(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> _Backlight:
+def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
     """Estimate the empty backlight of every view."""
     with monitor.stage("background"):
         views = cameras.by_frame
@@ -117,26 +127,23 @@ def _backlight(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> _Backl
         stations = [pictures.frames[k].station for k in order]
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = dict(zip(order, exposures.gain.astype(np.float32), strict=True))
-        empty, glare = _backgrounds(pictures, cameras, inside, gain, monitor)
-        lit = {k: background.bright_enough(empty[k], inside[k]) for k in views}
+        empty, glare = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
+        lit = {k: background.bright_enough(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures)
 
 
-def _outlined(pictures: Pictures, cameras: Cameras, outline: Outline, monitor: Monitor) -> Coverage:
+def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
     """Draw silhouettes in another way."""
-    light = _backlight(pictures, cameras, monitor)
     with monitor.stage("silhouettes"):
-        return Coverage(
-            silhouettes={k: outline(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in cameras.order}
-        )
+        return Coverage(silhouettes={k: outline(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in light.empty})
 
 
-def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
+def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure coverage against the empty backlight."""
-    keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, monitor)
+    keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in keys}
     with monitor.stage("wall"):
-        opacity, seen, film = _without_wall(cameras, opacity, light.seen, monitor)
+        opacity, seen, film = _without_wall(cameras, opacity, light.seen, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
@@ -145,10 +152,10 @@ def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverag
         def one(k: int) -> Silhouette:
             clear = opacity[k] / np.float32(1.0 - law.own)  # noise and all, so that no faint root loses its flanks
             if law.mu_per_mm is None:
-                drawn = silhouettes.measure(opacity[k], seen[k], own=law.own)
+                drawn = silhouettes.measure(opacity[k], seen[k], settings, own=law.own)
             else:
                 covered = translucency.covered(opacity[k], law, px_a_mm)
-                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k]), seen[k])
+                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k], settings), seen[k])
             return replace(drawn, opacity=clear)
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
@@ -158,14 +165,14 @@ def _measured(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverag
 
 
 def _without_wall(
-    cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], monitor: Monitor
+    cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
     """Take off what clings to the wall, and tell the share of it that films cover; in air nothing does, and few views do not tell."""
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
         return opacity, seen, None
     where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
-    found = wall.study(opacity, seen, where, optics, monitor)
+    found = wall.study(opacity, seen, where, optics, monitor, settings)
     cleared = monitor.each(lambda k: wall.cleared(opacity[k], seen[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
@@ -181,7 +188,12 @@ def _scale(view: View, optics: Optics) -> float:
 
 
 def _backgrounds(
-    pictures: Pictures, cameras: Cameras, inside: dict[int, Mask], gain: Mapping[int, np.float32], monitor: Monitor
+    pictures: Pictures,
+    cameras: Cameras,
+    inside: dict[int, Mask],
+    gain: Mapping[int, np.float32],
+    settings: CoverageSettings,
+    monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_]]:
     """Estimate the empty backlight of each view, and where glare lies on it, which only a turn tells.
 
@@ -195,13 +207,13 @@ def _backgrounds(
         members = [k for k in views if captured[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
             stack = np.stack([images[k] / (gain[k] * walls[k]) for k in members]).astype(np.float32)
-            panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]))
+            panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]), settings)
             empty.update({k: panel * (gain[k] * walls[k]) for k in members})
             glare.update(dict.fromkeys(members, spots))
         else:
 
             def from_itself(k: int) -> Image:
-                return np.asarray(walls[k] * background.estimate_single((images[k] / walls[k]).astype(np.float32), inside[k]))
+                return np.asarray(walls[k] * background.estimate_single((images[k] / walls[k]).astype(np.float32), inside[k], settings))
 
             single = monitor.each(from_itself, "background", members)
             empty.update(dict(zip(members, single, strict=True)))

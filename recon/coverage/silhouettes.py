@@ -16,6 +16,8 @@ from scipy import ndimage
 from scipy.special import erf, erfinv
 from skimage import filters
 
+from rhizotwin.recon.settings import CoverageSettings
+
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -76,19 +78,27 @@ def opacity(image: Image, background: Image, seen: Mask) -> Image:
 
     Parameters
     ----------
-    image, background : (H, W) linear grey in one scale.
-    seen : (H, W) pixels with a usable background.
+    image, background : (H, W) float32 array
+        Linear grey in one scale.
+    seen : (H, W) bool array
+        Pixels with a usable background.
     """
     return np.where(seen, 1.0 - image / np.where(seen, background, 1.0), 0.0).astype(np.float32)
 
 
-def measure(opacity: Image, seen: Mask, *, own: float = 0.0) -> Silhouette:
+def measure(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSettings(), *, own: float = 0.0) -> Silhouette:
     """Measure the coverage by opaque roots: 0 at the empty backlight, 1 at the brightness of resolved root.
 
     Parameters
     ----------
-    opacity, seen : (H, W) as in `opacity`.
-    own : brightness of a root by itself over the backlight's, where the picture shows none wide enough to tell.
+    opacity : (H, W) float32 array
+        As `opacity` returns it.
+    seen : (H, W) bool array
+        Pixels with a usable background.
+    settings : CoverageSettings
+        What stands out from the noise.
+    own : float
+        Brightness of a root by itself over the backlight's, where the picture shows none wide enough to tell.
     """
     # Front light makes roots brighter than black: what resolved roots show inside is full coverage, there and nearby.
     core = cv2.erode((opacity > 0.6).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & seen
@@ -96,7 +106,7 @@ def measure(opacity: Image, seen: Mask, *, own: float = 0.0) -> Silhouette:
     weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
     local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
     reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
-    return without_noise((opacity / np.maximum(reference, 0.3)).astype(np.float32), above_noise(opacity, seen), seen)
+    return without_noise((opacity / np.maximum(reference, 0.3)).astype(np.float32), above_noise(opacity, seen, settings), seen)
 
 
 def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
@@ -104,8 +114,8 @@ def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
     return Silhouette(np.clip(np.where(above & seen, coverage, 0.0), 0.0, 1.0).astype(np.float32), seen)
 
 
-def above_noise(opacity: Image, seen: Mask) -> Mask:
-    """Tell the pixels whose surroundings (Gaussian of a pixel) are darker by more than four standard deviations of the noise.
+def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
+    """Tell the pixels (H, W) whose surroundings (Gaussian of a pixel) are darker than noise makes them.
 
     The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is empty.
     """
@@ -115,7 +125,7 @@ def above_noise(opacity: Image, seen: Mask) -> Mask:
     values = smooth[seen][::7]
     middle = np.median(values)
     noise = 1.4826 * np.median(np.abs(values - middle))
-    return np.asarray(smooth > middle + 4.0 * noise + 1e-4)
+    return np.asarray(smooth > middle + settings.noise_sigmas * noise + 1e-4)
 
 
 def thesis(image: Image, seen: Mask) -> Silhouette:

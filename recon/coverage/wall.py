@@ -18,6 +18,7 @@ from rhizotwin.recon.coverage.silhouettes import Image, Mask
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.monitor import Monitor
 
 _TEXEL_MM = 1.0
@@ -30,14 +31,8 @@ _QUANTILE = 0.35
 """Of the views of a place: roots pass before it in fewer than the others."""
 _LEAST_VIEWS = 5
 """Of three views or fewer the quantile is the least."""
-_FAINTEST = 0.03
-"""Optical depth of a film that is told from the backlight's errors."""
-_DARKEST = 0.5
-"""A film is fainter: what is darker is a thing."""
 _NARROWEST_TEXELS = 4
 """A film is at least so wide; roots on the wall are thinner."""
-_BUBBLE = 0.06
-"""Optical depth of a texel with the least bubble that is told."""
 _WIDEST_BUBBLE_MM = 5.0
 """Two capillary lengths of water (2.7 mm): larger bubbles do not cling."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
@@ -107,12 +102,30 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
     return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Crossings], optics: Optics, monitor: Monitor) -> Wall:
-    """Find what clings to the wall.
+def study(
+    opacity: dict[int, Image],
+    seen: dict[int, Mask],
+    where: dict[int, Crossings],
+    optics: Optics,
+    monitor: Monitor,
+    settings: CoverageSettings = CoverageSettings(),
+) -> Wall:
+    """Find the films and bubbles on the wall.
 
     Parameters
     ----------
-    opacity, seen, where : pictures (H, W) of one less image over backlight, where they say something, and where they cross the wall.
+    opacity : dict of (H, W) float32 array
+        One less image over backlight, by number of the frame.
+    seen : dict of (H, W) bool array
+        Where it says something.
+    where : dict of Crossings
+        Where it looks through the wall.
+    optics : Optics
+        The canister's radii and heights.
+    monitor : Monitor
+        Hears of every view.
+    settings : CoverageSettings
+        What is a film, and what a bubble.
     """
     rows, columns = shape(optics)
     step = max(1, next(iter(opacity.values())).shape[1] // _COLUMNS)
@@ -146,11 +159,13 @@ def study(opacity: dict[int, Image], seen: dict[int, Mask], where: dict[int, Cro
     for _ in range(_ROUNDS):
         views = np.concatenate(monitor.each(observed, "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        faint = np.where(dark > _DARKEST, 0.0, dark)  # roots on the wall are no film, nor is what the opening leaves of their fringe
+        faint = np.where(
+            dark > settings.film_most, 0.0, dark
+        )  # roots on the wall are no film, nor is what the opening leaves of their fringe
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
         broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening squares the edges
-        film = np.where(broad > _FAINTEST, broad, 0.0).astype(np.float32)
-    return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns)))
+        film = np.where(broad > settings.film_depth, broad, 0.0).astype(np.float32)
+    return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns), settings.bubble_depth))
 
 
 def _quantile(observed: Image) -> Image:
@@ -161,7 +176,7 @@ def _quantile(observed: Image) -> Image:
     return np.where(number >= _LEAST_VIEWS, np.take_along_axis(ordered, rank[None], axis=0)[0], 0.0).astype(np.float32)
 
 
-def _bubbles(dark: Image, views: Image) -> Mask:
+def _bubbles(dark: Image, views: Image, least: float) -> Mask:
     """Tell the small dark places of the unrolled wall (rows, columns) that stand alone, with a texel about them.
 
     Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear ring round the place;
@@ -169,7 +184,7 @@ def _bubbles(dark: Image, views: Image) -> Mask:
     """
     rows, columns = dark.shape
     square = np.ones((3, 3), bool)
-    label, _ = ndimage.label(np.concatenate([dark, dark], axis=1) > _BUBBLE, structure=square)
+    label, _ = ndimage.label(np.concatenate([dark, dark], axis=1) > least, structure=square)
     found = np.zeros(dark.shape, bool)
     for number, (row, column) in enumerate(ndimage.find_objects(label), start=1):
         if max(row.stop - row.start, column.stop - column.start) * _TEXEL_MM > _WIDEST_BUBBLE_MM or column.start >= columns:
@@ -184,7 +199,7 @@ def _bubbles(dark: Image, views: Image) -> Mask:
         clear = (here[:, ring] < _CLEAR).all(axis=1)  # NaN is not clear
         inside = here[clear][:, dots]
         inside = inside[np.isfinite(inside)]
-        if clear.sum() >= _CLEAR_VIEWS and len(inside) and np.median(inside) > _BUBBLE:
+        if clear.sum() >= _CLEAR_VIEWS and len(inside) and np.median(inside) > least:
             found[high:low, place] |= body
     return found
 

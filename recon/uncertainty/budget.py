@@ -8,20 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
 
 NINETY = 1.645
 """90 % of a normal distribution lies within this many standard deviations."""
-WIDEST = 0.25
-"""A volume whose 90 % interval reaches farther than this to one side is no measurement."""
-MOST_UNEXPLAINED = 0.2
-"""Share of the covered area that the shape may leave unexplained: beyond, the roots that were not found are too many to be guessed."""
-MOST_FILL = 0.5
-"""Share of the root zone's picture that thin roots may cover: above one half no set of silhouettes tells roots from gaps."""
-LEAST_VIEWS = 8
-"""Fewer views leave no view to contradict a ghost."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +62,8 @@ class Budget:
     """Share of the covered area that the shape does not explain."""
     fill: float = 0.0
     """Share of the root zone's picture that thin roots cover; 0 for shapes without them."""
+    trust: TrustSettings = field(default_factory=TrustSettings)
+    """When the volume is not trusted."""
 
     @property
     def interval_mm3(self) -> tuple[float, float]:
@@ -79,18 +74,18 @@ class Budget:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Return why the scan cannot give a volume; empty where it can."""
-        (low, high), found = self.interval_mm3, []
-        if self.views < LEAST_VIEWS:
-            found.append(f"only {self.views} views were used, and fewer than {LEAST_VIEWS} contradict no ghost")
-        if self.unexplained > MOST_UNEXPLAINED:
+        (low, high), trust, found = self.interval_mm3, self.trust, []
+        if self.views < trust.least_views:
+            found.append(f"only {self.views} views were used, and fewer than {trust.least_views} contradict no ghost")
+        if self.unexplained > trust.unexplained[1]:
             found.append(f"the shape leaves {100.0 * self.unexplained:.0f} % of what the pictures show unexplained")
-        if self.fill > MOST_FILL:
+        if self.fill > trust.fill[1]:
             found.append(f"thin roots cover {100.0 * self.fill:.0f} % of the root zone's picture, so that no view tells them from gaps")
-        under, over = (reach > WIDEST * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
+        under, over = (reach > trust.widest * self.volume_mm3 for reach in (self.volume_mm3 - low, high - self.volume_mm3))
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(
-                f"the 90 % interval reaches from {low:.3g} to {high:.3g} mm3, farther than {100.0 * WIDEST:.0f} % to one side, "
+                f"the 90 % interval reaches from {low:.3g} to {high:.3g} mm3, farther than {100.0 * trust.widest:.0f} % to one side, "
                 f"most of all for this reason: {worst.why}"
             )
         return tuple(found)

@@ -13,6 +13,8 @@ NO_VOLUME = "this scan cannot give a volume: "
 
 State = Literal["good", "fair", "bad", "untold"]
 Name = Literal["scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight"]
+Limits = tuple[float, float]
+"""Beyond which a number is fair, and bad; where the first is larger, below which."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,23 @@ def failed(checks: Sequence[Check]) -> tuple[str, ...]:
 def verdict(lost: Sequence[str]) -> str:
     """Say that a scan gives no volume, and why."""
     return NO_VOLUME + "; ".join(lost)
+
+
+def stated(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
+    """Return a check whose state is known."""
+    fair, bad = (None, None) if limits is None else limits
+    return Check(name=name, state=state, value=value, unit=unit, fair=fair, bad=bad, found=found, advice=advice)
+
+
+def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
+    """Return a check of a number against its limits; a good one needs no advice."""
+    state = state_of(value, *limits)
+    return stated(name, state, value, unit, limits, found, "" if state == "good" else advice)
+
+
+def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
+    """Return a check of what the pictures do not show."""
+    return stated(name, "untold", None, unit, limits, found, advice)
 
 
 def state_of(value: float, fair: float, bad: float) -> State:

@@ -1,5 +1,8 @@
 """Settings from a file, and what is refused."""
 
+import re
+import tomllib
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
@@ -7,6 +10,9 @@ import pytest
 from rhizotwin.recon.settings import Settings, load_settings
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
+
+RECON = Path(__file__).resolve().parents[2] / "recon"
+PAGE = RECON.parent / "docs" / "settings.md"
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -28,12 +34,39 @@ def test_what_a_result_records_gives_the_same_settings() -> None:
     assert from_plain(Settings, to_plain(chosen), Place("result.json")) == chosen
 
 
+def limits_of(group: object, before: str = "") -> dict[str, tuple[object, tuple[float, float]]]:
+    """Return default and limits of every number, by its key."""
+    found: dict[str, tuple[object, tuple[float, float]]] = {}
+    for each in fields(group):  # type: ignore[arg-type]
+        value = getattr(group, each.name)
+        found |= (
+            limits_of(value, f"{before}{each.name}.") if is_dataclass(value) else {before + each.name: (value, each.metadata["limits"])}
+        )
+    return found
+
+
+def test_the_page_has_every_number_with_its_default_and_limits() -> None:
+    rows = re.findall(r"^\| `([\w.]+)` \| (\S.*?) \| (\S+) to (\S+) \| \S", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    told = {key: (tomllib.loads(f"x = {default}")["x"], (float(low), float(high))) for key, default, low, high in rows}
+    assert told == {key: (to_plain(value), limits) for key, (value, limits) in limits_of(Settings()).items()}
+
+
+def test_every_number_changes_what_a_stage_is_given() -> None:
+    """Ask that no field is there for show: each is read somewhere in `recon`."""
+    code = "".join(path.read_text(encoding="utf-8") for path in RECON.rglob("*.py") if path.name != "settings.py")
+    assert [key for key in limits_of(Settings()) if not re.search(rf"\.{key.rpartition('.')[2]}\b", code)] == []
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [
         ("voxel_mn = 0.2", 'did you mean "voxel_mm"'),
         ("[hull]\nfinest_mm = 0", r"line 2: \[hull\] finest_mm = 0"),
         ("[hull]\nslack_px = true", "must be a number"),
+        ("[trust]\nsway_mm = [0.2, 0.1, 0.3]", "must have 2 elements"),
+        ("[trust]\nleast_views = 8.5", "must be a whole number"),
+        ("[trust]\nsway_mm = [0.2, 0.1]", r"sway_mm = \[0.2, 0.1\]: the second limit must not be below the first"),
+        ("[trust]\ndim = [0.1, 0.2]", r"dim = \[0.1, 0.2\]: the second limit must not be above the first"),
         ("voxel_mm = ", "not readable TOML"),
     ],
 )

@@ -63,9 +63,9 @@ def test_what_is_clear_wherever_one_looks_past_the_crowd_is_no_bubble() -> None:
     dark[9:12, 30:33] = 0.5
     views = np.zeros((10, 20, 60), np.float32)
     views[:6] = 0.5
-    assert not wall._bubbles(dark, views).any()
+    assert not wall._bubbles(dark, views, 0.06).any()
     views[6:, 9:12, 30:33] = 0.4
-    assert wall._bubbles(dark, views)[9:12, 30:33].all()
+    assert wall._bubbles(dark, views, 0.06)[9:12, 30:33].all()
 
 
 def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: tuple) -> None:

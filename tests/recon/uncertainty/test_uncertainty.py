@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from rhizotwin.recon import shaping
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Leaves, Water
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import sight, solid_doubt
-from rhizotwin.recon.uncertainty.budget import LEAST_VIEWS, Budget, Term
+from rhizotwin.recon.uncertainty.budget import Budget, Term
 
 
 def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:
@@ -33,7 +34,7 @@ def test_the_interval_never_reaches_below_nothing() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"views": LEAST_VIEWS - 1}, "only 7 views"),
+        ({"views": TrustSettings().least_views - 1}, "only 7 views"),
         ({"unexplained": 0.3}, "30 % of what the pictures show"),
         ({"fill": 0.6}, "60 % of the root zone"),
         ({"terms": (term(1.0, 1.0), term(2.0, 40.0, "missing roots"))}, "of the missing roots"),
