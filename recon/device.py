@@ -25,6 +25,8 @@ Bool: TypeAlias = Any
 """mi.Bool"""
 Vector2f: TypeAlias = Any
 """mi.Vector2f"""
+Vector2u: TypeAlias = Any
+"""mi.Vector2u"""
 Vector3f: TypeAlias = Any
 """mi.Vector3f"""
 Point3f: TypeAlias = Any

@@ -11,9 +11,11 @@ kept: the thesis's dictionary of leaves becomes arrays of positions, without a l
 
 from __future__ import annotations
 
+import functools
+import operator
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -21,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
-from rhizotwin.recon.device import Bool, Float, Int32, Kernel, Point3f, UInt32, Vector2f, bilinear
+from rhizotwin.recon.device import Bool, Float, Int32, Kernel, Point3f, UInt32, Vector2f, Vector2u, Vector3f, bilinear
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -34,6 +36,10 @@ _COARSEST_MM = 4.6
 """Edge of the first nodes, at most: 33 across the canister."""
 _BLIND_MM = 2.5
 """Larger nodes that too few views see are cut: some of their parts may be seen."""
+_BY_PARENT_MM = 1.0
+"""Nodes up to this edge are placed in the pictures by the Jacobian at their parent's centre (`_mark`)."""
+_EMPTY, _PARTIAL = 1 << 31, 1 << 30
+"""Bits of `_Marks.flags` above the votes."""
 _CHUNK = 1 << 21
 """Nodes that are looked at in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
@@ -57,6 +63,15 @@ class DistanceMaps:
     """mi.Float, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said."""
     image_wh: tuple[int, int]
     window: Window
+    _low: Vector2f = field(init=False, repr=False)
+    _samples: Vector2u = field(init=False, repr=False)
+    _image: Vector2f = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Keep what kernels need of the sizes as their input: as constants, they would make every kernel new for every scan."""
+        object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
+        object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
+        object.__setattr__(self, "_image", mi.Vector2f(*(dr.opaque(mi.Float, count) for count in self.image_wh)))
 
     @staticmethod
     def of(maps: NDArray[np.float32], image_wh: tuple[int, int] | None = None, window: Window | None = None) -> DistanceMaps:
@@ -76,15 +91,16 @@ class DistanceMaps:
 
     def sample(self, px: Vector2f) -> Vector2f:
         """Return where pixels (mi.Vector2f) lie on a map, whose samples are at integers: mi.Vector2f."""
-        low = self.window.low_px
-        return mi.Vector2f((px.x - low[0] + 0.5) * UPSAMPLING - 0.5, (px.y - low[1] + 0.5) * UPSAMPLING - 0.5)
+        return (px - self._low + 0.5) * UPSAMPLING - 0.5
 
     def at(self, view: UInt32, px: Vector2f, active: Bool) -> Float:
         """Interpolate bilinearly at pixels (mi.Vector2f)."""
-        (width, height), place = self.samples_wh, self.sample(px)
-        u = dr.clip(place.x, 0.0, width - 1.001)
-        v = dr.clip(place.y, 0.0, height - 1.001)
-        return bilinear(self.values, view * (height * width), width, u, v, active)
+        place = dr.clip(self.sample(px), 0.0, mi.Vector2f(self._samples) - 1.001)
+        return bilinear(self.values, view * (self._samples.y * self._samples.x), self._samples.x, place.x, place.y, active)
+
+    def holds(self, px: Vector2f) -> Bool:
+        """Tell which pixels (mi.Vector2f) lie in the pictures."""
+        return dr.all((px > -0.5) & (px < self._image - 0.5))
 
 
 @dataclass(frozen=True)
@@ -105,6 +121,10 @@ class Grid:
         first = np.floor(np.asarray(low_mm) / coarse)
         shape = np.maximum(np.ceil(np.asarray(high_mm) / coarse) - first, 1).astype(int)
         return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+    def edge_mm(self, level: int) -> float:
+        """Return the edge of the nodes of a level; those of level 0 are the coarsest."""
+        return self.size_mm * 2.0 ** (self.levels - level)
 
 
 @dataclass(frozen=True)
@@ -152,41 +172,99 @@ def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
 def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool) -> tuple[projection.Projected, Float, Bool]:
     """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
     p = projection.project(bank, view, point, active)
-    width, height = maps.image_wh
-    in_picture = (p.px.x > -0.5) & (p.px.x < width - 0.5) & (p.px.y > -0.5) & (p.px.y < height - 0.5)
-    seen = p.seen & in_picture
-    distance = maps.at(view, p.px, seen)
-    return p, distance, seen & (distance < TELLS_PX)
+    return p, *_read(maps, view, p.px, p.seen)
+
+
+def _read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
+    """Read a view's distance map: (distance in px, whether the picture tells)."""
+    seen = active & maps.holds(px)
+    distance = maps.at(view, px, seen)
+    return distance, seen & (distance < TELLS_PX)
+
+
+@dataclass
+class _Marks:
+    """What the views say of nodes."""
+
+    empty: Bool
+    """mi.Bool, whether a view finds a node empty."""
+    partial: Bool
+    """mi.Bool, whether a view finds it partly outside."""
+    votes: UInt32
+    """mi.UInt32, how many views see the centre."""
+    depth: Float
+    """mi.Float, signed distance in mm of the centre to the hull: the least over the views that see it ..."""
+    scale: Float
+    """mi.Float, ... and px per mm in that view."""
+
+    def again(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
+        """Hear one more view of nodes that none has found empty yet."""
+        open_ = ~self.empty
+        seen &= open_
+        self.partial |= seen & (distance < reach + slack_px)
+        here = dr.select(seen, distance / px_per_mm, 1e3)
+        self.scale = dr.select(here < self.depth, px_per_mm, self.scale)
+        self.depth = dr.minimum(self.depth, here)
+        self.votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        self.empty |= seen & clear & (distance < -reach - slack_px)
+
+    def flags(self) -> UInt32:
+        """Return votes, `_EMPTY` and `_PARTIAL` in one number."""
+        zero = mi.UInt32(0)
+        return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
 
 
 def _mark(
-    bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, slack_px: Float, ignore_blindness: bool
-) -> tuple[Bool, Bool, UInt32, Float, Float]:
+    bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
+) -> _Marks:
     """Look at nodes from every view, until one finds them empty.
+
+    Only ``point`` is followed through the water; nodes beside it are placed by its Jacobian. What that neglects is half the change of the
+    scale on the way (3 % a mm, as in `_footprint_px`) times the way: at most 0.011 of an edge where edges are below `_BY_PARENT_MM`.
+
+    Parameters
+    ----------
+    parts : list of mi.Vector3f
+        From the point to the centres of the nodes: eight for the children of a node about the point, or nothing but zero for itself.
+    half_mm : mi.Float
+        Half an edge of these nodes.
 
     Returns
     -------
-    empty, partial : whether a view finds a node empty, and whether one finds it partly outside.
-    votes : how many views see the centre.
-    depth, scale : signed distance in mm of the centre to the hull (least over the views that see it), and px per mm in that view.
+    _Marks
+        Of all nodes, those about a point side by side.
     """
+    width = dr.width(point)
 
-    def body(view: UInt32, empty: Bool, partial: Bool, votes: UInt32, depth: Float, scale: Float) -> tuple[Kernel, ...]:
-        p, distance, seen = look(bank, maps, view, point, ~empty)
-        reach = _footprint_px(p, half_mm)
-        outside = seen & (p.clear_mm > 1.5 * half_mm) & (distance < -reach - slack_px)
-        if ignore_blindness:
-            outside |= ~seen
-        partial |= seen & (distance < reach + slack_px)
-        px_per_mm = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
-        here = dr.select(seen, distance / px_per_mm, 1e3)
-        scale = dr.select(here < depth, px_per_mm, scale)
-        votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
-        return view + 1, empty | outside, partial, votes, dr.minimum(depth, here), scale
+    def body(view: UInt32, marks: list[_Marks]) -> tuple[UInt32, list[_Marks]]:
+        p = projection.project(bank, view, point, mi.Bool(True))
+        reach, px_per_mm = _footprint_px(p, half_mm), dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+        for part, mark in zip(parts, marks, strict=True):
+            px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
+            distance, seen = _read(maps, view, px, p.seen & ~mark.empty)
+            mark.again(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            if ignore_blindness:
+                mark.empty |= ~seen
+        return view + 1, marks
 
-    state = (mi.UInt32(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0), mi.Float(1e3), mi.Float(1.0))
-    _, *found = dr.while_loop(state, lambda view, empty, *_: (view < bank.count) & ~empty, body)
-    return tuple(found)
+    def undecided(view: UInt32, marks: list[_Marks]) -> Bool:
+        return (view < bank.end) & ~functools.reduce(operator.and_, [mark.empty for mark in marks])
+
+    def begin(kind: type, value: float) -> Kernel:
+        return dr.full(kind, value, width)
+
+    marks = [
+        _Marks(begin(mi.Bool, False), begin(mi.Bool, False), begin(mi.UInt32, 0), begin(mi.Float, 1e3), begin(mi.Float, 1.0)) for _ in parts
+    ]
+    marks = dr.while_loop((mi.UInt32(0), marks), undecided, body)[1]
+    # one scatter for each field, and all in one kernel: each further kernel would run the loop again
+    lane, count = dr.arange(mi.UInt32, width), len(parts) * width
+    flags, depth, scale = dr.empty(mi.UInt32, count), dr.empty(mi.Float, count), dr.empty(mi.Float, count)
+    dr.scatter(flags, mi.ArrayXu([mark.flags() for mark in marks]), lane)
+    dr.scatter(depth, mi.ArrayXf([mark.depth for mark in marks]), lane)
+    dr.scatter(scale, mi.ArrayXf([mark.scale for mark in marks]), lane)
+    dr.eval(flags, depth, scale)
+    return _Marks((flags & _EMPTY) != 0, (flags & _PARTIAL) != 0, flags & (_PARTIAL - 1), depth, scale)
 
 
 def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
@@ -199,10 +277,10 @@ def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Fl
     some, least = dr.zeros(mi.Bool, dr.width(chosen)), dr.opaque(mi.UInt32, min_votes)
 
     def undecided(view: UInt32, votes: UInt32) -> Bool:
-        return (view < bank.count) & (votes < least) & (votes + (bank.count - view) >= least)
+        return (view < bank.end) & (votes < least) & (votes + (bank.end - view) >= least)
 
-    for corner in np.ndindex(2, 2, 2):
-        at = part + mi.Vector3f(*(half_mm * (2.0 * c - 1.0) for c in corner))
+    for offset in _corners(half_mm):
+        at = part + offset
 
         def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
             seen = look(bank, maps, view, at, mi.Bool(True))[2]
@@ -245,20 +323,23 @@ def carve(
     carving, nodes = _Carving(bank, maps, grid, water, min_votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
     done = [_Decided(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
-        total, kept = dr.width(nodes[0]), list[list[Int32]]()
-        for begin in range(0, total, _CHUNK):
-            part = [dr.gather(mi.Int32, a, dr.arange(mi.UInt32, begin, min(begin + _CHUNK, total))) for a in nodes]
-            decided = carving.decide(part, level)
+        by_parent = level > 0 and grid.edge_mm(level) <= _BY_PARENT_MM
+        if level > 0 and not by_parent:
+            nodes = _children(nodes)
+        chunk, kept = _CHUNK // 8 if by_parent else _CHUNK, list[list[Int32]]()
+        for begin in range(0, dr.width(nodes[0]), chunk):
+            lane = dr.arange(mi.UInt32, begin, min(begin + chunk, dr.width(nodes[0])))
+            part = [dr.gather(mi.Int32, a, lane) for a in nodes]
+            decided = carving.decide(part, level, by_parent=by_parent)
             if decided is not None:
                 done.append(decided)
                 kept += [] if decided.split is None else [decided.split]
-        nodes = [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
+        nodes = kept[0] if len(kept) == 1 else [dr.concat([part[axis] for part in kept]) if kept else mi.Int32() for axis in range(3)]
         if progress:
             progress()
         if dr.width(nodes[0]) == 0:
             break
         _check_memory(8 * dr.width(nodes[0]))
-        nodes = _children(nodes)
     best, low, high = np.concatenate([part.occupancy for part in done], axis=1)
     leaves = Leaves(grid, np.concatenate([part.index for part in done]), np.concatenate([part.size for part in done]), best)
     return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), sum(part.blind_mm3 for part in done))
@@ -292,23 +373,29 @@ class _Carving:
     slack_px: float
     ignore_blindness: bool
 
-    def decide(self, part: list[Int32], level: int) -> _Decided | None:
-        """Look at nodes of a level; None where all lie outside of the water."""
-        grid, water, slack_px = self.grid, self.water, self.slack_px
-        units = 2 ** (grid.levels - level)
-        edge_mm = grid.size_mm * units
-        point = _centres(grid, part, edge_mm)
-        inside = dr.square(point.x) + dr.square(point.y) < dr.square(water.radius_mm + 0.71 * edge_mm)
-        inside &= (point.z < water.top_mm + 0.5 * edge_mm) & (point.z > water.bottom_mm - 0.5 * edge_mm)
-        part = _compress(part, inside)
-        if dr.width(part[0]) == 0:
-            return None
-        point = _centres(grid, part, edge_mm)
+    def decide(self, part: list[Int32], level: int, *, by_parent: bool) -> _Decided | None:
+        """Look at nodes of a level; None where all lie outside of the water.
+
+        Parameters
+        ----------
+        part : list of mi.Int32
+            The nodes, or with ``by_parent`` those that are to be cut into them.
+        """
+        grid, slack_px, water = self.grid, self.slack_px, self.water
+        units, edge_mm = 2 ** (grid.levels - level), grid.edge_mm(level)
         half_mm = dr.opaque(mi.Float, 0.5 * edge_mm)
-        empty, partial, votes, depth, scale = _mark(
-            self.bank, self.maps, point, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness
-        )
-        dr.eval(empty, partial, votes, depth, scale)  # now, or the loop over the views runs again for what is asked first
+        if not by_parent:
+            part = _compress(part, self._inside(_centres(grid, part, edge_mm), edge_mm))
+            if dr.width(part[0]) == 0:
+                return None
+        about = _centres(grid, part, 2.0 * edge_mm if by_parent else edge_mm)
+        parts = _corners(half_mm) if by_parent else [mi.Vector3f(dr.opaque(mi.Float, 0.0))]
+        marks = _mark(self.bank, self.maps, about, parts, half_mm, dr.opaque(mi.Float, slack_px), self.ignore_blindness)
+        part = _children(part) if by_parent else part
+        point = _centres(grid, part, edge_mm)
+        empty, partial, votes, depth, scale = marks.empty, marks.partial, marks.votes, marks.depth, marks.scale
+        if by_parent:
+            empty |= ~self._inside(point, edge_mm)
         blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
         if level < grid.levels:
             blind &= ~_partly_seen(self.bank, self.maps, point, half_mm, blind, self.min_votes)
@@ -337,11 +424,27 @@ class _Carving:
             split=_compress(part, split) if measured is None else None,
         )
 
+    def _inside(self, point: Point3f, edge_mm: float) -> Bool:
+        """Tell which nodes lie in the water, at least in part."""
+        water = self.water
+        inside = dr.square(point.x) + dr.square(point.y) < dr.opaque(mi.Float, (water.radius_mm + 0.71 * edge_mm) ** 2)
+        return (
+            inside
+            & (point.z < dr.opaque(mi.Float, water.top_mm + 0.5 * edge_mm))
+            & (point.z > dr.opaque(mi.Float, water.bottom_mm - 0.5 * edge_mm))
+        )
+
 
 def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
     """Return the centres of nodes of one size."""
     edge = dr.opaque(mi.Float, edge_mm)
-    return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + float(grid.origin_mm[a]) for a in range(3)))
+    return mi.Point3f(*((mi.Float(nodes[a]) + 0.5) * edge + dr.opaque(mi.Float, float(grid.origin_mm[a])) for a in range(3)))
+
+
+def _corners(half_mm: Float) -> list[Vector3f]:
+    """Return from a node's centre to its corners, in the order of `_children`; signs that are no constants leave one kernel for all."""
+    signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
+    return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]
 
 
 def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
@@ -359,8 +462,7 @@ def _check_memory(count: int) -> None:
 
 def _children(nodes: list[Int32]) -> list[Int32]:
     """Cut nodes into eight, children of one node side by side."""
-    count = dr.width(nodes[0])
-    lane = dr.arange(mi.UInt32, 8 * count)
+    lane = dr.arange(mi.UInt32, 8 * dr.width(nodes[0]))
     parent, child = lane >> 3, lane & 7
     bits = [(child >> 2) & 1, (child >> 1) & 1, child & 1]
     found = [2 * dr.gather(mi.Int32, nodes[a], parent) + mi.Int32(bits[a]) for a in range(3)]

@@ -12,7 +12,7 @@ sees not at all, or twice (the water is a lens), are treated alike: such a view 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -90,6 +90,12 @@ class ViewBank:
     tables: Float
     """mi.Float, the start tables one after the other, (V, ny, nx, 2)."""
     table_shape: tuple[int, int]
+    end: UInt32 = field(init=False, repr=False)
+    """mi.UInt32, the count as an input of kernels: as a constant, it would make them new for every number of views."""
+
+    def __post_init__(self) -> None:
+        """Put the count on the device."""
+        object.__setattr__(self, "end", dr.opaque(mi.UInt32, self.count))
 
     @staticmethod
     def of(views: Sequence[View], optics: Optics) -> ViewBank:

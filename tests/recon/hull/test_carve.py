@@ -20,15 +20,25 @@ RADIUS_MM = 8.0
 def coverage_of_ball(view: cameras.View, optics: refraction.Optics, centre_mm: np.ndarray, samples: int = 3) -> np.ndarray:
     """Area-sampled silhouette of a ball: pixels whose line of sight in the water passes within its radius."""
     width, height = view.camera.image_wh
-    u, v = np.meshgrid((np.arange(width * samples) + 0.5) / samples - 0.5, (np.arange(height * samples) + 0.5) / samples - 0.5)
-    line, enters = cameras.water_lines(view, optics, np.stack([u.ravel(), v.ravel()], axis=1))
+    v, u = (axis.ravel() for axis in np.mgrid[:height, :width])
+    near = _miss_mm(view, optics, np.stack([u, v], axis=1), centre_mm) < RADIUS_MM + 4.0  # a pixel is below a millimetre wide
+    share = (np.arange(samples) + 0.5) / samples - 0.5
+    du, dv = np.meshgrid(share, share)
+    at = np.stack([u[near, None] + du.ravel(), v[near, None] + dv.ravel()], axis=-1)
+    coverage = np.zeros((height, width), np.float32)
+    coverage[v[near], u[near]] = (_miss_mm(view, optics, at.reshape(-1, 2), centre_mm) < RADIUS_MM).reshape(-1, samples**2).mean(axis=1)
+    return coverage
+
+
+def _miss_mm(view: cameras.View, optics: refraction.Optics, px: np.ndarray, centre_mm: np.ndarray) -> np.ndarray:
+    """Return by how much lines of sight pass a point in the water; infinite where they do not enter it."""
+    line, enters = cameras.water_lines(view, optics, px.astype(np.float64))
     direction = np.concatenate([line.t, line.slope[:, None]], axis=1)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     foot_z = line.entry_z_mm + line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
     to_centre = view.azimuth_from_canister[:3, :3] @ centre_mm - np.concatenate([line.nu * line.b_mm[:, None], foot_z[:, None]], axis=1)
     across = to_centre - np.sum(to_centre * direction, axis=1, keepdims=True) * direction
-    covered = (np.linalg.norm(across, axis=1) < RADIUS_MM) & enters
-    return covered.reshape(height, samples, width, samples).mean(axis=(1, 3)).astype(np.float32)
+    return np.where(enters, np.linalg.norm(across, axis=1), np.inf)
 
 
 @cache
@@ -75,6 +85,19 @@ def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
     middle = leaves.grid.origin_mm + (leaves.index + leaves.size[:, None] / 2) * leaves.grid.size_mm
     weight = leaves.occupancy * leaves.size.astype(float) ** 3
     np.testing.assert_allclose((middle * weight[:, None]).sum(axis=0) / weight.sum(), centre_mm, atol=0.12)
+
+
+def test_nodes_placed_by_their_parents_give_the_hull_of_those_followed_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_parent = carved((40.0, 5.0, -50.0))
+    monkeypatch.setattr(carve, "_BY_PARENT_MM", 0.0)
+    one_by_one = carved.__wrapped__((40.0, 5.0, -50.0))
+    for ours, theirs in (
+        (by_parent.leaves.volume_mm3(), one_by_one.leaves.volume_mm3()),
+        (by_parent.moved_in_mm3, one_by_one.moved_in_mm3),
+        (by_parent.moved_out_mm3, one_by_one.moved_out_mm3),
+        (by_parent.blind_mm3, one_by_one.blind_mm3),
+    ):
+        assert ours == pytest.approx(theirs, rel=3e-4)
 
 
 def test_a_ball_at_the_wall_survives_blind_directions() -> None:
