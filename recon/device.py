@@ -50,6 +50,11 @@ def vectors(values: NDArray[np.generic]) -> Vector3f:
     return mi.Vector3f(*(numbers(part) for part in values.T))
 
 
+def points(values: NDArray[np.generic]) -> Point3f:
+    """Return mi.Point3f of (N, 3)."""
+    return mi.Point3f(*(numbers(part) for part in values.T))
+
+
 def wholes(values: NDArray[np.generic]) -> UInt32:
     """Return mi.UInt32 of an array of whole numbers, flattened."""
     return mi.UInt32(_aligned(values, np.dtype(np.uint32)))

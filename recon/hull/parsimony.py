@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage import morphology
 
-from rhizotwin.recon.device import Bool, Float, Point3f, UInt32
+from rhizotwin.recon import device
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers, wholes
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import DistanceMaps, Leaves
 from rhizotwin.recon.hull.surface import paint, to_voxels
@@ -181,10 +182,11 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
         allowed, _, seen = _allowed(bank, maps, view, point, sharpen=sharpen)
         return view + 1, dr.minimum(least, dr.select(seen, allowed, 1e4)), votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
-    point = mi.Point3f(points.T.astype(np.float32))
+    point = device.points(points)
     state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
-    _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
-    return np.array(dr.select(votes >= max(3.0, VOTES * bank.count), least, 0.0), dtype=np.float64)
+    _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.end, body)
+    dr.eval(least, votes)
+    return np.where(np.array(votes) >= max(3.0, VOTES * bank.count), np.array(least, np.float64), 0.0)
 
 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
@@ -195,9 +197,9 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
         bounds = dr.clip(1.5 - (allowed - reach) * px_a_mm / _TIGHT_PX, 0.0, 1.0)
         return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
 
-    point, reach = mi.Point3f(points.T.astype(np.float32)), mi.Float(radius.astype(np.float32))
+    point, reach = device.points(points), numbers(radius)
     state = (mi.UInt32(0), dr.zeros(mi.Float, len(points)), dr.zeros(mi.Float, len(points)))
-    _, tight, votes = dr.while_loop(state, lambda view, *_: view < bank.count, body)
+    _, tight, votes = dr.while_loop(state, lambda view, *_: view < bank.end, body)
     return np.array(tight / dr.maximum(votes, 1.0), dtype=np.float64)
 
 
@@ -274,16 +276,17 @@ class _Listed:
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
         packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
-        return _Listed(leaves, low, shape, mi.Float(packed.ravel()), mi.UInt32(begins))
+        return _Listed(leaves, low, shape, numbers(packed), wholes(begins))
 
     def depth_mm(self, index: NDArray[np.int32], edge: int) -> NDArray[np.float32]:
         """Return how deep (N,) the centres of nodes of an edge lie inside the union of the balls; negative outside."""
         if not len(index):
             return np.zeros(0, np.float32)
         size_mm, origin, shape = self.leaves.grid.size_mm, self.leaves.grid.origin_mm, self.shape
-        q = [mi.Float(index[:, a].astype(np.float32)) * size_mm + float(origin[a] + 0.5 * edge * size_mm) for a in range(3)]
-        cell = [dr.clip(mi.Int32((q[a] - float(self.low_mm[a])) / _BIN_MM), 0, int(shape[a]) - 1) for a in range(3)]
-        bin_ = mi.UInt32((cell[0] * int(shape[1]) + cell[1]) * int(shape[2]) + cell[2])
+        q = [numbers(origin[a] + (index[:, a] + 0.5 * edge) * size_mm) for a in range(3)]
+        last = [dr.opaque(mi.Int32, int(shape[a]) - 1) for a in range(3)]
+        cell = [dr.clip(mi.Int32((q[a] - dr.opaque(mi.Float, self.low_mm[a])) / _BIN_MM), 0, last[a]) for a in range(3)]
+        bin_ = mi.UInt32((cell[0] * (last[1] + 1) + cell[1]) * (last[2] + 1) + cell[2])
         end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(*q)
 
         def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
@@ -303,22 +306,22 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
     voxel, size, filled = to_voxels(trimmed, 2)
     some = filled > 0.25
     solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
-    share = mi.Float(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
     doubtful = _points(trimmed, doubted, 1)
     most, second = dr.zeros(mi.Float, dr.width(doubtful)), dr.zeros(mi.Float, dr.width(doubtful))
-    values = np.array(maps.values).reshape(bank.count, height, width)
+    values, columns = np.array(maps.values).reshape(bank.count, height, width), dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
         p, seen = _seen(bank, maps, view, solid)
         place = maps.sample(p.px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
-        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * width + mi.UInt32(place.x), seen)
+        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
         explained = _spread(np.array(covered).reshape(height, width), 3)
         deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < carve.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
         p, seen = _seen(bank, maps, view, doubtful)
-        lacks = dr.select(seen, replace(maps, values=mi.Float(_spread(lacking, 5).ravel())).at(0, p.px, seen), 0.0)
+        lacks = dr.select(seen, replace(maps, values=numbers(_spread(lacking, 5))).at(0, p.px, seen), 0.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)
     return np.array(second)
@@ -346,12 +349,12 @@ def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.f
 def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
     """Return the centres of nodes of an edge on the device."""
     centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
-    return mi.Point3f(centres.T.astype(np.float32))
+    return device.points(centres)
 
 
 def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[projection.Projected, Bool]:
     """Project points into a view: (projection, whether the view sees them on its distance map)."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
-    (width, height), place = maps.samples_wh, maps.sample(p.px)
+    (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
     seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
     return p, seen

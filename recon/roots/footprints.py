@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, points
 from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class Footprints:
         """Project cells (N, 3) into all views."""
         count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
         steps_a_px = _STEPS / max(width, height)
-        point = mi.Point3f(centre_mm.T.astype(np.float32))
+        point = points(centre_mm)
         lane = dr.arange(mi.UInt32, count * views)
         view = lane // dr.opaque(mi.UInt32, count)
         point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
@@ -122,7 +122,7 @@ class Table:
 
     def __init__(self, prints: Footprints, windows: Windows) -> None:
         self.prints, self.windows = prints, windows
-        self._low = [mi.Float(windows.low[:, axis].astype(np.float32)) for axis in (0, 1)]
+        self._low = [numbers(windows.low[:, axis]) for axis in (0, 1)]
         self._width, self._begin = mi.UInt32(windows.size[:, 0].astype(np.uint32)), mi.UInt32(windows.begin.astype(np.uint32))
         dr.eval(self._low, self._width, self._begin)
 

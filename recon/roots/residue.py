@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, UInt32, bilinear
+from rhizotwin.recon.device import Float, UInt32, bilinear, points
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
@@ -55,7 +55,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
     left = (evidence.coverage - (1.0 - free)) * evidence.seen
     dr.eval(free, left)
     width, height = evidence.image_wh
-    point, pixels = mi.Point3f(points_mm.T.astype(np.float32)), dr.opaque(mi.UInt32, evidence.pixels)
+    point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)
 
     def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
@@ -67,7 +67,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
         return view + 1, top + dr.select(good, u * d, 0.0), weight + dr.select(good, dr.square(u), 0.0)
 
     state = (dr.zeros(mi.UInt32, len(points_mm)), dr.zeros(mi.Float, len(points_mm)), dr.zeros(mi.Float, len(points_mm)))
-    _, top, weight = dr.while_loop(state, lambda view, *_: view < evidence.bank.count, body)
+    _, top, weight = dr.while_loop(state, lambda view, *_: view < evidence.bank.end, body)
     dr.eval(top, weight)
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon import device
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import DistanceMaps, Leaves, Water
 from rhizotwin.recon.hull.surface import to_voxels
@@ -107,7 +108,7 @@ def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.i
     votes = np.zeros(len(points_mm), np.int64)
     if not len(points_mm):
         return votes
-    point = mi.Point3f(points_mm.T.astype(np.float32))
+    point = device.points(points_mm)
     for view in range(bank.count):
         _, _, seen = carve.look(bank, maps, dr.opaque(mi.UInt32, view, len(points_mm)), point, mi.Bool(True))
         votes += np.array(seen, np.int64)
