@@ -7,54 +7,22 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, surface
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.optics import cameras, projection, refraction
-from rhizotwin.scenes import plan
+from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull import exact_pictures
 
 RADIUS_MM = 8.0
-
-
-def coverage_of_ball(view: cameras.View, optics: refraction.Optics, centre_mm: np.ndarray, samples: int = 3) -> np.ndarray:
-    """Area-sampled silhouette of a ball: pixels whose line of sight in the water passes within its radius."""
-    width, height = view.camera.image_wh
-    v, u = (axis.ravel() for axis in np.mgrid[:height, :width])
-    near = _miss_mm(view, optics, np.stack([u, v], axis=1), centre_mm) < RADIUS_MM + 4.0  # a pixel is below a millimetre wide
-    share = (np.arange(samples) + 0.5) / samples - 0.5
-    du, dv = np.meshgrid(share, share)
-    at = np.stack([u[near, None] + du.ravel(), v[near, None] + dv.ravel()], axis=-1)
-    coverage = np.zeros((height, width), np.float32)
-    coverage[v[near], u[near]] = (_miss_mm(view, optics, at.reshape(-1, 2), centre_mm) < RADIUS_MM).reshape(-1, samples**2).mean(axis=1)
-    return coverage
-
-
-def _miss_mm(view: cameras.View, optics: refraction.Optics, px: np.ndarray, centre_mm: np.ndarray) -> np.ndarray:
-    """Return by how much lines of sight pass a point in the water; infinite where they do not enter it."""
-    line, enters = cameras.water_lines(view, optics, px.astype(np.float64))
-    direction = np.concatenate([line.t, line.slope[:, None]], axis=1)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    foot_z = line.entry_z_mm + line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
-    to_centre = view.azimuth_from_canister[:3, :3] @ centre_mm - np.concatenate([line.nu * line.b_mm[:, None], foot_z[:, None]], axis=1)
-    across = to_centre - np.sum(to_centre * direction, axis=1, keepdims=True) * direction
-    return np.where(enters, np.linalg.norm(across, axis=1), np.inf)
 
 
 @cache
 def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, carve.DistanceMaps]:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
     optics = refraction.Optics.of(scene)
-    views = [
-        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
-        for v in plan.views(scene)
-    ]
-    maps = []
-    for view in views:
-        _, enters = cameras.water_lines(view, optics, np.stack(np.meshgrid(np.arange(240.0), np.arange(180.0)), -1).reshape(-1, 2))
-        seen = enters.reshape(180, 240)
-        distance = silhouettes.signed_distance(Silhouette(coverage_of_ball(view, optics, np.array(centre_mm)), seen))
-        maps.append(distance)
+    views = exact_pictures.views_of(scene)
+    ball = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
+    maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (ball,))) for view in views]
     return projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
 
 

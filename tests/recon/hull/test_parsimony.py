@@ -7,31 +7,18 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.optics import cameras, projection, refraction
-from rhizotwin.scenes import plan
+from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-
-Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
+from tests.recon.hull import exact_pictures
+from tests.recon.hull.exact_pictures import Segment
 
 TRUNK: Segment = ((0.0, 0.0, -20.0), (0.0, 0.0, -80.0), 4.0)
 TWIG: Segment = ((3.0, 0.0, -40.0), (27.0, 0.0, -58.0), 1.6)
 BALL: Segment = ((0.0, 0.0, -34.0), (0.0, 0.0, -34.001), 10.0)
 TAIL: Segment = ((0.0, 0.0, -34.0), (20.0, 0.0, -75.425), 2.0)
 OTHER: Segment = ((-2.0, 2.0, -36.0), (-20.0, 14.0, -56.0), 1.6)
-
-
-def distance_to_line(segment: Segment, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Distance of lines (N) to a segment, by the closed form for two lines with the segment's end points clamped."""
-    a, b, _ = (np.array(part) for part in segment)
-    axis = b - a
-    w = origin - a
-    d_u, d_w, u_u, u_w = direction @ axis, np.sum(direction * w, 1), axis @ axis, w @ axis
-    t = np.clip((u_w - d_u * d_w) / (u_u - d_u**2), 0.0, 1.0)
-    offset = w - t[:, None] * axis
-    return np.linalg.norm(offset - np.sum(offset * direction, 1, keepdims=True) * direction, axis=1)
 
 
 def volume_of(segments: tuple[Segment, ...]) -> float:
@@ -52,26 +39,8 @@ def volume_of(segments: tuple[Segment, ...]) -> float:
 def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, carve.DistanceMaps, carve.Leaves]:
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=20),)))
     optics = refraction.Optics.of(scene)
-    views = [
-        cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
-        for v in plan.views(scene)
-    ]
-    samples, maps = 3, []
-    grid = np.stack(np.meshgrid((np.arange(400 * samples) + 0.5) / samples - 0.5, (np.arange(300 * samples) + 0.5) / samples - 0.5), -1)
-    for view in views:
-        line, enters = cameras.water_lines(view, optics, grid.reshape(-1, 2))
-        direction = np.concatenate([line.t, line.slope[:, None]], axis=1)
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        foot_z = line.entry_z_mm + line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
-        back = view.azimuth_from_canister[:3, :3]
-        origin, direction = np.concatenate([line.nu * line.b_mm[:, None], foot_z[:, None]], axis=1) @ back, direction @ back
-        covered = np.zeros(len(enters), bool)
-        for segment in segments:
-            covered |= distance_to_line(segment, origin, direction) < segment[2]
-        coverage = (covered & enters).reshape(300, samples, 400, samples).mean(axis=(1, 3)).astype(np.float32)
-        seen = enters.reshape(300, samples, 400, samples).all(axis=(1, 3))
-        distance = silhouettes.signed_distance(Silhouette(coverage, seen))
-        maps.append(distance)
+    views = exact_pictures.views_of(scene)
+    maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, segments)) for view in views]
     r = optics.inner_radius_mm
     bank, device_maps = projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
     lattice = carve.Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
