@@ -16,15 +16,20 @@ METHODS: tuple[Method, ...] = ("coverage", "thesis")
 DEFAULT_VOXEL_MM = 0.27
 """The thesis's voxel, and the pipeline's default."""
 
-PLANTS = ("radish_*", "fallen_plant")
+THIN_FAMILIES = ("bean", "maize", "wheat", "lettuce")
+THICK_FAMILIES = ("bulb", "carrot", "radish_swollen")
+"""Storage organs with roots on them."""
+FAMILIES = (*THIN_FAMILIES, *THICK_FAMILIES)
+PLANTS = ("radish_*", "fallen_plant", *FAMILIES)
 """Scenes with roots to find one by one, of which a seed grows another specimen; prints and solids stay what they are."""
 PRINTS = ("sphere_20mm", "printed_8ml")
 PROFILES = ("clean", "bench", "harsh")
 LADDER: dict[str, tuple[str, ...]] = {
     "sphere_20mm": PROFILES,
     "printed_8ml": PROFILES,
-    "radish_*": PROFILES,
+    "radish_day*": PROFILES,
     "fallen_plant": ("clean", "bench"),
+    **dict.fromkeys(FAMILIES, ("clean", "bench")),
 }
 """Scenes (patterns) of the ladder with the profiles in which each has a goal."""
 
@@ -32,6 +37,9 @@ SEED_SETS: dict[str, tuple[int, ...]] = {"first": (0,), "second": (101, 102)}
 """``second`` is looked at when all settings are final, and never while something is developed: its plants are new to the method."""
 PLANT_SEEDS_APART = 1_000_003
 """Seed s grows the specimen of the scene's own seed + s times this: 0 is the library's plant, and no other seed is one of its plants."""
+
+CAMERA_SIZES: dict[str, tuple[tuple[int, int], ...]] = {"bean": ((1014, 760), (2028, 1520))}
+"""Sizes that the recommended camera takes (a quarter and a half of 4056x3040), beside 800x600, for some scenes: clean only."""
 
 HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
 """Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of radish_day05a); from 10 mm
@@ -145,5 +153,7 @@ def ladder(
                 is_repeated = name in PRINTS and profile == "clean" and seed != seeds[0]
                 if profile in profiles and not is_repeated:
                     pictures = Pictures(scene=name, profile=profile, rings=rings, seed=seed)
-                    cases += [Case(pictures=pictures, method=method) for method in methods]
+                    sizes = CAMERA_SIZES.get(name, ()) if profile == "clean" and seed == 0 else ()
+                    larger = [Case(pictures=replace(pictures, image_wh=size)) for size in sizes if "coverage" in methods]
+                    cases += [*(Case(pictures=pictures, method=method) for method in methods), *larger]
     return _some(cases, scenes, profiles)

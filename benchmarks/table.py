@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks.cases import THICK_FAMILIES, THIN_FAMILIES
 from benchmarks.metric import Direction, Metric
 from benchmarks.targets import TARGETS
 
@@ -100,6 +101,10 @@ def _scene_in(*days: int) -> Callable[[Record], bool]:
     return lambda record: record["case"]["scene"].startswith(tuple(f"radish_day{day:02d}" for day in days))
 
 
+def _among(names: Sequence[str]) -> Callable[[Record], bool]:
+    return lambda record: bool(record["case"]["scene"] in names)
+
+
 def _named(name: str) -> Callable[[Record], bool]:
     return lambda record: bool(record["case"]["scene"] == name)
 
@@ -132,18 +137,27 @@ _MEDIAN = _Quantity("volume_median", _over(statistics.median, _VOLUME), "1", "do
 _WORST = _Quantity("volume_worst", _over(max, _VOLUME), "1", "down", 0.005)
 _HOLDS = _Quantity("interval_holds", _over(statistics.mean, _sizes("score", "interval_holds_truth")), "1", "up", 0.0)
 _LENGTH = _Quantity("length_mean", _over(statistics.mean, _sizes("score", "roots", "length_error")), "1", "down", 0.003)
+_LENGTH_WORST = _Quantity("length_worst", _over(max, _sizes("score", "roots", "length_error")), "1", "down", 0.005)
 _PRECISION = _Quantity("tip_precision", _over(statistics.mean, _sizes("score", "roots", "tip_precision")), "1", "up", 0.01)
+_PRECISION_WORST = _Quantity("tip_precision_worst", _over(min, _sizes("score", "roots", "tip_precision")), "1", "up", 0.02)
+_RECALL_WORST = _Quantity("tip_recall_worst", _over(min, _sizes("score", "roots", "tip_recall")), "1", "up", 0.02)
 _RECALL = _Quantity("tip_recall", _over(statistics.mean, _sizes("score", "roots", "tip_recall")), "1", "up", 0.01)
 _WALL = _Quantity("wall_worst", _over(max, _sizes("wall_s")), "s", "down", 90.0)
 _MEMORY = _Quantity("memory_worst", _over(max, _sizes("peak_memory_mib")), "MiB", "down", 600.0)
 
+_ROOTS = (_LENGTH, _LENGTH_WORST, _PRECISION, _PRECISION_WORST, _RECALL, _RECALL_WORST)
+"""Beside every mean stands the worst."""
+_OF_PLANTS = (_MEDIAN, _WORST, *_ROOTS, _HOLDS)
+
 _GROUPS: dict[str, tuple[Callable[[Record], bool], tuple[_Quantity, ...]]] = {
     "sphere_20mm": (_named("sphere_20mm"), (_WORST,)),
     "printed_8ml": (_named("printed_8ml"), (_WORST,)),
-    "radish_day05-15": (_scene_in(5, 10, 15), (_MEDIAN, _WORST, _LENGTH, _PRECISION, _RECALL, _HOLDS)),
-    "radish_day20-30": (_scene_in(20, 25, 30), (_MEDIAN, _WORST, _LENGTH, _PRECISION, _RECALL, _HOLDS)),
-    "fallen_plant": (_named("fallen_plant"), (_WORST, _LENGTH, _PRECISION, _RECALL)),
-    PLANT_GROUP: (lambda record: bool(record["case"]["is_plant"]), (_LENGTH, _PRECISION, _RECALL)),
+    "radish_day05-15": (_scene_in(5, 10, 15), _OF_PLANTS),
+    "radish_day20-30": (_scene_in(20, 25, 30), _OF_PLANTS),
+    "fallen_plant": (_named("fallen_plant"), (_WORST, *_ROOTS)),
+    "thin_families": (_among(THIN_FAMILIES), _OF_PLANTS),
+    "thick_families": (_among(THICK_FAMILIES), _OF_PLANTS),
+    PLANT_GROUP: (lambda record: _scene_in(5, 10, 15, 20, 25, 30)(record) or _named("fallen_plant")(record), _ROOTS),
     "all": (lambda record: bool(record["score"]), (_HOLDS,)),
     DAY30: (_scene_in(30), (_WALL, _MEMORY)),
 }
@@ -153,7 +167,10 @@ _TITLES = {
     "volume_worst": "volume error, worst",
     "length_mean": "length error, mean",
     "tip_precision": "tips, precision",
+    "length_worst": "length error, worst",
+    "tip_precision_worst": "tips, precision, worst",
     "tip_recall": "tips, recall",
+    "tip_recall_worst": "tips, recall, worst",
     "interval_holds": "runs whose interval holds the truth",
     "wall_worst": "reconstruction, longest",
     "memory_worst": "reconstruction, most memory",

@@ -43,6 +43,10 @@ def _ladder() -> dict[str, Target]:
     targets["ladder/radish_day20-30/harsh/interval_holds"] = _share(1.0)
     for profile, limit in (("clean", 0.08), ("bench", 0.12)):
         targets[f"ladder/fallen_plant/{profile}/volume_worst"] = _percent(limit)
+    for group, clean, bench in (("thin_families", (0.02, 0.05), (0.03, 0.07)), ("thick_families", (0.015, 0.03), (0.02, 0.05))):
+        targets |= _volume(group, "clean", *clean) | _volume(group, "bench", *bench)
+        targets[f"ladder/{group}/clean/length_mean"] = _percent(0.02)
+        targets |= {f"ladder/{group}/clean/{quantity}": _share(0.93) for quantity in ("tip_precision", "tip_recall")}
     for profile, limit in (("clean", 0.03), ("bench", 0.05), ("harsh", 0.10)):
         targets[f"ladder/plants/{profile}/length_mean"] = _percent(limit)
     for profile, limit in (("clean", 0.95), ("bench", 0.90)):

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rhizotwin.arguments import Placing
     from rhizotwin.front_door import load_scene, reconstruct, score, simulate
     from rhizotwin.recon.results.load import load_result
     from rhizotwin.recon.results.result import Result
@@ -31,6 +32,7 @@ __all__ = [
     "Cancelled",
     "Dataset",
     "Monitor",
+    "Placing",
     "Result",
     "Scene",
     "Settings",
@@ -47,6 +49,7 @@ _PLACES = {
     "Cancelled": "scenes.monitor",
     "Dataset": "scenes.dataset",
     "Monitor": "scenes.monitor",
+    "Placing": "arguments",
     "Result": "recon.results.result",
     "Scene": "scenes.model",
     "Settings": "recon.settings",

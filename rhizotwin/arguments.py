@@ -19,6 +19,8 @@ T = TypeVar("T")
 
 VOXEL_LIMITS_MM = (0.01, 10.0)
 DIAMETER_LIMITS_MM = (0.01, 50.0)
+SHIFT_LIMITS_MM = (-1e6, 1e6)
+SCALE_LIMITS = (1e-6, 1e6)
 MASS_LIMITS_G = (1e-6, 1e6)
 DAY_LIMITS = (0.0, 36500.0)
 PIXEL_LIMITS = (16, 20000)
@@ -147,6 +149,15 @@ def read_date(text: str) -> str:
         raise ValueError(f"{text!r} is not a date, write it as 2022-10-06") from None
 
 
+def read_shift_mm(text: str) -> tuple[float, float, float]:
+    """Read a shift such as 0,0,-20."""
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise ValueError(f"{text!r} is not a shift, write it as X,Y,Z in mm, such as 0,0,-20")
+    x, y, z = (millimetres(part, SHIFT_LIMITS_MM) for part in parts)
+    return x, y, z
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions:
@@ -182,18 +193,35 @@ class SubjectOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
+class Placing:
+    """How a specimen's file is put into the water; None leaves what the scene says."""
+
+    place: Literal["given", "auto"] | None = None
+    """Where the specimen's file goes: where its coordinates say (given), or upright below the net pot's grid in the middle (auto)."""
+    flip: Flag | None = None
+    """Turn it upside down first: for files whose z points down."""
+    scale: Annotated[float, option(lambda text: between(text, SCALE_LIMITS, ""), "S")] | None = None
+    """Then enlarge it so many times, diameters too."""
+    shift_mm: Annotated[tuple[float, float, float], option(read_shift_mm, "X,Y,Z")] | None = None
+    """Then move it, from where --place puts it; write --shift-mm=-5,0,-20 where the first number is below 0."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
 class SceneChanges:
     """What the command line changes in a scene."""
 
     profile: Profile | None = None
     """What the rig gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file; default: the scene's own."""
     specimen: Annotated[Path | None, named("FILE")] = None
-    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) or traced roots (RSML), in millimetres in the canister frame: \
-origin on the axis in the plane of the rim, z up, roots below 0."""
+    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) in millimetres, or traced roots (RSML), in the canister frame: \
+origin on the axis in the plane of the rim, z up, roots below 0; for files in a frame of their own see --place."""
     specimen_unit: Annotated[str | None, named("UNIT")] = None
     """Unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
     """Diameter of the roots for which an RSML file gives none."""
+    placing: Placing = Placing()
+    """Where the specimen goes."""
     views: Views | None = None
     """Pictures in every ring; default: the scene's."""
     image_wh: ImageWh | None = None

@@ -18,6 +18,7 @@ from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
+    from rhizotwin.arguments import Placing
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.scoring.score import Score
     from rhizotwin.recon.settings import Settings
@@ -37,6 +38,7 @@ def load_scene(
     specimen: str | Path | None = None,
     specimen_unit: str | None = None,
     specimen_diameter_mm: float | None = None,
+    placing: Placing | None = None,
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
 ) -> Scene:
@@ -54,6 +56,8 @@ def load_scene(
         Unit of an RSML file's coordinates, where the file does not say.
     specimen_diameter_mm : float, optional
         Diameter of the roots for which an RSML file gives none.
+    placing : Placing, optional
+        Where a specimen's file goes: ``Placing(place="auto")`` hangs it below the net pot's grid; ``flip``, ``scale``, ``shift_mm``.
     views : int, optional
         Pictures in every ring; default: the scene's.
     image_wh : tuple of int, optional
@@ -70,6 +74,7 @@ def load_scene(
         specimen=None if specimen is None else Path(specimen),
         specimen_unit=specimen_unit,
         specimen_diameter_mm=specimen_diameter_mm,
+        placing=placing,
         views=views,
         image_wh=image_wh,
     )

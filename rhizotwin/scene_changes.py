@@ -3,10 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+from rhizotwin.arguments import Placing
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
-from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.scenes.specimens import MeshSpecimen, PlacedFile, RsmlSpecimen
 
 _RSML_SUFFIXES = (".rsml", ".xml")
 
@@ -17,6 +18,7 @@ def change_scene(
     specimen: Path | None = None,
     specimen_unit: str | None = None,
     specimen_diameter_mm: float | None = None,
+    placing: Placing | None = None,
     views: int | None = None,
     image_wh: tuple[int, int] | None = None,
     profile: str | None = None,
@@ -32,6 +34,11 @@ def change_scene(
         file = str(specimen.resolve())
         traced = RsmlSpecimen(file=file, unit=specimen_unit, diameter_mm=specimen_diameter_mm)
         scene = replace(scene, specimen=traced if is_rsml else MeshSpecimen(file=file))
+    told = {name: value for name, value in vars(placing or Placing()).items() if value is not None}
+    if told:
+        if not isinstance(scene.specimen, PlacedFile):
+            raise UserError(f"--{next(iter(told)).replace('_', '-')} is for specimens from files; give one with --specimen FILE")
+        scene = replace(scene, specimen=replace(scene.specimen, **told))
     if views is not None:
         scene = replace(scene, plan=CapturePlan(rings=tuple(replace(ring, views=views) for ring in scene.plan.rings)))
     if image_wh is not None:

@@ -75,8 +75,35 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
     UserError
         When the file cannot be read, is no RSML, has no roots, or leaves unit or diameter unknown.
     """
+    return read_file(path, unit=unit, diameter_mm=diameter_mm).roots
+
+
+@dataclass(frozen=True, kw_only=True)
+class RsmlFile:
+    """What an RSML file holds, and how it says it."""
+
+    roots: tuple[Root, ...]
+    parent_nodes: tuple[int | None, ...]
+    """For each root the point of its parent from which it leaves; None where the file does not say."""
+    step_mm: float
+    """Size of one step of the file's coordinates."""
+    unit: str
+    """The file's own word for its unit, empty where it has none."""
+    resolution: str
+    """The file's own resolution, empty where it has none."""
+
+
+def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
+    """Read an RSML file as `read_rsml` does, with what else it says of its roots and its unit."""
     reader = _Reader(Path(path), unit, diameter_mm)
-    return reader.roots()
+    roots = reader.roots()
+    return RsmlFile(
+        roots=roots,
+        parent_nodes=tuple(reader.parent_nodes),
+        step_mm=reader.step_mm,
+        unit=reader.metadata("unit"),
+        resolution=reader.metadata("resolution"),
+    )
 
 
 def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None) -> None:
@@ -158,6 +185,7 @@ class _Reader:
     def __init__(self, path: Path, unit: str | None, diameter_mm: float | None) -> None:
         self.path = path
         self.diameter_mm = diameter_mm
+        self.parent_nodes: list[int | None] = []
         self.document = _parse(path)
         if _local(self.document) != "rsml":
             raise UserError(f"{path}: is no RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
@@ -179,6 +207,8 @@ class _Reader:
                 if root is not None:
                     below = len(found)
                     found.append(root)
+                    node = _property(list(_own(element)), "parent-node")
+                    self.parent_nodes.append(int(node) if node.isdecimal() else None)
             stack.extend((child, below) for child in reversed(element))
         if not found:
             raise UserError(f"{self.path}: holds no root with two or more points")
@@ -263,7 +293,7 @@ class _Reader:
             if size <= 0.0:
                 raise UserError(f'{self.path}: the unit "{unit}" (--specimen-unit) must be above 0')
             return size * self._unit_mm(match[2], "option --specimen-unit")
-        written = self._metadata("unit")
+        written = self.metadata("unit")
         if not written:
             marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(_attribute(e, "name") or "")) and m[2]}
             if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
@@ -272,7 +302,7 @@ class _Reader:
         if written.lower() not in _UNITS_MM:
             raise UserError(f'{self.path}: has the unit "{written}", whose size is unknown; {_SET_UNIT}, as the size of one such as 0.1 mm')
         unit_mm = _UNITS_MM[written.lower()]
-        text = self._metadata("resolution")
+        text = self.metadata("resolution")
         if not text and unit_mm == 25.4:
             raise UserError(
                 f"{self.path}: has the unit inch without a resolution in dpi; {_SET_UNIT}, as the size of a step such as 0.1 mm"
@@ -294,7 +324,8 @@ class _Reader:
                     found[texts.get("label", "").lower()] = _UNITS_MM[texts["unit"].lower()]
         return found
 
-    def _metadata(self, key: str) -> str:
+    def metadata(self, key: str) -> str:
+        """Return an entry of the metadata, empty where there is none."""
         for metadata in self.document:
             if _local(metadata) == "metadata":
                 for child in metadata:

@@ -1,6 +1,7 @@
 """What grows (or stands in) the canister: one frozen description a kind of specimen."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from rhizotwin.scenes.limits import bounded
 
@@ -14,18 +15,30 @@ class SphereSpecimen:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshSpecimen:
-    """A closed surface from a PLY, STL or OBJ file, millimetres in the canister frame."""
+class PlacedFile:
+    """A file in millimetres of its own frame, and how it is put into the canister frame: turned over, then scaled, then shifted."""
 
     file: str
     """Path, relative to the scene file's folder or absolute."""
+    place: Literal["given", "auto"] = "given"
+    """``given``: where its coordinates say; ``auto``: upright, below the net pot's grid, in the middle of the water."""
+    flip: bool = False
+    """Turn it upside down (half a turn about x): for files whose z points down."""
+    scale: float = bounded(1.0, 1e-6, 1e6)
+    """Enlarge it, diameters too."""
+    shift_mm: tuple[float, float, float] = bounded((0.0, 0.0, 0.0), -1e6, 1e6)
+    """Move it, from where ``place`` puts it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RsmlSpecimen:
-    """Traced roots from an RSML file (Lobet 2015), placed in the canister frame."""
+class MeshSpecimen(PlacedFile):
+    """A closed surface from a PLY, STL or OBJ file."""
 
-    file: str
+
+@dataclass(frozen=True, kw_only=True)
+class RsmlSpecimen(PlacedFile):
+    """Traced roots from an RSML file (Lobet 2015)."""
+
     unit: str | None = None
     """mm, cm, m, um, inch, or a step such as "0.1 mm"; None: as the file's metadata say (refused when they do not)."""
     diameter_mm: float | None = field(default=None, metadata={"limits": (0.01, 50.0)})
@@ -67,6 +80,23 @@ class RootOrder:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BasalRoots(RootOrder):
+    """Growth parameters of roots that begin side by side at the top of the taproot: basal, seminal, nodal or adventitious roots.
+
+    They bear laterals as the taproot does, the second of ``specimen.orders``.
+    """
+
+    count: int = bounded(6, 1, 200)
+    """How many there are."""
+    at_mm: float = bounded(0.0, 0.0, 1000.0)
+    """Distance along the taproot from its beginning to where they begin ..."""
+    zone_mm: float = bounded(2.0, 0.0, 1000.0)
+    """... and the length of taproot over which they are spread."""
+    delay_days: float = bounded(0.0, 0.0, 365.0)
+    """Days after the taproot began that they begin."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class GrownSpecimen:
     """A root system grown from the field's parameters, seeded."""
 
@@ -81,6 +111,8 @@ class GrownSpecimen:
         RootOrder(),
     )
     """Parameters of the taproot, of its laterals, of their laterals and so on."""
+    basal: tuple[BasalRoots, ...] = ()
+    """Kinds of roots beside the taproot that begin at its top."""
     origin_mm: tuple[float, float, float] = bounded((0.0, 0.0, -10.5), -1000.0, 1000.0)
     """Where the taproot begins; its rounded end reaches higher by its radius."""
     lean_deg: float = bounded(0.0, 0.0, 90.0)
@@ -91,6 +123,10 @@ class GrownSpecimen:
     """Diameter of the thickened top of the taproot; 0: none."""
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
     """Length over which the thickened top fades into the taproot."""
+    hypocotyl_shape: Literal["fading", "globe"] = "fading"
+    """``fading``: thickest where it begins, as a carrot; ``globe``: thickest in its middle, as a bulb or a round radish."""
+    buried_mm: float = bounded(1000.0, 0.0, 1000.0)
+    """Laterals begin on their parent's axis, but no deeper below its surface than this: a storage root's tissue is laid down about them."""
     wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Water left free between a root's surface and the inner wall."""
     floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)

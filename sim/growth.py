@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, NetPot
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
+from rhizotwin.scenes.specimens import BasalRoots, GrownSpecimen, RootOrder
 from rhizotwin.sim.confinement import Bounds, bounds, keep_inside, steer
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ HEADING_FAN_DEG = 137.5
 """Mean azimuth from one lateral to the next (the golden angle keeps sides evenly used) ..."""
 HEADING_FAN_SD_DEG = 40.0
 """... and its standard deviation."""
+BASAL_KIND = 1_000_000
+"""Child numbers of a kind of basal roots begin at this times the kind's number, counted from 1: beyond those of all laterals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,7 @@ class _Bud:
 
     path: tuple[int, ...]
     parent: int
+    order: int
     start_mm: Array
     heading: Array
     age_days: float
@@ -69,17 +72,30 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
     lean_rad, azimuth_rad = np.deg2rad([specimen.lean_deg, specimen.lean_azimuth_deg])
     down = np.array([np.sin(lean_rad) * np.cos(azimuth_rad), np.sin(lean_rad) * np.sin(azimuth_rad), -np.cos(lean_rad)])
     buds = [
-        _Bud(path=(), parent=-1, start_mm=np.array(specimen.origin_mm), heading=down, age_days=specimen.age_days, limit_diameter_mm=np.inf)
+        _Bud(
+            path=(),
+            parent=-1,
+            order=0,
+            start_mm=np.array(specimen.origin_mm),
+            heading=down,
+            age_days=specimen.age_days,
+            limit_diameter_mm=np.inf,
+        )
     ]
     roots: list[Root] = []
     for number, order in enumerate(specimen.orders):
-        grown = _grow_order(buds, order, number, specimen, limits, down)
         following = specimen.orders[number + 1] if number + 1 < len(specimen.orders) else None
         children: list[_Bud] = []
-        for bud, (root, length_mm, max_length_mm, rate) in zip(buds, grown, strict=True):
-            if following is not None and root is not None:
-                children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, order, following, specimen.seed)
-            if root is not None:
+        together: list[tuple[list[_Bud], RootOrder]] = [(buds, order)]
+        while together:
+            kin, own = together.pop(0)
+            for bud, (root, length_mm, max_length_mm, rate) in zip(kin, _grow_order(kin, own, specimen, limits, down), strict=True):
+                if root is None:
+                    continue
+                if bud.parent < 0:
+                    together += [(_basal(bud, root, kind, specimen), specimen.basal[kind]) for kind in range(len(specimen.basal))]
+                if following is not None:
+                    children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, own, following, specimen)
                 roots.append(root)
             if len(roots) + len(children) > MOST_ROOTS:
                 raise UserError(
@@ -124,7 +140,7 @@ def _factor(rng: np.random.Generator, sd: float) -> float:
 
 
 def _grow_order(
-    buds: list[_Bud], order: RootOrder, number: int, specimen: GrownSpecimen, limits: Bounds, down: Array
+    buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array
 ) -> list[tuple[Root | None, float, float, float]]:
     """Grow all buds of an order; each with its length, greatest length and elongation rate (None: too short to exist)."""
     if not buds:
@@ -137,7 +153,7 @@ def _grow_order(
     ages = np.array([bud.age_days for bud in buds])
     lengths_mm = length_at(ages, max_length_mm=traits[:, 0], elongation_mm_per_day=traits[:, 1])
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
-    room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if number == 0 else 0.0) / 2.0
+    room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if buds[0].parent < 0 else 0.0) / 2.0
     points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
     grown: list[tuple[Root | None, float, float, float]] = []
     for i, bud in enumerate(buds):
@@ -145,14 +161,20 @@ def _grow_order(
         if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones have not left their parent yet
             line_mm, along_mm = _cut(points_mm[i], lengths_mm[i])
             diameters_mm = thickest[i] * (1.0 + (order.taper - 1.0) * along_mm / lengths_mm[i])
-            if number == 0 and specimen.hypocotyl_diameter_mm > 0.0:
-                fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
-                swelling = 0.5 * (1.0 + np.cos(np.pi * fade))
-                diameters_mm = np.maximum(diameters_mm, diameters_mm + (specimen.hypocotyl_diameter_mm - diameters_mm) * swelling)
+            if bud.parent < 0 and specimen.hypocotyl_diameter_mm > 0.0:
+                diameters_mm = np.maximum(diameters_mm, _swollen(diameters_mm, along_mm, specimen))
             label = ".".join(str(child + 1) for child in (0, *bud.path))
-            root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=number, parent=bud.parent, label=label)
+            root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=bud.order, parent=bud.parent, label=label)
         grown.append((root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
     return grown
+
+
+def _swollen(diameters_mm: Array, along_mm: Array, specimen: GrownSpecimen) -> Array:
+    """Return the diameters (N,) of the thickened top of the taproot."""
+    fade = np.clip(along_mm / specimen.hypocotyl_length_mm, 0.0, 1.0)
+    if specimen.hypocotyl_shape == "globe":  # an ellipsoid of revolution
+        return specimen.hypocotyl_diameter_mm * 2.0 * np.sqrt(fade * (1.0 - fade))
+    return diameters_mm + (specimen.hypocotyl_diameter_mm - diameters_mm) * 0.5 * (1.0 + np.cos(np.pi * fade))
 
 
 def _cut(points_mm: Array, length_mm: float) -> tuple[Array, Array]:
@@ -191,6 +213,25 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
     return points_mm
 
 
+def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
+    """Place the basal roots of a kind: evenly along their zone, round the taproot by the mean azimuth between laterals."""
+    basal: BasalRoots = specimen.basal[kind]
+    children: list[_Bud] = []
+    for number in range(basal.count):
+        path = ((kind + 1) * BASAL_KIND + number,)
+        rng = _generators(specimen.seed, path)[2]
+        azimuth_rad = np.deg2rad(number * HEADING_FAN_DEG + rng.normal(0.0, HEADING_FAN_SD_DEG))
+        insertion_rad = np.deg2rad(np.clip(rng.normal(basal.insertion_deg, basal.insertion_sd_deg), 5.0, 175.0))
+        at_mm = basal.at_mm + basal.zone_mm * (number + 0.5) / basal.count
+        age_days = bud.age_days - basal.delay_days
+        children.append(
+            _bud_on(
+                bud, taproot, 0, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
+            )
+        )
+    return children
+
+
 def _laterals(
     bud: _Bud,
     root: Root,
@@ -200,13 +241,12 @@ def _laterals(
     elongation_mm_per_day: float,
     order: RootOrder,
     following: RootOrder,
-    seed: int,
+    specimen: GrownSpecimen,
 ) -> list[_Bud]:
     """Place the laterals of a root whose zones behind the tip have been passed."""
-    rng = _generators(seed, bud.path)[2]
+    rng = _generators(specimen.seed, bud.path)[2]
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
     at_mm = order.base_mm
-    ladder_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
     buds: list[_Bud] = []
     while True:
         at_mm += order.interlateral_mm * max(_factor(rng, order.interlateral_sd), 0.05)
@@ -214,23 +254,45 @@ def _laterals(
         insertion_rad = np.deg2rad(np.clip(rng.normal(following.insertion_deg, following.insertion_sd_deg), 5.0, 175.0))
         if at_mm + order.apex_mm >= length_mm:
             return buds
-        segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
-        part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
-        along = root.points_mm[segment + 1] - root.points_mm[segment]
-        along /= np.linalg.norm(along)
-        across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
-        across /= np.linalg.norm(across)
-        side = np.cos(azimuth_rad) * across + np.sin(azimuth_rad) * np.cross(along, across)
         passed_mm = np.array(at_mm + order.apex_mm)
         began_days = age_at(passed_mm, max_length_mm=np.array(max_length_mm), elongation_mm_per_day=np.array(elongation_mm_per_day))
-        diameter_mm = float((1.0 - part) * root.diameters_mm[segment] + part * root.diameters_mm[segment + 1])
+        age_days, path = bud.age_days - float(began_days), (*bud.path, len(buds))
         buds.append(
-            _Bud(
-                path=(*bud.path, len(buds)),
-                parent=index,
-                start_mm=root.points_mm[segment] + part * (root.points_mm[segment + 1] - root.points_mm[segment]),
-                heading=np.cos(insertion_rad) * along + np.sin(insertion_rad) * side,
-                age_days=bud.age_days - float(began_days),
-                limit_diameter_mm=0.95 * diameter_mm,
+            _bud_on(
+                bud, root, index, path, at_mm=at_mm, turn_rad=(azimuth_rad, insertion_rad), age_days=age_days, buried_mm=specimen.buried_mm
             )
         )
+
+
+def _bud_on(
+    bud: _Bud,
+    root: Root,
+    index: int,
+    path: tuple[int, ...],
+    *,
+    at_mm: float,
+    turn_rad: tuple[float, float],
+    age_days: float,
+    buried_mm: float,
+) -> _Bud:
+    """Return a bud on a root at a distance along it, turned from the root by azimuth and insertion angle."""
+    azimuth_rad, insertion_rad = turn_rad
+    ladder_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+    segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
+    part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
+    along = root.points_mm[segment + 1] - root.points_mm[segment]
+    along /= np.linalg.norm(along)
+    across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    side = np.cos(azimuth_rad) * across + np.sin(azimuth_rad) * np.cross(along, across)
+    diameter_mm = float((1.0 - part) * root.diameters_mm[segment] + part * root.diameters_mm[segment + 1])
+    on_axis = root.points_mm[segment] + part * (root.points_mm[segment + 1] - root.points_mm[segment])
+    return _Bud(
+        path=path,
+        parent=index,
+        order=bud.order + 1,
+        start_mm=on_axis + max(0.0, diameter_mm / 2.0 - buried_mm) * side,
+        heading=np.cos(insertion_rad) * along + np.sin(insertion_rad) * side,
+        age_days=age_days,
+        limit_diameter_mm=0.95 * diameter_mm,
+    )

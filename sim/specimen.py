@@ -1,5 +1,6 @@
 """From the description of a specimen to one watertight solid in the canister's water, with its exact volume."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,17 +11,19 @@ import trimesh
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.rsml import Root, read_rsml
+from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
-from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.traced import close_gaps, once
 from rhizotwin.scenes.traits import measure_traits
-from rhizotwin.sim import growth, meshes, solids
+from rhizotwin.sim import growth, meshes, placing, solids
+from rhizotwin.sim.placing import TOUCH_MM, check_in_water
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
 """81920 faces: 0.0024 % from the ball before it is scaled to the ball's volume."""
-TOUCH_MM = 1e-6
-"""A specimen may reach this far past wall, floor or surface: rounding."""
+SCANNERS_DPI = (72.0, 75.0, 96.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1200.0, 2400.0, 4800.0)
+"""Resolutions at which scanners and screens work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,13 +110,19 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
         path = _locate(specimen.file, folder)
         what = str(path)
         solid, notes = meshes.load_solid(path)
+        solid = _placed_mesh(solid, specimen, scene)
+        if _is_moved(specimen):
+            notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) as it stands.")
     elif isinstance(specimen, RsmlSpecimen):
         path = _locate(specimen.file, folder)
         what = str(path)
-        traced = read_rsml(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
-        check_in_water(np.concatenate([root.points_mm for root in traced]), scene, what=what)
+        traced, notes = _traced(path, specimen, scene)
         roots = list(traced)
         solid = solids.union_of_roots(roots)
+        traced, shared_mm = once(traced)
+        roots = list(traced)
+        if shared_mm > 0.0:
+            notes.append(f"{what}: {shared_mm:.0f} mm that several roots share are counted once.")
         if (parts := len(solid.decompose())) > 1:
             notes.append(f"{what}: the roots make {parts} separate bodies; where the file leaves gaps, they are kept.")
     elif isinstance(specimen, GrownSpecimen):
@@ -132,29 +141,55 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     return SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes))
 
 
-def check_in_water(vertices: Array, scene: Scene, *, what: str) -> None:
-    """Refuse vertices (V, 3), in mm in the canister frame, outside the water: inner wall, floor, surface.
+def _is_moved(specimen: PlacedFile) -> bool:
+    return specimen.place != "given" or specimen.flip or specimen.scale != 1.0 or any(specimen.shift_mm)
 
-    Raises
-    ------
-    UserError
-        Says which limit is passed, by how much and where.
-    """
-    canister = scene.canister
-    radius_mm = np.hypot(vertices[:, 0], vertices[:, 1])
-    past = {
-        f"past the inner wall (radius {canister.inner_radius_mm:g} mm)": radius_mm - canister.inner_radius_mm,
-        f"below the floor (z {canister.floor_z_mm:g} mm)": canister.floor_z_mm - vertices[:, 2],
-        f"above the water's surface (z {scene.water.level_mm:g} mm)": vertices[:, 2] - scene.water.level_mm,
-    }
-    where, distances_mm = max(past.items(), key=lambda item: float(item[1].max()))
-    worst = int(np.argmax(distances_mm))
-    if distances_mm[worst] > TOUCH_MM:
-        x, y, z = vertices[worst]
-        raise UserError(
-            f"The specimen leaves the water: {what} reaches {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
-            "move or shrink it (millimetres, canister frame: z = 0 is the rim, the axis is x = y = 0)."
+
+def _placed_mesh(solid: manifold3d.Manifold, specimen: MeshSpecimen, scene: Scene) -> manifold3d.Manifold:
+    """Put a mesh where it is told to be."""
+    if not _is_moved(specimen):
+        return solid
+    vertices, faces = solids.surface_of(solid)
+    return solids.manifold_of(placing.find(specimen, vertices, scene).of(vertices), faces)
+
+
+def _traced(path: Path, specimen: RsmlSpecimen, scene: Scene) -> tuple[tuple[Root, ...], list[str]]:
+    """Read traced roots, put them where they are told to be, and say how they were understood."""
+    file = read_file(path, unit=specimen.unit, diameter_mm=specimen.diameter_mm)
+    roots, closed = close_gaps(file)
+    base_mm = np.array([root.points_mm[0] for root in roots if root.parent < 0])
+    roots = placing.find(specimen, _reach(roots), scene, base_mm=base_mm).roots(roots)
+    reach_mm = _reach(roots)
+    check_in_water(reach_mm, scene, what=str(path))
+    diameters_mm = np.concatenate([root.diameters_mm for root in roots])
+    said = "unit given" if specimen.unit else f"the file's unit {file.unit or 'is in its functions'}"
+    resolution = f", resolution {file.resolution}" if file.resolution not in ("", "1", "1.0") and not specimen.unit else ""
+    notes = [
+        f"{path}: {len(roots)} roots, {placing.said_size(reach_mm)} mm (x, y, z), "
+        f"{diameters_mm.min():.2g} to {diameters_mm.max():.2g} mm thick; "
+        f"one step of the file is {file.step_mm:.4g} mm ({said}{resolution})."
+    ]
+    if resolution and not specimen.unit and _is_dpi(file):
+        notes.append(
+            f"{path}: its resolution of {file.resolution} is taken for steps per {file.unit}; if it is dots per inch, give the unit "
+            f"'{25.4 / float(file.resolution):.4g} mm'."
         )
+    if closed:
+        notes.append(f"{path}: {closed} roots that begin away from their parent are joined to the node that the file names.")
+    return roots, notes
+
+
+def _is_dpi(file: RsmlFile) -> bool:
+    """Tell whether a resolution per centimetre or millimetre looks like a scanner's dots per inch."""
+    return file.unit.lower() in ("cm", "mm") and float(file.resolution) in SCANNERS_DPI
+
+
+def _reach(roots: Sequence[Root]) -> Array:
+    """Return how far roots reach along each axis from each of their nodes (6 N, 3), thickness and all."""
+    points_mm = np.concatenate([root.points_mm for root in roots])
+    radii_mm = np.concatenate([root.diameters_mm for root in roots]) / 2.0
+    ways = np.concatenate([np.eye(3), -np.eye(3)])
+    return np.asarray((points_mm[:, None] + radii_mm[:, None, None] * ways).reshape(-1, 3))
 
 
 def _locate(file: str, folder: Path | None) -> Path:

@@ -40,11 +40,15 @@ def test_every_case_is_in_the_library(case):
 
 def test_the_ladder_is_what_was_promised():
     found = {(case.pictures.scene, case.pictures.profile) for case in cases.ladder()}
-    radishes = {scene for scene, _ in found if scene.startswith("radish_")}
+    radishes = {scene for scene, _ in found if scene.startswith("radish_day")}
     assert len(radishes) == 18
     assert {(scene, profile) for scene in radishes for profile in cases.PROFILES} <= found
     assert ("fallen_plant", "harsh") not in found
-    assert len(cases.ladder()) == 2 * len(found)
+    assert {(scene, profile) for scene in cases.FAMILIES for profile in ("clean", "bench")} <= found
+    larger = [case.pictures for case in cases.ladder() if case.pictures.image_wh != (800, 600)]
+    assert [(pictures.scene, pictures.image_wh) for pictures in larger] == [("bean", (1014, 760)), ("bean", (2028, 1520))]
+    assert len(cases.ladder()) == 2 * len(found) + len(larger)
+    assert not {case.pictures.scene for case in cases.quick()} & set(cases.FAMILIES)
     assert {case.pictures.rings for case in cases.ladder(scenes=("printed_8ml", "sphere*"))} == {1}
     assert {case.pictures.rings for case in cases.ladder(scenes=("radish*", "fallen*"))} == {2}
 

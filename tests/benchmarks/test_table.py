@@ -7,13 +7,13 @@ import math
 import pytest
 
 from benchmarks import figure, table
-from benchmarks.cases import ladder
+from benchmarks.cases import FAMILIES, ladder
 from benchmarks.targets import TARGETS
 
 
 @pytest.fixture(scope="module")
 def chosen():
-    return ladder(scenes=("printed_8ml", "radish_*", "fallen_plant"))
+    return ladder(scenes=("printed_8ml", "radish_*", "fallen_plant", *FAMILIES))
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def records(chosen, record_of):
             volume_error=9.0
             if case.method == "thesis"
             else errors[case.pictures.profile] * (2.0 if case.pictures.scene.endswith("c") else 1.0),
-            tips=0.97 if case.pictures.scene.startswith("radish") else 0.77,
+            tips=0.97 if case.pictures.scene.startswith("radish_day") else 0.77,
             holds=case.pictures.profile != "harsh",
         )
         for case in chosen
@@ -49,7 +49,10 @@ def test_numbers_of_groups(records):
     assert found["ladder/radish_day20-30/harsh/volume_worst"].verdict == ""  # no goal but the interval
     assert found["ladder/radish_day20-30/harsh/interval_holds"].verdict == "NO"
     assert found["ladder/plants/clean/tip_recall"].value == pytest.approx((18 * 0.97 + 0.77) / 19)
+    assert found["ladder/plants/clean/tip_recall_worst"].value == pytest.approx(0.77)  # beside every mean stands the worst
     assert found["ladder/plants/clean/length_mean"].thesis is None
+    assert found["ladder/thin_families/clean/volume_worst"].runs == 4 + 2  # one of them at two sizes more
+    assert found["ladder/thick_families/bench/volume_worst"].verdict == "yes"
     assert found["ladder/all/bench/interval_holds"].value == 1.0
     assert "ladder/fallen_plant/harsh/volume_worst" not in found
 
@@ -75,7 +78,7 @@ def test_markdown_has_a_row_for_each_number_and_each_run(records):
     text = table.markdown(table.lines(records), records)
     head, _, runs = text.partition("\n\n")
     assert len(head.splitlines()) == 2 + len(table.lines(records))
-    assert len(runs.splitlines()) == 2 + len(records) // 2
+    assert len(runs.splitlines()) == 2 + sum(record["case"]["method"] == "coverage" for record in records)
     assert len({line.count("|") for line in head.splitlines()}) == len({line.count("|") for line in runs.splitlines()}) == 1
     assert "| radish_day05-15 | clean | volume error, median | 9 | 2.0 % | 3 % | yes | 900.0 % |" in head
     assert "**+10 to +20 %**" in runs  # an interval that misses

@@ -7,7 +7,7 @@ import pytest
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, NetPot
-from rhizotwin.scenes.specimens import GrownSpecimen, RootOrder
+from rhizotwin.scenes.specimens import BasalRoots, GrownSpecimen, RootOrder
 from rhizotwin.sim import growth
 
 STRAIGHT = RootOrder(
@@ -150,3 +150,31 @@ def test_impossible_plants_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         growth.grow(GrownSpecimen(age_days=30.0, orders=(crowded, crowded, crowded)))
     with pytest.raises(UserError, match="orders is empty"):
         growth.grow(GrownSpecimen(orders=()))
+
+
+def test_basal_roots_begin_in_their_zone_and_bear_the_taproot_s_laterals() -> None:
+    basal = BasalRoots(**{**vars(STRAIGHT), "insertion_deg": 50.0}, count=5, at_mm=2.0, zone_mm=4.0, delay_days=1.0)
+    thick = GrownSpecimen(age_days=8.0, orders=(STRAIGHT, STRAIGHT), basal=(basal,), hypocotyl_diameter_mm=6.0, buried_mm=1.0)
+    thick, wide = replace(thick, origin_mm=(0.0, 0.0, -12.5)), Canister(outer_radius_mm=300.0, height_mm=500.0)
+    roots = growth.grow(thick, canister=wide)
+    own = [root for root in roots if root.label.startswith("1.10000")]
+    assert [root.order for root in own].count(1) == 5
+    assert any(root.order == 2 for root in own)
+    for number, root in enumerate(root for root in own if root.order == 1):
+        assert root.points_mm[0, 2] == pytest.approx(-12.5 - 2.0 - 4.0 * (number + 0.5) / 5.0)
+        tap = np.interp(-root.points_mm[0, 2], -roots[0].points_mm[:, 2], roots[0].diameters_mm)
+        assert np.hypot(*root.points_mm[0, :2]) == pytest.approx(tap / 2.0 - 1.0, abs=1e-6)  # so deep below the surface
+        assert length_mm(root.points_mm) == pytest.approx(80.0 * (1.0 - np.exp(-10.0 * 7.0 / 80.0)), abs=1e-6)
+    plain = {root.label: root for root in growth.grow(replace(thick, basal=()), canister=wide)}
+    assert all(np.array_equal(root.points_mm, plain[root.label].points_mm) for root in roots if root.label in plain)
+
+
+def test_a_globe_has_an_ellipsoid_s_volume() -> None:
+    tap = replace(STRAIGHT, diameter_mm=0.2, taper=1.0)
+    bulb = GrownSpecimen(
+        orders=(tap,), origin_mm=(0.0, 0.0, -20.0), hypocotyl_diameter_mm=16.0, hypocotyl_length_mm=20.0, hypocotyl_shape="globe"
+    )
+    (root,) = growth.grow(bulb)
+    along = -20.0 - root.points_mm[:, 2]
+    area = np.pi / 4.0 * np.where(along < 20.0, root.diameters_mm, 0.0) ** 2
+    assert np.trapezoid(area, along) == pytest.approx(np.pi / 6.0 * 16.0 * 16.0 * 20.0, rel=0.01)

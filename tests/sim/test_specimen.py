@@ -162,7 +162,7 @@ def test_rsml_becomes_tubes(tmp_path: Path) -> None:
     assert solid.traits["total_length_mm"] == pytest.approx(50.0)
     assert closed(solid)
     (tmp_path / "deep.rsml").write_text(RSML.format(depth=20))
-    with pytest.raises(UserError, match=r"deep\.rsml reaches 53\.60 mm below the floor"):
+    with pytest.raises(UserError, match=r"deep\.rsml reaches 54\.60 mm below the floor"):
         build(RsmlSpecimen(file="deep.rsml"), tmp_path)
 
 

@@ -1,0 +1,123 @@
+"""Roots as people trace them: gaps to the parent are closed where the file says how, and what several roots share is counted once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.scenes.rsml import Root, RsmlFile
+
+Array = NDArray[np.float64]
+
+FARTHEST = 2.0
+"""A parent's node that is named but lies farther than this times the nearest one's distance is counted otherwise than here: no joint."""
+SHARED = 0.5
+"""Lines nearer than this times the thinner one's radius are one root: two real roots are a radius apart at the least."""
+LEAST_SHARED_MM = 2.0
+"""Shorter stretches are roots that cross or leave each other, beyond any width of root that is traced apart."""
+STEP_MM = 0.2
+"""Spacing at which lines are compared."""
+
+
+def close_gaps(file: RsmlFile) -> tuple[tuple[Root, ...], int]:
+    """Join roots that begin away from their parent to the node that the file names.
+
+    Returns
+    -------
+    roots : tuple of Root
+    closed : int
+        How many were joined.
+    """
+    closed, roots = 0, list(file.roots)
+    for index, (root, node) in enumerate(zip(file.roots, file.parent_nodes, strict=True)):
+        if root.parent < 0 or node is None or node >= len(file.roots[root.parent].points_mm):
+            continue
+        parent = file.roots[root.parent]
+        away_mm = np.linalg.norm(parent.points_mm - root.points_mm[0], axis=1)
+        reach_mm = (parent.diameters_mm[node] + root.diameters_mm[0]) / 2.0
+        if reach_mm < away_mm[node] <= FARTHEST * away_mm.min():
+            points_mm = np.concatenate([parent.points_mm[node : node + 1], root.points_mm])
+            roots[index] = replace(root, points_mm=points_mm, diameters_mm=np.concatenate([root.diameters_mm[:1], root.diameters_mm]))
+            closed += 1
+    return tuple(roots), closed
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A centre line at even steps."""
+
+    points_mm: Array
+    diameters_mm: Array
+
+    @staticmethod
+    def of(root: Root) -> "_Line":
+        """Return a root at steps of `STEP_MM`."""
+        along_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
+        points = np.stack([np.interp(at_mm, along_mm, root.points_mm[:, axis]) for axis in range(3)], axis=1)
+        return _Line(points, np.interp(at_mm, along_mm, root.diameters_mm))
+
+
+def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
+    """Take away what a root shares with others before it in the list: truth counts a stretch once, whoever traced it.
+
+    A root of which only a part is shared goes on from there, as a lateral of the root that it shares it with; one that is shared whole is
+    left out, and its laterals go to that root.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        Parents before children.
+
+    Returns
+    -------
+    roots : tuple of Root
+        The very same where nothing is shared.
+    shared_mm : float
+        Length that was there more than once.
+    """
+    kept: list[Root] = []
+    owner: list[int] = []  # for each of ``roots``, where it or what it is a part of is among ``kept``
+    seen, of_point = _Line(np.zeros((0, 3)), np.zeros(0)), np.zeros(0, np.int64)
+    for root in roots:
+        line = _Line.of(root)
+        parent = owner[root.parent] if root.parent >= 0 else -1
+        runs, host = _alone(line, seen, of_point)
+        whole = runs == [(0, len(line.points_mm))]
+        first = len(kept)
+        for number, (start, stop) in enumerate(runs):
+            above = parent if host is None or start == 0 else host
+            piece = line.points_mm[start:stop], line.diameters_mm[start:stop]
+            points_mm, diameters_mm = (root.points_mm, root.diameters_mm) if whole else piece
+            order = kept[above].order + 1 if above >= 0 else 0
+            seen_tip = root.tip_seen if number == len(runs) - 1 else True
+            kept.append(replace(root, points_mm=points_mm, diameters_mm=diameters_mm, parent=above, order=order, tip_seen=seen_tip))
+            seen = _Line(np.concatenate([seen.points_mm, piece[0]]), np.concatenate([seen.diameters_mm, piece[1]]))
+            of_point = np.concatenate([of_point, np.full(stop - start, len(kept) - 1)])
+        owner.append(first if runs else host if host is not None else parent)
+    return tuple(kept), _length_mm(roots) - _length_mm(kept)
+
+
+def _length_mm(roots: Sequence[Root]) -> float:
+    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
+
+
+def _alone(line: _Line, seen: _Line, of_point: NDArray[np.int64]) -> tuple[list[tuple[int, int]], int | None]:
+    """Return the stretches of a line that it shares with nobody, as (start, stop), and with whom it shares the most."""
+    count = len(line.points_mm)
+    if not len(seen.points_mm):
+        return [(0, count)], None
+    away_mm, near = cKDTree(seen.points_mm).query(line.points_mm)
+    limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, seen.diameters_mm[near]) / 2.0, STEP_MM / 2.0)
+    with_whom = np.where(away_mm <= limit_mm, of_point[near], -1)
+    least = int(np.ceil(LEAST_SHARED_MM / STEP_MM))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], with_whom >= 0, [False]]).astype(np.int8)))
+    long = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > least]
+    if not long:
+        return [(0, count)], None
+    host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
+    bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]  # the joint with the shared stretch stays
+    runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
+    return runs, host

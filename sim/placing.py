@@ -1,0 +1,142 @@
+"""Where a specimen from a file stands in the water: as its file says, as it is told, or hung below the net pot's grid."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.specimens import PlacedFile
+
+Array = NDArray[np.float64]
+
+TOUCH_MM = 1e-6
+"""A specimen may reach this far past wall, floor or surface: rounding."""
+FREE_MM = 0.5
+"""Water left free between a specimen that is hung and the grid, as between the grid and roots that grow (`GrownSpecimen`)."""
+_UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
+"""Half a turn about x: lengths, volumes and handedness stay."""
+
+
+@dataclass(frozen=True)
+class Placing:
+    """A turn by half, a scale and a shift: p -> scale * turn * p + shift."""
+
+    turn: Array
+    """(3, 3), a rotation."""
+    scale: float
+    shift_mm: Array
+    """(3,)"""
+
+    def of(self, points_mm: Array) -> Array:
+        """Return where points (N, 3) of the file come to lie."""
+        placed: Array = self.scale * points_mm @ self.turn.T + self.shift_mm
+        return placed
+
+    def roots(self, roots: tuple[Root, ...]) -> tuple[Root, ...]:
+        """Return where roots come to lie."""
+        return tuple(replace(root, points_mm=self.of(root.points_mm), diameters_mm=self.scale * root.diameters_mm) for root in roots)
+
+
+def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array | None = None) -> Placing:
+    """Find where a specimen goes.
+
+    Parameters
+    ----------
+    specimen
+        What is told of it.
+    points_mm : (N, 3) float64
+        Its surface in the file's frame, in mm.
+    base_mm : (M, 3) float64 or None
+        Where its axes begin, which tells up from down; None: not known.
+
+    Returns
+    -------
+    Placing
+        With ``place = "auto"``: traced roots that lie flat (all z alike) stand up, with their y down; roots whose base is below their
+        middle are turned over. The highest point is `FREE_MM` below the grid; the smallest circle round it is about the axis.
+    """
+    shift = np.array(specimen.shift_mm)
+    turn = np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)
+    if specimen.place == "given":
+        return Placing(turn, specimen.scale, shift)
+    if base_mm is not None and _is_flat(points_mm):
+        turn = turn @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # (x, y, z) -> (x, z, -y)
+    turned = points_mm @ turn.T
+    if base_mm is not None and float(np.mean(base_mm @ turn.T, axis=0)[2]) < float(turned[:, 2].mean()) and not specimen.flip:
+        turn = np.diag(_UPSIDE_DOWN) @ turn
+        turned = points_mm @ turn.T
+    return Placing(turn, specimen.scale, hung(specimen.scale * turned, scene) + shift)
+
+
+def _is_flat(points_mm: Array) -> bool:
+    """Tell whether points lie in one level plane, but for the thickness of roots: far wider than high."""
+    wide = float(np.ptp(points_mm[:, :2], axis=0).max())
+    return float(np.ptp(points_mm[:, 2])) < 0.2 * wide
+
+
+def hung(points_mm: Array, scene: Scene) -> Array:
+    """Return the shift (3,) that hangs points (N, 3) below the grid, about the axis."""
+    (x, y), _ = _circle(points_mm)
+    return np.array([-x, -y, scene.net_pot.grid_z_mm - FREE_MM - float(points_mm[:, 2].max())])
+
+
+def fitting_scale(points_mm: Array, scene: Scene) -> float:
+    """Return by how much points (N, 3) may be enlarged, at most, to hang in the water below the grid; three digits, rounded down."""
+    height_mm = scene.net_pot.grid_z_mm - FREE_MM - scene.canister.floor_z_mm
+    most = min(scene.canister.inner_radius_mm / max(_circle(points_mm)[1], 1e-12), height_mm / max(float(np.ptp(points_mm[:, 2])), 1e-12))
+    digit = 10.0 ** (np.floor(np.log10(most)) - 2)
+    return float(np.floor(most / digit * (1.0 - 1e-9)) * digit)
+
+
+def _circle(points_mm: Array) -> tuple[tuple[float, float], float]:
+    """Return centre and radius of the smallest circle round points seen from above; the radius holds them all."""
+    (x, y), _ = cv2.minEnclosingCircle(np.ascontiguousarray(points_mm[:, None, :2], np.float32))
+    return (float(x), float(y)), float(np.hypot(points_mm[:, 0] - x, points_mm[:, 1] - y).max())
+
+
+def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
+    """Refuse points (N, 3), in mm in the canister frame, outside the water: inner wall, floor, surface.
+
+    Raises
+    ------
+    UserError
+        Says which limit is passed, by how much and where, what all limits are, and what would fit.
+    """
+    canister = scene.canister
+    radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
+    past = {
+        f"past the inner wall (radius {canister.inner_radius_mm:g} mm)": radius_mm - canister.inner_radius_mm,
+        f"below the floor (z {canister.floor_z_mm:g} mm)": canister.floor_z_mm - points_mm[:, 2],
+        f"above the water's surface (z {scene.water.level_mm:g} mm)": points_mm[:, 2] - scene.water.level_mm,
+    }
+    where, distances_mm = max(past.items(), key=lambda item: float(item[1].max()))
+    worst = int(np.argmax(distances_mm))
+    if distances_mm[worst] > TOUCH_MM:
+        x, y, z = points_mm[worst]
+        raise UserError(
+            f"The specimen leaves the water: {what} reaches {distances_mm[worst]:.2f} mm {where} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
+            f"move or shrink it. It is {said_size(points_mm)} mm; the water reaches to radius {canister.inner_radius_mm:g}, "
+            f"from z {canister.floor_z_mm:g} to {scene.water.level_mm:g} mm (z = 0 is the rim, the axis is x = y = 0). "
+            f"{_advice(points_mm, scene)}"
+        )
+
+
+def said_size(points_mm: Array) -> str:
+    """Return a specimen's size along x, y and z as text."""
+    return " x ".join(f"{value:.3g}" for value in np.ptp(points_mm, axis=0))
+
+
+def _advice(points_mm: Array, scene: Scene) -> str:
+    most = fitting_scale(points_mm, scene)
+    if most >= 1.0:
+        x, y, z = hung(points_mm, scene)
+        return f"--place auto hangs it below the grid; so does --shift-mm={x:.1f},{y:.1f},{z:.1f} from where it is."
+    x, y, z = hung(most * points_mm, scene)
+    return (
+        f"It is too large to hang below the grid; --scale {most:g} --place auto fits (that much smaller than now), "
+        f"as does --scale {most:g} --shift-mm={x:.1f},{y:.1f},{z:.1f}; if it should fit as it is, look at its unit."
+    )
