@@ -17,6 +17,7 @@ AFTER_STOP = {
     "simulate": "the same command takes it up again",
     "demo": "the same command takes it up again",
     "plan": "the same command takes it up again",
+    "batch": "what is finished is kept; the same command does the rest",
     "scan": "the pictures are kept; the same command with --resume takes the others",
     "twin": "",
     "rig": "",

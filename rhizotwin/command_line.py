@@ -18,7 +18,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from rhizotwin.commands import COMMANDS, GROUPS, place
+from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
 
 ABOUT = (
@@ -44,7 +44,7 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
     UserError
         For a mistake in typing.
     """
-    if list(words) in ([], *([group] for group in GROUPS)):
+    if list(words) in ([], *([group] for group in GROUPS - ALONE)):
         raise UserError(f"{'STEP' if words else 'COMMAND'} is missing; see {' '.join(['rhizotwin', *words])} --help")
     app = build(words)
     try:
@@ -71,8 +71,12 @@ def build(words: Sequence[str] = ()) -> App:
         group, _, step = name.rpartition(" ")
         above = groups[group] if group else app
         if name in GROUPS:
-            help_, examples = _help(import_module(place(name).partition(":")[0])) if name in asked else (short, "")
+            module, _, function = place(name).partition(":")
+            own = getattr(import_module(module), function) if name in asked and name in ALONE else None
+            help_, examples = _help(own or import_module(module)) if name in asked else (short, "")
             groups[name] = App(name=name, help=help_, help_epilogue=examples, sort_key=order)
+            if own is not None:
+                groups[name].default(own)
             app.command(groups[name])
         elif name in asked:
             module, _, function = place(name).partition(":")

@@ -206,6 +206,13 @@ def ensure(device: str = "auto") -> str | None:
     return start(device)
 
 
+def most_threads(count: int) -> None:
+    """Let the engine, which was started, use no more processors than this: others work beside it."""
+    import drjit
+
+    drjit.set_thread_count(count)
+
+
 def choose_on_first_use() -> None:
     """Let Mitsuba start the engine when a type of a variant is used first, where it would fail as no variant is set."""
     import mitsuba

@@ -49,6 +49,16 @@ class Root:
     """Whether its last point is where it ends; False: others hide where it ends or goes on."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """One of several files that show a plant as it grows; a root has the same id in all of them."""
+
+    sequence: str
+    """Name of the series."""
+    index: int
+    """When it was: the day, rounded."""
+
+
 def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> tuple[Root, ...]:
     """Read the roots of an RSML file.
 
@@ -106,7 +116,9 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
     )
 
 
-def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None) -> None:
+def write_rsml(
+    path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None, moment: Moment | None = None
+) -> None:
     """Write roots as one plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
 
     Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property ``parent-node``, the index of
@@ -122,6 +134,8 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
         Parents as indices into this sequence.
     modified
         Time for the metadata; None: now.
+    moment
+        Of a series, whose files have the labels of roots as their ids: the format's time sequence, unified.
 
     Raises
     ------
@@ -137,6 +151,10 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
     entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
     for name, text in {**entries, "file-key": path.stem}.items():
         ET.SubElement(metadata, name).text = text
+    if moment is not None:
+        series = ET.SubElement(metadata, "time-sequence")
+        for name, text in {"label": moment.sequence, "index": str(moment.index), "unified": "true"}.items():
+            ET.SubElement(series, name).text = text
     definitions = ET.SubElement(metadata, "property-definitions")
     for label, kind, unit in (("diameter", "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", "")):
         definition = ET.SubElement(definitions, "property-definition")
@@ -148,6 +166,8 @@ def write_rsml(path: Path | str, roots: tuple[Root, ...] | list[Root], *, modifi
         raise ValueError(f"root {lost[0]} has parent {roots[lost[0]].parent}, but there are {len(roots)} roots")
     elements = [_element(index, root, roots[root.parent] if root.parent >= 0 else None) for index, root in enumerate(roots)]
     for element, root in zip(elements, roots, strict=True):
+        if moment is not None:
+            element.set("id", root.label)
         (plant if root.parent < 0 else elements[root.parent]).append(element)
     if sum(1 for _ in plant.iter("root")) != len(roots):
         raise ValueError("the parents of some roots form a circle")

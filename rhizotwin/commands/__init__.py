@@ -9,6 +9,8 @@ COMMANDS = {
     "simulate": "Render a scene to a dataset, with its truth.",
     "reconstruct": "Find the root's shape and volume in a dataset's pictures.",
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
+    "batch": "Reconstruct many scans, here or on a cluster.",
+    "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
     "score": "Compare a result with the truth of a simulated dataset.",
     "view": "Look at results in a browser, and correct them.",
     "report": "Write the page of a result again, or one page for many results.",
@@ -39,6 +41,9 @@ COMMANDS = {
 
 GROUPS = frozenset(name.partition(" ")[0] for name in COMMANDS if " " in name)
 """Commands that hold others; their help is their module's docstring."""
+
+ALONE = frozenset({"batch"})
+"""Those of them that are commands by themselves too; their help is their function's docstring."""
 
 
 def place(name: str) -> str:

@@ -1,0 +1,97 @@
+"""The same jobs on Dask: an existing scheduler, or one on a SLURM cluster. Workers need this program and see the same folders or addresses.
+
+Dask hands a job of a worker that vanished to another one by itself; a job that outlives several workers is given up with a sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.batch.local import MOST_TRIES
+from rhizotwin.batch.work import work
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+SLURM = "slurm"
+WAIT_S = 30.0
+"""For a scheduler to answer."""
+
+
+@contextmanager
+def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
+    """Connect to a scheduler (``tcp://host:8786``), or start one that asks SLURM for workers (``slurm``).
+
+    SLURM's queue, account and times are read from Dask's own configuration (``~/.config/dask/jobqueue.yaml``); memory is what the
+    largest job is predicted to need.
+
+    Raises
+    ------
+    UserError
+        When Dask is not installed, or nobody answers.
+    """
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise UserError("--cluster needs Dask: pip install 'rhizotwin[cluster]'") from None
+    if where == SLURM:
+        with slurm(jobs) as cluster, Client(cluster) as client:
+            cluster.scale(jobs=min(len(jobs), workers or len(jobs)))
+            yield client
+        return
+    try:
+        client = Client(where, timeout=WAIT_S)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UserError(
+            f"--cluster {where}: no Dask scheduler answers there ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        ) from None
+    with client:
+        yield client
+
+
+def slurm(jobs: Sequence[Job]) -> Any:
+    """Return a cluster that SLURM's queue gives workers to."""
+    from dask_jobqueue.slurm import SLURMCluster
+
+    memory_mib = max((job.memory_mib for job in jobs), default=1000.0)
+    try:
+        return SLURMCluster(cores=1, processes=1, memory=f"{memory_mib:.0f}MiB")
+    except ValueError as error:
+        raise UserError(f"--cluster slurm: {error}") from None
+
+
+def run(jobs: Sequence[Job], client: Client) -> Iterator[tuple[Job, Outcome]]:
+    """Do jobs on a scheduler's workers, one at a time on each, and yield each with what became of it in the end."""
+    from distributed import as_completed
+
+    memory = {job.name: job for job in jobs}
+    tries = dict.fromkeys(memory, 1)
+    doing = {_submit(client, job, 1): job for job in sorted(jobs, key=lambda job: -job.pixels)}
+    waiting = as_completed(list(doing))
+    for future in waiting:
+        job = doing.pop(future)
+        outcome = _outcome(future, job)
+        if outcome.state == "again" and tries[job.name] < MOST_TRIES:
+            tries[job.name] += 1
+            again = _submit(client, job, tries[job.name])
+            doing[again] = job
+            waiting.add(again)
+        else:
+            yield job, outcome
+
+
+def _submit(client: Client, job: Job, attempt: int) -> Any:
+    return client.submit(work, job.plain(), key=f"rhizotwin-{job.name}-{job.key[:12]}-{attempt}", pure=False)
+
+
+def _outcome(future: Any, job: Job) -> Outcome:
+    """Return what became of a job; an exception is Dask's, since `work` raises none."""
+    try:
+        return Outcome(**future.result())
+    except Exception as error:  # noqa: BLE001 - KilledWorker, CancelledError, CommClosedError, ...: the cluster's own
+        sentence = f"the cluster lost it ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
+        return Outcome(name=job.name, state="again", sentence=sentence)

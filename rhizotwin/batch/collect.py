@@ -1,0 +1,78 @@
+"""From what a person names to jobs: datasets found and known by their hashes, scenes varied into series."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rhizotwin import sources
+from rhizotwin.batch import places
+from rhizotwin.batch.jobs import Job, key_of, named
+from rhizotwin.scenes.files import scene_to_dict
+from rhizotwin.scenes.model import Scene
+
+_PIXELS = 20e6
+"""Of a dataset whose manifest cannot be read; it will fail by itself."""
+
+
+def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | None, settings: Path | None, device: str) -> list[Job]:
+    """Return a job for every dataset that is named, each once.
+
+    Parameters
+    ----------
+    scans : datasets, folders that hold some, patterns, addresses.
+    results : folder or address that holds the results.
+
+    Raises
+    ------
+    UserError
+        Where nothing is found, two cannot be told apart, or the settings cannot be read.
+    """
+    found = list(dict.fromkeys(_resolved(dataset) for scan in scans for dataset in places.find_datasets(scan)))
+    options: dict[str, Any] = {"voxel_mm": voxel_mm, "settings": None if settings is None else _checked(settings), "device": device}
+    code = sources.digest(("rhizotwin.recon.reconstruct",))
+    jobs = []
+    for name, dataset in zip(named(found), found, strict=True):
+        data = places.read(places.join(dataset, places.HEAD)) or b""
+        told = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
+        key, output = key_of(told, code=code), places.join(results, name)
+        jobs.append(Job(name=name, kind="reconstruct", source=dataset, output=output, key=key, pixels=_pixels(data), options=options))
+    return jobs
+
+
+def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
+    """Return a job for every scene, whose names are those of the datasets."""
+    code = sources.digest(("rhizotwin.sim.simulate",))
+    options: dict[str, Any] = {"profile": profile, "seed": seed, "device": device}
+    jobs = []
+    for name, scene in scenes.items():
+        plain = scene_to_dict(scene)
+        key = key_of({"scene": plain, "profile": profile, "seed": seed}, code=code)
+        width, height = scene.camera.image_wh
+        pixels = float(width * height * sum(ring.views for ring in scene.plan.rings))
+        text, output = json.dumps(plain), places.join(datasets, name)
+        jobs.append(Job(name=name, kind="simulate", source=text, output=output, key=key, pixels=pixels, options=options))
+    return jobs
+
+
+def _resolved(dataset: str) -> str:
+    return dataset if places.is_address(dataset) else str(Path(dataset).resolve())
+
+
+def _checked(settings: Path) -> str:
+    """Return the text of a file of settings that the reconstruction will accept."""
+    from rhizotwin.recon.settings import load_settings
+
+    load_settings(settings)
+    return settings.read_text(encoding="utf-8")
+
+
+def _pixels(data: bytes) -> float:
+    """Return the pixels of all pictures that a manifest names."""
+    try:
+        manifest = json.loads(data)
+        width, height = manifest["scene"]["camera"]["image_wh"]
+        return float(width) * float(height) * len(manifest["frames"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return _PIXELS

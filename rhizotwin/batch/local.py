@@ -1,0 +1,151 @@
+"""Jobs in processes of this computer: as many at once as memory allows; one that dies loses its job, which is done again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import connection, get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.scenes.monitor import threads
+
+MOST_TRIES = 3
+"""Of a job whose process dies or whose disk is full."""
+LEFT_FREE = 0.1
+"""Share of the free memory that is left to everybody else."""
+LOOK_S = 1.0
+"""How often a worker looks whether whom it works for is still there."""
+
+
+@dataclass
+class _Worker:
+    """A process that does one job at a time."""
+
+    process: Any
+    line: Connection
+    job: Job | None = None
+
+
+def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | None = None) -> Iterator[tuple[Job, Outcome]]:
+    """Do jobs, the largest first, and yield each with what became of it in the end.
+
+    Parameters
+    ----------
+    workers : most at once; None: one a processor.
+    memory_mib : what all together may take; None: what is free. A job that needs more than that runs alone.
+    """
+    most = workers or threads()
+    allowed = memory_mib or available_mib() * (1.0 - LEFT_FREE)
+    waiting = sorted(jobs, key=lambda job: -job.pixels)
+    tries: dict[str, int] = {}
+    crew: list[_Worker] = []
+    try:
+        while waiting or any(worker.job for worker in crew):
+            _hand_out(waiting, crew, most, allowed)
+            busy = [worker for worker in crew if worker.job]
+            ready = connection.wait([worker.line for worker in busy])
+            for worker in [worker for worker in busy if worker.line in ready]:
+                job, outcome = worker.job, _hear(worker, crew)
+                if job is None:
+                    continue
+                tries[job.name] = tries.get(job.name, 0) + 1
+                if outcome.state == "again" and tries[job.name] < MOST_TRIES:
+                    waiting.append(job)
+                else:
+                    yield job, outcome
+    finally:
+        for worker in crew:
+            worker.process.kill()  # what it was building is removed by the next run
+            worker.process.join()
+            worker.line.close()
+
+
+def available_mib() -> float:
+    """Return the memory that is free, by the system and by the group that this process is confined to."""
+    free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2.0**20
+    for line in _lines("/proc/meminfo"):
+        if line.startswith("MemAvailable:"):
+            free = float(line.split()[1]) / 1024.0
+    limit, used = _lines("/sys/fs/cgroup/memory.max"), _lines("/sys/fs/cgroup/memory.current")
+    if limit and used and limit[0].isdecimal():
+        free = min(free, (float(limit[0]) - float(used[0])) / 2.0**20)
+    return free
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return Path(path).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+
+
+def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:
+    """Give waiting jobs to idle or new workers as long as memory allows; one job always runs."""
+    for job in list(waiting):
+        busy = [worker.job for worker in crew if worker.job]
+        if len(busy) >= most:
+            return
+        if busy and sum(one.memory_mib for one in busy) + job.memory_mib > allowed_mib:
+            continue
+        worker = next((worker for worker in crew if worker.job is None), None)
+        if worker is None:
+            worker = _hire(max(1, threads() // most))
+            crew.append(worker)
+        waiting.remove(job)
+        worker.job = job
+        with suppress(OSError):  # it died while it was idle: `_hear` finds that out
+            worker.line.send(job.plain())
+
+
+def _hire(threads_each: int) -> _Worker:
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, os.getpid(), threads_each), daemon=True)
+    process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _hear(worker: _Worker, crew: list[_Worker]) -> Outcome:
+    """Return what a worker says of its job; one that is dead is dismissed."""
+    job = worker.job
+    worker.job = None
+    name = "" if job is None else job.name
+    try:
+        return Outcome(**worker.line.recv())
+    except (EOFError, OSError):
+        worker.process.join()
+        code = worker.process.exitcode
+        crew.remove(worker)
+        worker.line.close()
+        how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
+        return Outcome(name=name, state="again", sentence=f"its process died ({how}), perhaps for want of memory")
+
+
+def _serve(line: Connection, master: int, threads_each: int) -> None:
+    """Do jobs until nobody gives any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the master's, who ends us
+    threading.Thread(target=_leave_with, args=(master,), daemon=True).start()
+    from rhizotwin.batch.work import work
+
+    while True:
+        try:
+            plain = line.recv()
+        except (EOFError, OSError):
+            return
+        line.send(work(plain, threads_each))
+
+
+def _leave_with(master: int) -> None:
+    """End this process soon after the one that it works for is gone, whatever it is doing."""
+    while os.getppid() == master:
+        time.sleep(LOOK_S)
+    os._exit(1)

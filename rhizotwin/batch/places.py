@@ -1,0 +1,114 @@
+"""Folders here and elsewhere: what is an address (``s3://...``) goes through fsspec, everything else is a path."""
+
+from __future__ import annotations
+
+import glob
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+HEAD = "dataset.json"
+"""What makes a folder a dataset."""
+
+
+def is_address(place: str) -> bool:
+    """Tell whether a place is on another file system, such as ``s3://bucket/scans``."""
+    return "://" in place
+
+
+def join(place: str, *names: str) -> str:
+    """Return a place some folders deeper."""
+    return "/".join([place.rstrip("/"), *names]) if is_address(place) else str(Path(place, *names))
+
+
+def name_of(place: str) -> str:
+    """Return a place's last name, also of ``.``."""
+    return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(place).resolve().name
+
+
+def find_datasets(source: str) -> list[str]:
+    """Return the datasets that a folder, a pattern (``*``, ``?``, ``**``) or an address means, sorted.
+
+    Raises
+    ------
+    UserError
+        Where there are none.
+    """
+    if is_address(source):
+        system, path = _system(source)
+        heads = {*system.glob(f"{path}/{HEAD}"), *system.glob(f"{path}/**/{HEAD}")}
+        found = sorted(system.unstrip_protocol(head.rpartition("/")[0]) for head in heads)
+    else:
+        folders = [Path(name) for name in glob.glob(source, recursive=True)] if not Path(source).exists() else [Path(source)]  # noqa: PTH207
+        heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
+        found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))
+    if not found:
+        raise UserError(f"{source}: there is no dataset; give datasets, folders that hold some, or a pattern in quotes")
+    return found
+
+
+def read(place: str) -> bytes | None:
+    """Return a file's bytes; None where there is no such file."""
+    try:
+        if is_address(place):
+            system, path = _system(place)
+            return bytes(system.cat_file(path))
+        return Path(place).read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def write(place: str, data: bytes) -> None:
+    """Write a file whole; its folder is made where it is missing."""
+    if is_address(place):
+        system, path = _system(place)
+        system.makedirs(path.rpartition("/")[0], exist_ok=True)
+        system.pipe_file(path, data)
+    else:
+        atomic.write_bytes(place, data)
+
+
+def exists(place: str) -> bool:
+    """Tell whether there is such a file."""
+    if is_address(place):
+        system, path = _system(place)
+        return bool(system.exists(path))
+    return Path(place).exists()
+
+
+def fetch(address: str, folder: Path) -> None:
+    """Copy a folder from elsewhere."""
+    system, path = _system(address)
+    folder.mkdir(parents=True, exist_ok=True)
+    system.get(f"{path.rstrip('/')}/", f"{folder}/", recursive=True)
+
+
+def put(folder: Path, address: str, *, last: str) -> None:
+    """Copy a folder to elsewhere; the file ``last``, which tells that it is whole, goes at the end."""
+    system, path = _system(address)
+    system.makedirs(path, exist_ok=True)
+    if system.exists(f"{path}/{last}"):
+        system.rm(f"{path}/{last}")
+    files = sorted((file for file in folder.rglob("*") if file.is_file()), key=lambda file: file == folder / last)
+    for file in files:
+        goal = f"{path}/{file.relative_to(folder).as_posix()}"
+        system.makedirs(goal.rpartition("/")[0], exist_ok=True)
+        system.put_file(str(file), goal)
+
+
+def _system(address: str) -> tuple[AbstractFileSystem, str]:
+    """Return the file system of an address, and the path in it."""
+    try:
+        from fsspec.core import url_to_fs
+    except ModuleNotFoundError:
+        raise UserError(f"{address}: other file systems need fsspec: pip install 'rhizotwin[cluster]'") from None
+    try:
+        found: tuple[Any, str] = url_to_fs(address)
+    except (ImportError, ValueError) as error:
+        raise UserError(f"{address}: cannot be reached ({error})") from None
+    return found

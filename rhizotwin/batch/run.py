@@ -1,0 +1,97 @@
+"""A whole batch: what is finished is left alone, the rest is done, and what failed is told at the end."""
+
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from rhizotwin.batch import jobs as listed
+from rhizotwin.batch import local, places
+from rhizotwin.batch.jobs import Job
+from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.terminal import COLOUR
+
+LOCK = ".rhizotwin-batch-lock"
+_FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """What became of many jobs."""
+
+    kept: tuple[Job, ...]
+    """Finished by an earlier run."""
+    done: tuple[Job, ...]
+    failed: tuple[tuple[Job, str], ...]
+    """Each with its sentence."""
+
+
+def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers: int | None = None) -> Batch:
+    """Do all jobs that are not finished, with one bar.
+
+    Parameters
+    ----------
+    folder : holds the outputs; two batches cannot work in it at once.
+    cluster : a Dask scheduler's address, or slurm; None: processes of this computer.
+    workers : most jobs at once.
+
+    Raises
+    ------
+    UserError
+        When another batch works in the folder, or the cluster does not answer.
+    """
+    done: list[Job] = []
+    failed: list[tuple[Job, str]] = []
+    with ExitStack() as stack:
+        if not places.is_address(folder):
+            stack.enter_context(locked(Path(folder) / LOCK, what=folder))
+        kept = [job for job in jobs if listed.is_done(job)]
+        waiting = [job for job in jobs if job not in kept]
+        if not waiting:
+            return Batch(kept=tuple(kept), done=(), failed=())
+        if cluster is None:
+            outcomes = local.run(waiting, workers=workers)
+        else:
+            from rhizotwin.batch import cluster as dask
+
+            outcomes = dask.run(waiting, stack.enter_context(dask.connected(cluster, waiting, workers=workers)))
+        with _Bar(waiting) as bar:
+            for job, outcome in outcomes:
+                if outcome.state == "done":
+                    done.append(job)
+                else:
+                    failed.append((job, outcome.sentence))
+                bar.step(job, outcome.sentence or f"done in {outcome.seconds:.0f} s")
+    return Batch(kept=tuple(kept), done=tuple(done), failed=tuple(failed))
+
+
+class _Bar:
+    """One bar with the time left, told from the pixels that are done; a line a job where nobody watches."""
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        self._total, self._count = len(jobs), 0
+        watched = sys.stderr.isatty()
+        pixels = sum(job.pixels for job in jobs)
+        self._bar = tqdm(total=pixels, bar_format=_FORM, dynamic_ncols=True, leave=False, colour=COLOUR) if watched else None
+
+    def __enter__(self) -> "_Bar":
+        if self._bar is not None:
+            self._bar.set_description_str(f"0 of {self._total}")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def step(self, job: Job, said: str) -> None:
+        """Tell that a job is over."""
+        self._count += 1
+        if self._bar is None:
+            sys.stderr.write(f"{self._count} of {self._total}: {job.name}: {said}\n")
+            sys.stderr.flush()
+        else:
+            self._bar.set_description_str(f"{self._count} of {self._total}", refresh=False)
+            self._bar.update(job.pixels)

@@ -1,0 +1,42 @@
+"""Scenes varied into plants, days and treatments, each with a name and a subject of its own."""
+
+import re
+from collections.abc import Sequence
+
+from rhizotwin.scenes import series
+from rhizotwin.scenes.model import Scene
+
+
+def vary(
+    scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float]] | None = None
+) -> dict[str, Scene]:
+    """Return every combination by name; nothing varied is the scene itself.
+
+    Raises
+    ------
+    UserError
+        When the scene has no grown plant and something is varied.
+    """
+    found = {scene.name: scene}
+    if treatments is not None:
+        found = {f"{name}_{_word(what)}": series.treated(one, what, growth) for name, one in found.items() for what, growth in treatments}
+    if plants > 1:
+        found = {  # plants of two treatments are others, too
+            f"{name}_plant{k + 1}": series.replicate(one, k, seed=plants * place + k)
+            for place, (name, one) in enumerate(found.items())
+            for k in range(plants)
+        }
+    if days is not None:
+        from rhizotwin.sim.growth import grow
+
+        reference = series.grown(scene)
+        found = {
+            f"{name}_day{day:04.1f}".removesuffix(".0"): series.at_day(one, day, grow=grow, like=reference)
+            for name, one in found.items()
+            for day in days
+        }
+    return found
+
+
+def _word(text: str) -> str:
+    return re.sub(r"\W+", "_", text).strip("_") or "treated"

@@ -1,0 +1,87 @@
+"""Doing one job, in whatever process: an error becomes a sentence, and never leaves it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from rhizotwin import engine, said
+from rhizotwin.batch import places
+from rhizotwin.batch.jobs import HEADS, Job, Outcome, note
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.provenance import peak_memory_mib
+
+OF_DISK = (*said.FULL, errno.EIO, errno.ESTALE)
+"""Errors of a disk or a network, not of a scan."""
+
+
+def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
+    """Do a job and write its record; return its outcome as JSON values.
+
+    Parameters
+    ----------
+    plain : as `Job.plain` gives it.
+    threads : processors that it may use; None: all.
+    """
+    job = Job(**plain)
+    begin = time.perf_counter()
+    try:
+        engine.ensure(job.options.get("device", "auto"))
+        if threads is not None:
+            engine.most_threads(threads)
+        (_reconstruct if job.kind == "reconstruct" else _simulate)(job)
+        state, sentence = "done", ""
+    except UserError as error:
+        disk = isinstance(error.__cause__, OSError) and error.__cause__.errno in OF_DISK
+        state, sentence = "again" if disk else "failed", str(error)
+    except MemoryError as error:
+        state, sentence = "again", said.failure(error)
+    except OSError as error:
+        state, sentence = "again" if error.errno in OF_DISK else "failed", said.failure(error)
+    except Exception as error:  # one scan's fault must not end the others
+        logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
+        state, sentence = "failed", said.failure(error)
+    outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=peak_memory_mib())  # type: ignore[arg-type]
+    try:
+        note(job, outcome)
+    except (OSError, UserError) as error:
+        outcome = Outcome(name=job.name, state="again", sentence=said.failure(error), seconds=outcome.seconds)
+    return vars(outcome)
+
+
+def _reconstruct(job: Job) -> None:
+    from rhizotwin.steps import reconstruct_whole
+
+    options = {key: value for key, value in job.options.items() if key != "device"}
+    settings = options.pop("settings", None)
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-batch-") as scratch:
+        dataset, output = Path(job.source), Path(job.output)
+        if places.is_address(job.source):
+            dataset = Path(scratch, "dataset", job.name)
+            places.fetch(job.source, dataset)
+        if places.is_address(job.output):
+            output = Path(scratch, "result", job.name)
+        file = Path(scratch, "settings.toml")
+        if settings is not None:
+            file.write_text(settings, encoding="utf-8")
+        reconstruct_whole(dataset, output, settings=None if settings is None else file, quiet=True, **options)
+        if places.is_address(job.output):
+            places.put(output, job.output, last=HEADS["reconstruct"])
+
+
+def _simulate(job: Job) -> None:
+    from rhizotwin.scenes import files
+    from rhizotwin.sim.simulate import simulate
+
+    scene = files.scene_from_dict(json.loads(job.source), where=job.name)
+    options = job.options
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-batch-") as scratch:
+        output = Path(scratch, job.name) if places.is_address(job.output) else Path(job.output)
+        simulate(scene, output, profile_name=options["profile"], seed=options["seed"])
+        if places.is_address(job.output):
+            places.put(output, job.output, last=HEADS["simulate"])

@@ -1,0 +1,155 @@
+"""Reconstruct many scans, here or on a cluster."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rhizotwin.arguments import Device, SceneChanges, SceneName, Seed, VoxelMm, between, list_of, named, option, output, read_day, whole
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:
+    from rhizotwin.batch.run import Batch
+
+Outputs = Annotated[str, output("FOLDER")]
+Workers = Annotated[int, option(lambda text: whole(text, 1, 10000, "give 1 to 10000"), "N")]
+Cluster = Annotated[str, named("ADDRESS|slurm")]
+
+
+def read_treatment(text: str) -> tuple[str, float]:
+    """Read a treatment as NAME:GROWTH."""
+    name, colon, growth = text.rpartition(":")
+    if not colon or not name.strip():
+        raise ValueError(f"{text!r} is no treatment, write it as NAME:GROWTH, such as 'low N:0.85'")
+    return name.strip(), between(growth, (0.1, 10.0), "times the scene's growth", "times")
+
+
+def batch(
+    scans: Annotated[list[str], named("SCANS")],
+    /,
+    *,
+    output: Outputs,
+    voxel_mm: VoxelMm | None = None,
+    settings: Annotated[Path | None, named("FILE")] = None,
+    workers: Workers | None = None,
+    cluster: Cluster | None = None,
+    device: Device = "auto",
+) -> None:
+    """Reconstruct many scans, here or on a cluster.
+
+    Every dataset that is found is reconstructed into a folder of its name. What is finished (same dataset, settings, code) is kept, so
+    that the same command goes on after Ctrl-C or a power cut. A scan that fails is told at the end, with its sentence. At the end there
+    are traits.csv and overview.html, a row and a picture for each scan.
+
+    Parameters
+    ----------
+    scans : list of str
+        Datasets, folders that hold some, patterns in quotes, or addresses (s3://...).
+    output : str
+        Folder or address for the results.
+    voxel_mm : float, optional
+        Edge of the smallest voxels, as of 'reconstruct'.
+    settings : Path, optional
+        TOML file of what may be set, as of 'reconstruct'.
+    workers : int, optional
+        Most scans at once; default: one a processor, as many as memory allows.
+    cluster : str, optional
+        A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders.
+    device : str
+        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+
+    Examples
+    --------
+    rhizotwin batch my_scans -o my_results
+    rhizotwin batch 'my_scans/day_*' other_scans/plant_7 -o my_results --workers 2
+    rhizotwin batch my_scans -o my_results --cluster tcp://scheduler:8786
+    rhizotwin batch s3://my_bucket/scans -o s3://my_bucket/results --cluster slurm
+    """
+    from rhizotwin.batch import collect, places
+    from rhizotwin.batch.run import run
+
+    jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=device)
+    made = run(jobs, output, cluster=cluster, workers=workers)
+    if not places.is_address(output):
+        from rhizotwin.batch import overview
+
+        for path in overview.write(Path(output), [*made.kept, *made.done], made.failed):
+            print(f"wrote {path}")
+    _tell(made, "reconstructed")
+
+
+def simulate(
+    scenes: Annotated[list[SceneName], named("SCENES")],
+    /,
+    *,
+    output: Outputs,
+    changes: SceneChanges = SceneChanges(),
+    plants: Annotated[int, option(lambda text: whole(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
+    days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
+    treatments: Annotated[tuple[tuple[str, float], ...] | None, option(list_of(read_treatment), "NAME:GROWTH,...")] = None,
+    seed: Seed = 0,
+    workers: Workers | None = None,
+    cluster: Cluster | None = None,
+    device: Device = "auto",
+) -> None:
+    """Render many scenes: plants, days, treatments, profiles and seeds.
+
+    Each scene is rendered into a dataset of its name. A grown plant can have sisters of other seeds, other days (the older one holds the
+    younger), and treatments under which its roots grow by a factor faster and longer; the datasets say which is which.
+
+    Parameters
+    ----------
+    scenes : list of str
+        Names from 'rhizotwin scenes', or scene files (TOML).
+    output : str
+        Folder or address for the datasets.
+    changes : SceneChanges
+        What is changed in every scene.
+    plants : int
+        Plants of each scene and treatment.
+    days : tuple of float, optional
+        Ages of each plant; default: the scene's.
+    treatments : tuple of (str, float), optional
+        Names, each with the factor of growth, such as control:1,low N:0.85.
+    seed : int
+        Of every error and noise that is drawn.
+    workers : int, optional
+        Most renderings at once; default: one a processor, as many as memory allows.
+    cluster : str, optional
+        A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders.
+    device : str
+        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+
+    Examples
+    --------
+    rhizotwin batch simulate printed_8ml sphere_20mm -o my_scans --profile bench
+    rhizotwin batch simulate radish_day15b -o my_scans --plants 3 --days 5,10,15 --treatments 'control:1,low N:0.85'
+    """
+    from rhizotwin import front_door
+    from rhizotwin.batch import collect
+    from rhizotwin.batch.run import run
+    from rhizotwin.batch.series import vary
+
+    loaded = [front_door.load_scene(scene, **vars(changes)) for scene in scenes]
+    varied = {name: scene for one in loaded for name, scene in vary(one, plants=plants, days=days, treatments=treatments).items()}
+    if len(varied) < len(loaded):
+        raise UserError("two scenes have one name; give each a name of its own in its file")
+    jobs = collect.renderings(varied, output, profile=changes.profile or "scene", seed=seed, device=device)
+    made = run(jobs, output, cluster=cluster, workers=workers)
+    _tell(made, "rendered")
+
+
+def _tell(made: "Batch", what: str) -> None:
+    """Print what became of a batch.
+
+    Raises
+    ------
+    UserError
+        Where something failed, after all the rest was told.
+    """
+    for job, sentence in made.failed:
+        print(f"failed: {job.name}: {sentence}")
+    kept = f", {len(made.kept)} were finished before" if made.kept else ""
+    print(f"{len(made.done)} scans {what}{kept}")
+    if made.failed:
+        raise UserError(
+            f"{len(made.failed)} of {len(made.failed) + len(made.done) + len(made.kept)} scans failed; the same command tries them again"
+        )

@@ -1,0 +1,167 @@
+"""Growth in numbers: relative growth rates, means with intervals, and whether treatments differ.
+
+The logarithm of a trait of plant i on day t is followed by a linear mixed model (Laird and Ware 1982, Biometrics 38:963): a curve common to
+all (a level for every day), what the treatment adds at the mean day and by the day, and for each plant a level of its own. A treatment is a
+difference between plants, however often each is looked at, so that its t statistic has the plants less the treatments as its degrees of
+freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from rhizotwin.scenes.errors import UserError
+
+Array = NDArray[np.float64]
+
+SURE = 0.05
+"""Probability of a difference that is none, by which treatments are told apart."""
+LEAST_PLANTS = 2
+"""Of each treatment."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """A trait of a plant on a day."""
+
+    plant: str
+    treatment: str
+    day: float
+    value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A treatment's mean on a day."""
+
+    treatment: str
+    day: float
+    mean: float
+    low: float
+    """Ends of the 90 % interval of the mean; the mean itself for one plant."""
+    high: float
+    plants: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """What a treatment does, against the first one."""
+
+    treatment: str
+    against: str
+    size: float
+    """Factor by which a plant is larger on the mean day."""
+    size_interval: tuple[float, float]
+    """90 % interval."""
+    size_p: float
+    rate_per_day: float
+    """By how much its relative growth rate is larger."""
+    rate_p: float
+    plants: int
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether size or rate differ, each tested at half of `SURE` (Bonferroni)."""
+        return min(self.size_p, self.rate_p) < SURE / 2.0
+
+
+def means(seen: Sequence[Seen]) -> list[Point]:
+    """Return the mean of each treatment on each day, with the interval that the scatter of the plants gives."""
+    points = []
+    for treatment, day in sorted({(one.treatment, one.day) for one in seen}):
+        values = np.array([one.value for one in seen if (one.treatment, one.day) == (treatment, day)])
+        mean, count = float(values.mean()), len(values)
+        reach = float(student.ppf(0.95, count - 1) * values.std(ddof=1) / count**0.5) if count > 1 else 0.0
+        points.append(Point(treatment=treatment, day=day, mean=mean, low=mean - reach, high=mean + reach, plants=count))
+    return points
+
+
+def relative_rates(seen: Sequence[Seen]) -> list[tuple[str, float, float, float]]:
+    """Return plant, from day, to day and relative growth rate a day: the change of the logarithm over the time (Hunt 1982)."""
+    rates = []
+    for plant in dict.fromkeys(one.plant for one in seen):
+        own = sorted((one for one in seen if one.plant == plant), key=lambda one: one.day)
+        rates += [(plant, a.day, b.day, log(b.value / a.value) / (b.day - a.day)) for a, b in pairwise(own)]
+    return rates
+
+
+def differences(seen: Sequence[Seen]) -> list[Difference]:
+    """Compare every treatment with the first by name.
+
+    Raises
+    ------
+    UserError
+        When statsmodels is not installed, or a treatment has fewer than two plants.
+    """
+    treatments = sorted({one.treatment for one in seen})
+    plants = {name: {one.plant for one in seen if one.treatment == name} for name in treatments}
+    if len(treatments) < 2:
+        return []
+    few = [name for name in treatments if len(plants[name]) < LEAST_PLANTS]
+    if few:
+        raise UserError(f"treatment {few[0]!r} has {len(plants[few[0]])} plant; to compare treatments, each needs {LEAST_PLANTS} or more")
+    found = []
+    for name in treatments[1:]:
+        both = [one for one in seen if one.treatment in (treatments[0], name)]
+        found.append(_difference(both, against=treatments[0], treatment=name, plants=len(plants[name]) + len(plants[treatments[0]])))
+    return found
+
+
+def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: int) -> Difference:
+    day = np.array([one.day for one in seen])
+    levels = np.unique(day)
+    treated = np.array([one.treatment == treatment for one in seen], np.float64)
+    columns = [(day == level).astype(np.float64) for level in levels]
+    columns.append(treated)
+    if len(levels) > 1:
+        columns.append(treated * (day - day.mean()))
+    design, y = np.stack(columns, axis=1), np.log([one.value for one in seen])
+    value, error = _fit(y, design, [one.plant for one in seen], slopes=day - day.mean() if len(levels) > 2 else None)
+    dof = plants - 2
+    reach = float(student.ppf(0.95, dof)) * error[len(levels)]
+    size = value[len(levels)]
+    rate, rate_p = 0.0, 1.0
+    if len(levels) > 1:
+        rate = float(value[len(levels) + 1])
+        rate_p = _probability(rate / error[len(levels) + 1], dof)
+    return Difference(
+        treatment=treatment,
+        against=against,
+        size=exp(size),
+        size_interval=(exp(size - reach), exp(size + reach)),
+        size_p=_probability(size / error[len(levels)], dof),
+        rate_per_day=rate,
+        rate_p=rate_p,
+        plants=plants,
+    )
+
+
+def _probability(statistic: float, dof: int) -> float:
+    return float(2.0 * student.sf(abs(statistic), dof))
+
+
+def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
+    """Return the fixed effects and their standard errors; plants that were seen once each have no level of their own to be told."""
+    try:
+        import statsmodels.api as models
+    except ModuleNotFoundError:
+        raise UserError("to compare treatments, statsmodels is needed: pip install 'rhizotwin[experiment]'") from None
+    if len(set(plants)) == len(plants):
+        fitted = models.OLS(y, design).fit()
+        return np.asarray(fitted.params), np.asarray(fitted.bse)
+    random = None if slopes is None else np.stack([np.ones(len(y)), slopes / np.std(slopes)], axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a variance at its bound, zero, is what plants that do not differ have
+        fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True)
+    return np.asarray(fitted.fe_params), np.asarray(fitted.bse_fe)
+
+
+def by_treatment(seen: Mapping[str, Sequence[Seen]]) -> dict[str, list[Difference]]:
+    """Return the differences in each trait."""
+    return {trait: differences(values) for trait, values in seen.items()}

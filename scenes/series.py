@@ -1,0 +1,77 @@
+"""Series of a grown plant: older and younger, treated otherwise, others of its kind. The older plant of a seed holds the younger.
+
+Radii of a series are scaled by one factor, that of the scene's own plant: the volume at another age is the scene's times the ratio of the
+plants' tube volumes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.specimens import GrownSpecimen
+
+SEEDS_APART = 1_000_003
+"""Replicate k grows the seed of the scene's plant + k times this: none of them is another plant of the library."""
+
+Grow = Callable[[GrownSpecimen], Sequence[Root]]
+
+
+def grown(scene: Scene) -> GrownSpecimen:
+    """Return a scene's grown plant.
+
+    Raises
+    ------
+    UserError
+        When it has none.
+    """
+    if not isinstance(scene.specimen, GrownSpecimen):
+        raise UserError(f"scene {scene.name} has no grown plant (specimen.kind), so that it has no other days, replicates or treatments")
+    return scene.specimen
+
+
+def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
+    """Return a scene with another plant of the same kind; number 0 is the scene's own, unless another ``seed`` is given than its number."""
+    plant = grown(scene)
+    told = replace(scene.subject, plant=f"{scene.subject.plant or scene.name}-{number + 1}", replicate=number + 1)
+    return replace(scene, specimen=replace(plant, seed=plant.seed + SEEDS_APART * (number if seed is None else seed)), subject=told)
+
+
+def treated(scene: Scene, name: str, growth: float) -> Scene:
+    """Return a scene whose roots grow by a factor faster and longer."""
+    plant = grown(scene)
+    orders = tuple(
+        replace(order, elongation_mm_per_day=order.elongation_mm_per_day * growth, max_length_mm=order.max_length_mm * growth)
+        for order in plant.orders
+    )
+    told = replace(scene.subject, treatment=name, plant=f"{scene.subject.plant or scene.name} {name}".strip())
+    return replace(scene, specimen=replace(plant, orders=orders), subject=told)
+
+
+def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None = None) -> Scene:
+    """Return a scene with the same plant at another age.
+
+    Parameters
+    ----------
+    grow : grows a plant's centre lines (`sim.growth.grow`).
+    like : plant that has the scene's volume at its age; None: the scene's own. Its radii's factor is kept.
+    """
+    plant = grown(scene)
+    reference = like or plant
+    other = replace(plant, age_days=day)
+    before = tube_mm3(grow(reference))
+    volume_ml = reference.volume_ml * tube_mm3(grow(other)) / before
+    return replace(scene, specimen=replace(other, volume_ml=volume_ml), subject=replace(scene.subject, day=day))
+
+
+def tube_mm3(roots: Sequence[Root]) -> float:
+    """Return the sum of the roots' volumes as truncated cones, overlaps counted twice."""
+    total = 0.0
+    for root in roots:
+        length = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+        a, b = root.diameters_mm[:-1] / 2.0, root.diameters_mm[1:] / 2.0
+        total += float(np.sum(np.pi / 3.0 * length * (a**2 + a * b + b**2)))
+    return total

@@ -1,0 +1,232 @@
+"""Many scans: what is found and named, what counts as finished, memory, processes that die, other file systems, the page."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rhizotwin import cli
+from rhizotwin.batch import collect, jobs, local, overview, places, series, work
+from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.scenes import files
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+
+
+def dataset(folder: Path, *, name: str = "scene") -> Path:
+    """Write a dataset whose only picture is missing: its job fails at once."""
+    save_dataset(Dataset(folder=folder, scene=Scene(name=name), frames=(Frame(file="images/a.png", sha256=""),)))
+    return folder
+
+
+def job(name: str, folder: Path, **changes: object) -> Job:
+    options = {"voxel_mm": None, "settings": None, "device": "cpu"}
+    plain = Job(name=name, kind="reconstruct", source=str(folder / "none"), output=str(folder / name), key="k", pixels=1e6, options=options)
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def test_datasets_are_found_in_folders_and_patterns_each_once(tmp_path: Path) -> None:
+    for place in ("a/one", "a/deep/two", "b/three"):
+        dataset(tmp_path / place)
+    assert [Path(found).name for found in places.find_datasets(str(tmp_path / "a"))] == ["two", "one"]
+    assert places.find_datasets(str(tmp_path / "b" / "three")) == [str(tmp_path / "b" / "three")]
+    given = [str(tmp_path / "a"), str(tmp_path / "*"), str(tmp_path / "a" / "one")]
+    made = collect.reconstructions(given, str(tmp_path / "results"), voxel_mm=None, settings=None, device="cpu")
+    assert sorted(one.name for one in made) == ["one", "three", "two"]
+
+
+def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
+    assert jobs.named(["/x/day1/scan", "/x/day2/scan", "/x/other"]) == ["day1-scan", "day2-scan", "other"]
+    assert jobs.named(["s3://bucket/a/scan"]) == ["scan"]
+    assert jobs.named(["/x/jobs"]) == ["jobs-scan"]  # the folder of the records is called so
+
+
+def test_nothing_found_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["batch", str(tmp_path), "-o", str(tmp_path / "r")]) == 2
+    assert "there is no dataset" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("changed", ["dataset", "settings", "voxels", "code", "record", "result"])
+def test_what_is_finished_is_known_by_dataset_settings_and_code(
+    changed: str, tmp_path: Path, ball_result: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset(tmp_path / "scans" / "ball")
+
+    def listed(voxel_mm: float | None = None, settings: Path | None = None) -> Job:
+        (one,) = collect.reconstructions([str(tmp_path / "scans")], str(tmp_path), voxel_mm=voxel_mm, settings=settings, device="cpu")
+        return one
+
+    first = listed()
+    assert not jobs.is_done(first)
+    ball_result("ball")
+    jobs.note(first, Outcome(name="ball", state="done"))
+    assert jobs.is_done(listed())
+    again = listed
+    if changed == "dataset":
+        dataset(tmp_path / "scans" / "ball", name="another")
+    elif changed == "settings":
+        (tmp_path / "s.toml").write_text("voxel_mm = 0.3\n", encoding="utf-8")
+        again = lambda: listed(settings=tmp_path / "s.toml")  # noqa: E731
+    elif changed == "voxels":
+        again = lambda: listed(voxel_mm=0.5)  # noqa: E731
+    elif changed == "code":
+        monkeypatch.setattr(collect.sources, "digest", lambda _: "other")
+    elif changed == "record":
+        Path(first.record).write_text("{", encoding="utf-8")
+    else:
+        (tmp_path / "ball" / "result.json").unlink()
+    assert not jobs.is_done(again())
+
+
+def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[str] = []
+
+    class Line:
+        def send(self, plain: dict[str, object]) -> None:
+            given.append(str(plain["name"]))
+
+    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, Line()))  # type: ignore[arg-type]
+    waiting = [job("large", tmp_path, pixels=40e6), job("huge", tmp_path, pixels=90e6), job("small", tmp_path, pixels=2e6)]
+    crew: list[local._Worker] = []
+    local._hand_out(waiting, crew, 8, waiting[0].memory_mib + waiting[2].memory_mib)
+    assert given == ["large", "small"]
+    crew[0].job = crew[1].job = None
+    local._hand_out(waiting, crew, 8, 100.0)  # one always runs, however large
+    assert given == ["large", "small", "huge"]
+
+
+def test_a_damaged_scan_fails_with_its_sentence_and_a_killed_process_is_replaced(tmp_path: Path) -> None:
+    bad = dataset(tmp_path / "bad")
+    given = [job(f"job{k}", tmp_path, source=str(bad)) for k in range(3)]
+    outcomes: dict[str, Outcome] = {}
+    before = _children()
+
+    def kill() -> None:
+        """Kill the first process while it loads."""
+        for _ in range(200):
+            new = [child for child in _children() - before if "spawn_main" in _command(child)]
+            if new:
+                time.sleep(0.5)
+                os.kill(new[0], signal.SIGKILL)
+                return
+            time.sleep(0.05)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    for one, outcome in local.run(given, workers=1):
+        assert one.name not in outcomes  # nothing twice
+        outcomes[one.name] = outcome
+    killer.join()
+    assert {outcome.state for outcome in outcomes.values()} == {"failed"}
+    assert all("the picture is missing" in outcome.sentence for outcome in outcomes.values())
+    record = json.loads((tmp_path / "jobs" / "job1.json").read_text(encoding="utf-8"))
+    assert (record["state"], record["key"]) == ("failed", "k")
+
+
+def _children() -> set[int]:
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(os.getpid())], capture_output=True, text=True, check=False)
+    return {int(word) for word in listed.stdout.split()}
+
+
+def _command(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: Job) -> None:
+        raise OSError(28, "No space left on device", "result")
+
+    monkeypatch.setattr(work, "_reconstruct", full)
+    outcome = Outcome(**work.work(job("a", tmp_path).plain()))
+    assert (outcome.state, outcome.sentence) == ("again", "result: the disk is full; free some space and run the same command again")
+
+
+def test_two_batches_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    from rhizotwin.batch.run import LOCK, run
+    from rhizotwin.scenes.lock import locked
+
+    with locked(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="works in it"):
+        run([job("a", tmp_path)], str(tmp_path))
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """Return an address of a file system in memory."""
+    fsspec = pytest.importorskip("fsspec")
+    yield "memory://batch"
+    fsspec.filesystem("memory").store.clear()
+
+
+def test_addresses_are_found_fetched_and_put(elsewhere: str, tmp_path: Path) -> None:
+    import fsspec
+
+    here = dataset(tmp_path / "here")
+    (here / "images").mkdir()
+    (here / "images" / "a.png").write_bytes(b"picture")
+    places.put(here, f"{elsewhere}/scans/one", last="dataset.json")
+    assert [places.name_of(found) for found in places.find_datasets(f"{elsewhere}/scans")] == ["one"]
+    places.fetch(f"{elsewhere}/scans/one", tmp_path / "back")
+    assert (tmp_path / "back" / "images" / "a.png").read_bytes() == b"picture"
+    places.write(f"{elsewhere}/jobs/a.json", b"{}")
+    assert places.read(f"{elsewhere}/jobs/a.json") == b"{}"
+    assert places.read(f"{elsewhere}/jobs/b.json") is None
+    assert fsspec.filesystem("memory").exists("/batch/scans/one/dataset.json")
+    with pytest.raises(UserError, match="cannot be reached"):
+        places.find_datasets("nowhere://x")
+
+
+def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    ball_result("one", subject={"plant": "P<1>", "treatment": "low N"})
+    (tmp_path / "two").mkdir()
+    overview.write(tmp_path, [job("one", tmp_path)], [(job("two", tmp_path), "the picture <x> is missing")])
+    page = (tmp_path / overview.PAGE).read_text(encoding="utf-8")
+    assert "P&lt;1&gt;" in page
+    assert "<b>two</b>: the picture &lt;x&gt; is missing" in page
+    assert "low N" in (tmp_path / overview.TABLE).read_text(encoding="utf-8")
+
+
+def test_series_name_plants_days_and_treatments() -> None:
+    scene = files.load_scene("radish_day05a")
+    varied = series.vary(scene, plants=2, days=(3.0, 5.0), treatments=(("control", 1.0), ("low N", 0.85)))
+    assert len(varied) == 8
+    one = varied["radish_day05a_low_N_plant2_day03"]
+    assert (one.subject.treatment, one.subject.day, one.subject.replicate) == ("low N", 3.0, 2)
+    assert len({other.subject.plant for other in varied.values()}) == 4
+    same = series.vary(scene, days=(5.0,))["radish_day05a_day05"]
+    assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)  # type: ignore[union-attr]
+    with pytest.raises(UserError, match="has no grown plant"):
+        series.vary(files.load_scene("sphere_20mm"), plants=2)
+
+
+def test_no_scheduler_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("rhizotwin.batch.cluster.WAIT_S", 0.5)
+    dataset(tmp_path / "scans" / "a")
+    words = ["batch", str(tmp_path / "scans"), "-o", str(tmp_path / "r"), "--cluster", "tcp://127.0.0.1:9"]
+    assert cli.main(words) == 2
+    assert "no Dask scheduler answers there" in capsys.readouterr().err
+
+
+def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:
+    pytest.importorskip("dask_jobqueue")
+    program = (
+        "from pathlib import Path; from rhizotwin.batch import cluster; from rhizotwin.batch.jobs import Job\n"
+        "if __name__ == '__main__':\n"
+        "    one = Job(name='a', kind='reconstruct', source='s', output='o', key='k', pixels=20e6, options={})\n"
+        "    with cluster.slurm([one]) as made: print(made.job_script())\n"
+    )
+    (tmp_path / "ask.py").write_text(program, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(tmp_path / "ask.py")], capture_output=True, text=True, timeout=120, check=True)
+    assert "#SBATCH --mem=4G" in done.stdout  # 700 + 120 * 20 = 3100 MiB, in whole GB as SLURM is asked
