@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.robust import MAD
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -195,7 +196,7 @@ def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> _Edges:
     """Find the canister's outer edges in every view, and where the water is."""
     height, width = bare.shape
-    panel = float(np.quantile(bare, 0.95))
+    panel = float(np.quantile(bare, 0.95))  # lights and their reflections cover less than the rest
     profile = np.median(bare[height // 4 : 3 * height // 4], axis=0)
     runs = [run for run in _runs(profile > 0.5 * panel) if run[1] - run[0] > 2 * EDGE_REACH_PX]
     inside = max(runs, key=lambda run: (run[0] <= width // 2 < run[1], run[1] - run[0]), default=(0, 0))
@@ -247,7 +248,7 @@ def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, 
     for _ in range(8):
         line = np.polyfit(y, x, 1, w=weight)[::-1]
         off = np.abs(x - line[0] - line[1] * y)
-        weight = 1.0 / (1.0 + (off / (2.0 * 1.4826 * np.median(off) + 1e-6)) ** 2)
+        weight = 1.0 / (1.0 + (off / (2.0 * MAD * np.median(off) + 1e-6)) ** 2)
     return line
 
 
@@ -306,7 +307,7 @@ class _Moment:
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)
         own = np.linalg.solve(normal, np.einsum("vr,vi,vr->ri", self.weight, shape, self.value)[..., None])[..., 0].T
         off = self.value - shape @ own
-        self.scatter = max(1.4826 * float(np.median(np.abs(off[self.known]))), 1e-3)
+        self.scatter = max(MAD * float(np.median(np.abs(off[self.known]))), 1e-3)
         self.weight = self.known / (1.0 + (off / (2.0 * self.scatter)) ** 2)
         return own, off, by_angle @ own
 
@@ -369,7 +370,7 @@ def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
         for k in range(views):
             by = np.stack([slope, np.gradient(typical * nearer[k])])
             off = np.interp(row + unknown[k], row, mass[k]) - typical + unknown[-1] * by[1]
-            scatter = 1.4826 * float(np.median(np.abs(off))) + 1e-9
+            scatter = MAD * float(np.median(np.abs(off))) + 1e-9
             weight = 1.0 / (1.0 + (off / (2.0 * scatter)) ** 2) / (ROWS_TOGETHER * scatter**2)
             block = (by * weight) @ by.T
             at = np.ix_([k, views], [k, views])

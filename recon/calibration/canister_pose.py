@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
@@ -34,6 +35,8 @@ LEAST_RISE = 0.25
 """An edge must rise by this share of the brightness outside of it within three pixels."""
 LEAST_EDGES = 200
 """Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
+_SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1])
+"""Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])
 """How misaligned a net pot may stand (rad, mm), and how far the edges may lie from the nominal radius (mm)."""
 
@@ -90,9 +93,9 @@ def find_canister(
     def residuals(unknown: Array) -> Array:
         return np.concatenate([distances(unknown) - unknown[4], unknown / PRIOR * settings.edge_mm / np.sqrt(len(origin))])
 
-    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=settings.edge_mm, x_scale=np.array([1e-3, 1e-3, 0.1, 0.1, 0.1]))
+    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=settings.edge_mm, x_scale=_SCALE)
     left = distances(fit.x) - fit.x[4]
-    spread_mm = 1.4826 * float(np.median(np.abs(left)))
+    spread_mm = MAD * float(np.median(np.abs(left)))
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.calibration.marker_fit import FULL
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
@@ -20,14 +21,12 @@ from rhizotwin.scenes.pictures import Grey
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FULL = 0.985
-"""Above this share of full scale a number says nothing about the light."""
 _STEP = 4
 """One pixel of so many each way is looked at."""
 _MARGIN_MM = 2.0
 """Beside canister and net pot."""
-_LIT = 0.5
-"""The panel is what is brighter than this share of the brightest beside the canister."""
+_LIT, _BRIGHT = 0.5, 0.9
+"""The panel is what is brighter than this share of the bright (this quantile) beside the canister."""
 _LEAST_PIXELS = 200
 """Of bare panel: noise of a few per cent a pixel then leaves a few per mille of the mean."""
 
@@ -69,7 +68,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
         panel = np.zeros(light.shape[1], bool)
         if light.shape[1]:
             middle = np.median(light, axis=0)
-            panel = middle > _LIT * np.quantile(middle, 0.9)
+            panel = middle > _LIT * np.quantile(middle, _BRIGHT)
         if panel.sum() < _LEAST_PIXELS:
             told = False
             continue

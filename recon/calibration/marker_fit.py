@@ -21,6 +21,8 @@ GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
 BLUR_PX: Final = (0.25, 6.0)
 """Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the largest markers."""
+FIRST_BLUR_PX: Final = 1.2
+"""Standard deviation that the fit of a first marker begins with; others begin with that of the one before."""
 RETABLE: Final = 0.03
 """Relative change of the blur after which the pattern is tabulated anew."""
 LEAST_PIXELS: Final = 60
@@ -33,8 +35,12 @@ ENOUGH_PX: Final = 0.003
 """Steps of the corners below this end the fit: a seventh of what the covariance does not know of (`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
 """Every wrong module of 64 takes 2/64 off the correlation of balanced black and white: three may be wrong, by dirt or glare."""
-MOST_SHIFT: Final = 0.1
-"""A fit whose corners end farther than this from the start, in sides (and 2.5 px), is refused."""
+MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
+"""A fit whose corners end farther than this from the start, in sides and in pixels, is refused."""
+MOST_BULGE: Final = 0.5
+"""A larger sagitta, in half sides, bends a marker round more than a quarter of a circle: that is none on a net pot."""
+FULL: Final = 0.985
+"""Above this share of full scale a number says nothing about the light."""
 CORNERS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Of a marker in (s, t)."""
 
@@ -59,7 +65,7 @@ class MarkerFit:
 
 
 def fit_marker(
-    image: NDArray[np.uint8 | np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = 1.2
+    image: NDArray[np.uint8 | np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = FIRST_BLUR_PX
 ) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
@@ -88,7 +94,7 @@ def fit_marker(
     warp, blur, covariance, correlation, bend = fitted
     corners = _project(_matrix(warp), CORNERS)
     shift_px = float(np.max(np.linalg.norm(corners - window.start, axis=1))) * window.scale_px
-    if shift_px > max(2.5, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > 0.5:
+    if shift_px > max(MOST_SHIFT_PX, MOST_SHIFT * side_px) or correlation < LEAST_CORRELATION or np.abs(warp[8:]).max() > MOST_BULGE:
         return None
     corners_from_h = _corners_by_homography(warp)
     return MarkerFit(
@@ -134,7 +140,7 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
     u, v = (low[k] + fold * np.arange(count[k]) + (fold - 1) / 2.0 for k in (0, 1))
     scale_px = side_px / 2.0
     xy = (np.stack(np.meshgrid(u, v)).reshape(2, -1) - centre_px[:, None]) / scale_px
-    unsaturated = light.ravel() < 0.985
+    unsaturated = light.ravel() < FULL
     return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
@@ -184,7 +190,7 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
         step = step * min(1.0, MOST_MOVE / max(moved, 1e-12))
         warp = warp + step[:11]
         blur = float(np.clip(blur + step[11], BLUR_PX[0] * window.pixel, BLUR_PX[1] * window.pixel))
-        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:
+        if not np.isfinite(moved) or np.abs(warp).max() > 10.0 or contrast.mean() <= 0.0:  # it runs away: corners are at 1
             return None
         if iteration > 2 and moved * window.scale_px < ENOUGH_PX:
             break

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration.marker_fit import fit_marker
+from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named
@@ -17,6 +17,12 @@ Picture = NDArray[np.uint8 | np.uint16]
 
 LONGEST_PX = 2100
 """Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+_ALIKE = 0.7, 1.4
+"""Heights of markers of one strip over their median: a strip round a net pot shows nearer and farther ones by a fifth."""
+_WINDOWS_PX = 7, 37, 10
+"""Least, largest and step of the windows of OpenCV's adaptive threshold, tried on pictures of the strip."""
+_BRIGHTEST = 99.5
+"""Percentile that becomes white for the search: a lamp's reflection takes no contrast from the strip."""
 FEW = 6
 """With fewer markers than this the search goes on with another tone curve."""
 OTHER_DICTIONARIES = (
@@ -92,7 +98,7 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     covariances: list[Array] = []
     bends: list[float] = []
     blurs: list[float] = []
-    side, blur_px = dictionary.markerSize + 2, 1.2
+    side, blur_px = dictionary.markerSize + 2, FIRST_BLUR_PX
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
         fit = fit_marker(image, white, start_px, blur_px=blur_px)
@@ -143,7 +149,7 @@ def _search(
             break
     chosen = sorted(own)
     usual_px = np.median([_height_px(four) for four in own.values()]) if own else None
-    alike = [k for k in sorted(foreign) if usual_px is None or 0.7 < _height_px(foreign[k]) / usual_px < 1.4]
+    alike = [k for k in sorted(foreign) if usual_px is None or _ALIKE[0] < _height_px(foreign[k]) / usual_px < _ALIKE[1]]
     return np.array(chosen, np.int64), np.array([own[k] for k in chosen]).reshape(-1, 4, 2), alike
 
 
@@ -155,9 +161,7 @@ def _height_px(four: Array) -> float:
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
     """Return a detector for markers that are small, blurred and foreshortened (tried on pictures of the strip: 18-20 of 26 found)."""
     parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMin = 7
-    parameters.adaptiveThreshWinSizeMax = 37
-    parameters.adaptiveThreshWinSizeStep = 10
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax, parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX if subpix else cv2.aruco.CORNER_REFINE_NONE
     return cv2.aruco.ArucoDetector(dictionary, parameters)
@@ -165,12 +169,12 @@ def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.
 
 def _linear(image: Picture) -> Bytes:
     """Scale to 8 bits so that all but the brightest 0.5 % keep their contrast."""
-    return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, 99.5), 1.0)), np.uint8)
+    return np.asarray(cv2.convertScaleAbs(image, alpha=255.0 / max(_percentile(image, _BRIGHTEST), 1.0)), np.uint8)
 
 
 def _root(image: Picture) -> Bytes:
     """Scale to 8 bits by a square root, which lifts a strip much darker than the backlight."""
-    low, top = _percentile(image, 0.5), _percentile(image, 99.5)
+    low, top = _percentile(image, 0.5), _percentile(image, _BRIGHTEST)
     return (255.0 * np.sqrt(np.clip((image.astype(np.float32) - low) / max(top - low, 1.0), 0.0, 1.0))).astype(np.uint8)
 
 

@@ -11,6 +11,10 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
+_ARM_MM = 100.0
+"""Turns are compared with shifts at this distance: that of the strip's markers from the axis, roughly."""
+_LEAST_SPREAD = np.array([1e-3, 0.1])
+"""Rad and mm by which single views scatter at least: the fit begins above the spread that it shall find."""
 AGREE_RAD = np.deg2rad(5.0)
 """Commanded table angles are believed when the pictures agree within this."""
 
@@ -79,12 +83,12 @@ def _scatter(angles: Array) -> float:
 
 
 def _middle(poses: Array) -> Array:
-    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as much as shifts of an arm of 100 mm)."""
-    flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * 100.0, poses[:, :3, 3]], axis=1)
+    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as shifts of an arm of `_ARM_MM`)."""
+    flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * _ARM_MM, poses[:, :3, 3]], axis=1)
     return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
 
 
 def _spread(own: Array) -> Array:
     """Return a first spread (2,) in rad and mm of small movements (N, 4, 4)."""
     turns = np.median([np.linalg.norm(frames.to_rotvec(pose)) for pose in own])
-    return np.array([turns + 1e-3, np.median(np.linalg.norm(own[:, :3, 3], axis=1)) + 0.1])
+    return np.array([turns, np.median(np.linalg.norm(own[:, :3, 3], axis=1))]) + _LEAST_SPREAD

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.model import Scene
 
@@ -24,6 +25,18 @@ _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
 _RIM_PX = 11
 """Width of the square about each pixel of glare that is glare too: five pixels each way for its blurred flank."""
+_UPPER, _ALIKE = 0.2, 0.04
+"""The panel is what the brightest fifth of the views show, and those within this share of them: roots may pass in four views of five."""
+_COVERED = 0.96
+"""A background darker than this share of the smooth surface was covered in every view: as far below it as views may differ (`_ALIKE`)."""
+_CORE = 0.85
+"""Share of the canister's width in which the smooth surface is fitted: beyond, the wall's reflection makes it steep."""
+_SAMPLES = 40_000
+"""Pixels that the surface is fitted to: a thousand for each of its 45 coefficients, nearly."""
+_CLOSING_PX = 31
+"""Dark things up to this width are closed in a picture that stands alone: a thick organ at 0.3 mm a pixel."""
+_BRIGHT = 0.9
+"""Quantile of the background that counts as its brightness: glare and hot pixels are fewer."""
 _AGREED = 0.5
 """Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
 _LEAST_SURE = 0.1
@@ -121,10 +134,10 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
             part = np.where(inside[:, begin : begin + _BLOCK_ROWS], part, 0.0)
         # sorted from the brightest: what lies outside comes last, and the quintile is that of the views that look into the water
         number = views if inside.ndim == 2 else inside[:, begin : begin + _BLOCK_ROWS].sum(axis=0)
-        rank = np.broadcast_to(views - 1 - np.asarray(0.2 * number, np.int64), part.shape[1:])
+        rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
         ranks = np.unique(rank)
         upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
-        near = np.abs(part - upper) <= 0.04 * upper
+        near = np.abs(part - upper) <= _ALIKE * upper
         count = near.sum(axis=0)
         background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1)
         agreed[begin : begin + _BLOCK_ROWS] = count >= _AGREED * number
@@ -136,7 +149,7 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     spots = (smooth > 0) & (background > (1.0 + settings.glare) * smooth)
     glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
-    covered = often & (background < 0.96 * smooth)
+    covered = often & (background < _COVERED * smooth)
     return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
 
 
@@ -149,13 +162,13 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     u = 2.0 * (columns - columns.min()) / max(1, np.ptp(columns)) - 1.0
     v = 2.0 * (rows - rows.min()) / max(1, np.ptp(rows)) - 1.0
     values = background[rows, columns].astype(np.float64)
-    step = max(1, len(values) // 40_000)
+    step = max(1, len(values) // _SAMPLES)
     sample = np.arange(0, len(values), step)
-    core = np.abs(u) < 0.85
+    core = np.abs(u) < _CORE
     sample = sample[core[sample]]
     degrees = (8, 4)
     basis = np.polynomial.chebyshev.chebvander2d(u[sample], v[sample], degrees)
-    lit = values[sample] > settings.dim * np.quantile(values[sample], 0.9) if len(sample) else np.zeros(0, bool)
+    lit = values[sample] > settings.dim * np.quantile(values[sample], _BRIGHT) if len(sample) else np.zeros(0, bool)
     first = lit & sure[rows[sample], columns[sample]]
     trusted = first if first.sum() > _LEAST_SURE * lit.sum() else lit
     coefficients = np.zeros(basis.shape[1])
@@ -166,7 +179,7 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
         some = basis[trusted]  # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
-        scale = 1.4826 * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
+        scale = MAD * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
         trusted = (residual > -3.0 * scale) & (residual < np.maximum(settings.glare * values[sample], 3.0 * scale))
     shape = (degrees[0] + 1, degrees[1] + 1)
     surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
@@ -177,7 +190,7 @@ def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = 
     """Return the pixels of ``inside`` whose background is bright enough to tell root from none."""
     if not inside.any():
         return inside
-    return inside & (background > settings.dim * np.quantile(background[inside], 0.9))
+    return inside & (background > settings.dim * np.quantile(background[inside], _BRIGHT))
 
 
 def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Image:
@@ -199,8 +212,11 @@ def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = Cov
     (H, W) float32 array
         The backlight in the scale of the image.
     """
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_CLOSING_PX, _CLOSING_PX))
     closed = cv2.morphologyEx(
-        np.where(inside, image, 0.0).astype(np.float32), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (31, 31))
+        np.where(inside, image, 0.0).astype(np.float32),
+        cv2.MORPH_CLOSE,
+        disc,
     )
     closed[~inside] = 0.0
     smooth = _smooth_surface(closed, inside, inside, settings)

@@ -16,6 +16,7 @@ from scipy import ndimage
 from scipy.special import erf, erfinv
 from skimage import filters
 
+from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CoverageSettings
 
 Image = NDArray[np.float32]
@@ -29,6 +30,16 @@ _BLUR_PX = 0.7
 """Standard deviation of the blur before outlines are drawn; `outline_level` allows for it, however wide a strip is."""
 _SILENT_PX = 4
 """Blur, interpolation and widening reach less far than this."""
+_CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
+"""Root is resolved where opacity is above this over a square of this many pixels: a root of that width, whose own light is less than 0.4.
+Fewer such pixels than this tell no median."""
+_NEAR_PX, _LEAST_NEAR = 13, 0.02
+"""Resolved root within a square of this many pixels tells the brightness of a root there: the light on it changes along it. Three
+pixels of the square (this share) or fewer tell none."""
+_LEAST_REFERENCE = 0.3
+"""Opacity of a root that covers its pixel is at least this: a brighter one is glassy, and nothing is divided by less."""
+_LEAST_NOISE = 1e-4
+"""Opacity that noise has at least: rendered pictures without noise have rounding."""
 _FLOOR = 0.1
 """Coverage below this is never root."""
 
@@ -101,12 +112,12 @@ def measure(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSet
         Brightness of a root by itself over the backlight's, where the picture shows none wide enough to tell.
     """
     # Front light makes roots brighter than black: what resolved roots show inside is full coverage, there and nearby.
-    core = cv2.erode((opacity > 0.6).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & seen
-    full = np.float32(np.median(opacity[core])) if core.sum() >= 20 else np.float32(1.0 - own)
-    weight = cv2.boxFilter(core.astype(np.float32), -1, (13, 13))
-    local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (13, 13))
-    reference = np.where(weight > 0.02, local / np.maximum(weight, 1e-6), full)
-    return without_noise((opacity / np.maximum(reference, 0.3)).astype(np.float32), above_noise(opacity, seen, settings), seen)
+    core = cv2.erode((opacity > _CORE).astype(np.uint8), np.ones((_CORE_PX, _CORE_PX), np.uint8)).astype(bool) & seen
+    full = np.float32(np.median(opacity[core])) if core.sum() >= _LEAST_CORE else np.float32(1.0 - own)
+    weight = cv2.boxFilter(core.astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
+    local = cv2.boxFilter(np.where(core, opacity, 0.0).astype(np.float32), -1, (_NEAR_PX, _NEAR_PX))
+    reference = np.where(weight > _LEAST_NEAR, local / np.maximum(weight, 1e-6), full)
+    return without_noise((opacity / np.maximum(reference, _LEAST_REFERENCE)).astype(np.float32), above_noise(opacity, seen, settings), seen)
 
 
 def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
@@ -124,8 +135,8 @@ def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = Coverag
         return seen
     values = smooth[seen][::7]
     middle = np.median(values)
-    noise = 1.4826 * np.median(np.abs(values - middle))
-    return np.asarray(smooth > middle + settings.noise_sigmas * noise + 1e-4)
+    noise = MAD * np.median(np.abs(values - middle))
+    return np.asarray(smooth > middle + settings.noise_sigmas * noise + _LEAST_NOISE)
 
 
 def thesis(image: Image, seen: Mask) -> Silhouette:

@@ -52,6 +52,17 @@ _MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
 """Attenuations that are tried: 12 % apart from faint to dark, then nearly opaque and opaque."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
 """Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""
+_DARK, _STRAIGHT = 0.3, 0.8
+"""Places whose blurred opacity is above the first, and whose gradients lie in one direction (coherence of the structure tensor) to the
+second, are looked at: the axis of a strip, away from crossings."""
+_CORE = 0.6
+"""Opacity inside a root wide enough to show its own light, which is less than 0.4."""
+_DARKEST_CORES, _MOST_OWN = 0.005, 0.3
+"""The roots' own light is what this share of the cores has less than, and at most this much: a quantile, since noise reaches farther."""
+_RADII_PX = np.geomspace(1.0, 7.5, 80)
+"""Radii that are compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, and room for what blur and translucency change."""
+_MOST_GAIN = 20.0
+"""Upper end of the search for the gain: that of a root that keeps back a twentieth of the light."""
 _OWN = (0.0, 0.5, 1.0)
 """Shares of the light in the darkest cores that may be the roots' own."""
 _LONGEST_PX = 60.0
@@ -90,11 +101,11 @@ def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Law:
     own, found = [np.zeros(0)], []
     for opacity, here in zip(opacities, seen, strict=True):
         large = _large(opacity, here)
-        core = cv2.erode(((opacity > 0.6) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        core = cv2.erode(((opacity > _CORE) & large & here).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         own.append(1.0 - opacity[core])
         found.append(_profiles(np.where(large, opacity, 0.0).astype(np.float32), here))
     cores = np.concatenate(own)
-    bright = float(np.clip(np.quantile(cores, 0.005), 0.0, 0.3)) if len(cores) else 0.0
+    bright = float(np.clip(np.quantile(cores, _DARKEST_CORES), 0.0, _MOST_OWN)) if len(cores) else 0.0
     profiles, width = (np.concatenate(part) for part in zip(*found, strict=True))
     chosen = _balanced(width)
     return _fit(profiles[chosen], width[chosen], px_a_mm, bright)
@@ -114,8 +125,8 @@ def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
-    straight = np.hypot(xx - yy, 2.0 * xy) > 0.8 * (xx + yy)
-    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > 0.3) & seen & straight))
+    straight = np.hypot(xx - yy, 2.0 * xy) > _STRAIGHT * (xx + yy)
+    rows, columns = (at[:: 1 + len(at) // _MOST] for at in np.nonzero((smooth > _DARK) & seen & straight))
     if not len(rows):
         return np.zeros((0, len(_OFFSETS))), np.zeros(0)
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)[rows, columns].astype(np.float64)
@@ -170,13 +181,12 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
     if len(profiles) < _LEAST:
         return opaque
     window = (np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX).astype(np.float64)
-    radii = np.geomspace(1.0, 7.5, 80)
     own = bright * np.array(_OWN)
     cost = np.zeros((len(_MU_PER_MM), len(own), len(_BLUR_PX), len(profiles)))
     own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
     for i, mu in enumerate(_MU_PER_MM):
         for j, blur_px in enumerate(_BLUR_PX):
-            strip = _strips(radii, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            strip = _strips(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
             cross, strip_2 = (profiles * window) @ strip.T, window @ (strip**2).T
             for k, full in enumerate(1.0 - own):
                 cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * strip_2) / count).min(axis=1)
@@ -221,7 +231,7 @@ def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
     radii = radii[radii < _REACH_PX - 3.0]
     x, seen = _strips(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
     _, smooth = _strips(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
-    low, high = np.ones(len(radii)), np.full(len(radii), 20.0)
+    low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)
         small = np.minimum(seen * gain[:, None], 1.0).sum(axis=1) * (x[1] - x[0]) < 2.0 * radii

@@ -37,6 +37,8 @@ _WIDEST_BUBBLE_MM = 5.0
 """Two capillary lengths of water (2.7 mm): larger bubbles do not cling."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
 """A bubble stands alone: in so many views the ring round it is clearer than this."""
+_OPAQUE = 0.98
+"""Opacity is taken to be no more, so that optical depths are finite (3.9)."""
 _ROUNDS = 2
 """The first knows nothing of the other side's film; the second takes it off."""
 
@@ -130,7 +132,7 @@ def study(
     rows, columns = shape(optics)
     step = max(1, next(iter(opacity.values())).shape[1] // _COLUMNS)
     sampled = np.s_[::step, ::step]
-    depth = {k: -np.log1p(-np.minimum(picture[sampled], 0.98)) for k, picture in opacity.items()}
+    depth = {k: -np.log1p(-np.minimum(picture[sampled], _OPAQUE)) for k, picture in opacity.items()}
     keys, film = list(opacity), np.zeros((rows, columns), np.float32)
 
     def place(k: int) -> NDArray[np.int32]:

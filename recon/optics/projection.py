@@ -29,8 +29,12 @@ _PARAMETERS = 32
 """Numbers a view, padded to a power of two."""
 _CELL_MM = 1.0
 """Cells of the start table; Newton's steps do the rest."""
-NEWTON_STEPS = 3
-"""What they do not bring within 3e-4 mm counts as unseen."""
+NEWTON_STEPS, NEAR_MM = 3, 3e-4
+"""What these steps do not bring this near to its point counts as unseen: a thousandth of a pixel, and ten times single precision."""
+_FLANK, _STEEPEST = 0.9995, 0.98
+"""Steps stay within these shares of the largest impact parameter and climb: at one, slopes are infinite."""
+_TABLE_MM = 0.2, 2.0
+"""Cameras whose distances from the axis and heights differ by less share a start table: Newton's steps make up for it."""
 
 
 def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
@@ -111,7 +115,7 @@ class ViewBank:
             packed[k, 13:15], packed[k, 15:17] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
-            key = (round(view.rho_mm / 0.2), round(float(view.centre_mm[2]) / 2.0))
+            key = (round(view.rho_mm / _TABLE_MM[0]), round(float(view.centre_mm[2]) / _TABLE_MM[1]))
             if key not in made:
                 made[key] = _view_table(optics, view)
             tables.append(made[key])
@@ -159,13 +163,13 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     rho, z_cam, c, s, n_w = parameter[9:13] + parameter[22:23]
     at = c * point.x - s * point.y, s * point.x + c * point.y, point.z
     seen, clear_mm, b, p = _first_ray(bank, view, parameter, at, active)
-    limit, per_radii = 0.9995 * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
+    limit, per_radii = _FLANK * o.w_limit * o.outer_radius_mm, 1 / (rho * (o.outer_radius_mm * o.inner_radius_mm) ** 2)
     for step in range(NEWTON_STEPS + 1):
         ray = _follow(o, (rho, z_cam, n_w, per_radii), at, b, p)
         if step < NEWTON_STEPS:
             b = dr.clip(b - ray.inv * (ray.f2_p * ray.f1 - ray.f1_p * ray.f2), -limit, limit)
-            p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -0.98, 0.98)
-    seen &= (dr.abs(ray.f1) < 3e-4) & (dr.abs(ray.f2) < 3e-4)
+            p = dr.clip(p - ray.inv * (ray.f1_b * ray.f2 - ray.f2_b * ray.f1), -_STEEPEST, _STEEPEST)
+    seen &= (dr.abs(ray.f1) < NEAR_MM) & (dr.abs(ray.f2) < NEAR_MM)
     seen &= (ray.entry_z < o.water_z_mm) & (ray.entry_z > o.floor_z_mm) & (ray.outer_z > o.bottom_z_mm)
     u, v, in_front, (u_b, u_p, v_b, v_p) = _pixel(parameter, b, p, ray)
 
@@ -199,11 +203,11 @@ def _first_ray(
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
     rho, z_cam, n_w = parameter[9:11] + parameter[22:23]
     ny, nx = bank.table_shape  # over (x, |y|)
-    col = dr.clip(x + (np.ceil(r_i) + 1.0), 0.0, nx - 1.001)
-    row = dr.clip(dr.abs(y) + 1.0, 0.0, ny - 1.001)
+    col = dr.clip(x + (np.ceil(r_i) + 1.0), 0.0, nx - 1.001)  # so that there is a column beyond
+    row = dr.clip(dr.abs(y) + 1.0, 0.0, ny - 1.001)  # as the column
     start = bilinear(bank.tables, view * (ny * nx), nx, col, row, active, kind=mi.Vector2f)
     b = dr.select(y < 0, -start.x, start.x)
-    limit = 0.9995 * o.w_limit * r_o
+    limit = _FLANK * o.w_limit * r_o
     b = dr.clip(b, -limit, limit)
     # p_z from the straight line of equal optical lengths
     b_w0 = b / n_w

@@ -24,6 +24,8 @@ _SINGLE = 0.97
 """Points within this share of R_o / n_water of the axis have one image (`images` finds all of the others)."""
 _NEWTON_STEPS = 12
 """At most; rays that are not within a thousand times `_CLOSE_MM` after them are none."""
+_START = 0.9
+"""Share of the largest impact parameter that Newton's steps begin within: farther out the first one may leave the range."""
 _CLOSE_MM = 1e-7
 """Newton's steps end where every ray passes its point this near: far below the 3e-4 mm that the fast kernel asks for."""
 
@@ -214,7 +216,7 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
     w, p_z : (N,), NaN for points that lie so far out that they may have two images or none, and where no ray from the camera ends.
     """
     single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water
-    w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -0.9 * optics.w_limit, 0.9 * optics.w_limit)
+    w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -_START * optics.w_limit, _START * optics.w_limit)
     step = 1e-6
     for _ in range(_NEWTON_STEPS):
         f, p_z = _side(optics, rho_mm, z_cam_mm, w, points_mm)

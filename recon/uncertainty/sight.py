@@ -31,6 +31,7 @@ _WHERE = {
     (2, -1): "below the pictures' lower edge or the reach of the light: hang it higher, or add a ring that looks lower",
     (2, 1): "below the net pot or behind it",
 }
+"""How to say where sight ends, by axis and side."""
 
 
 def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.roots.rooting import RootSystem
 from rhizotwin.recon.tubes import tube_picture
 
@@ -33,7 +34,7 @@ def left_by(seen: Evidence, system: RootSystem) -> float:
         if near.any() and far.any():
             left.append(float(np.mean(smooth[near] ** 2)))
             covered.append(float(np.mean(picture[near] ** 2)))
-            noise.append((1.4826 * float(np.median(np.abs(smooth[far])))) ** 2)
+            noise.append((MAD * float(np.median(np.abs(smooth[far])))) ** 2)
     if not left:
         return 0.0
     more = max(0.0, float(np.mean(left)) - float(np.mean(noise)))

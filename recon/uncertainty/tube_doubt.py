@@ -35,6 +35,8 @@ _FLATTEST = 0.26
 """Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
 _FLAT_NODES = 5
 """Nodes along which a section is taken to be alike: 3 mm."""
+_LEAST_FREE = 0.1
+"""Share of the root zone beside the tubes that is taken to be free at least, where what they hide is estimated from what they leave."""
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
@@ -209,7 +211,7 @@ class _Rest:
                 volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
             else:  # faint roots keep back light by their volume
                 volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
-            missing.append(volume / max(1.0 - float(close[zone].mean()), 0.1))
+            missing.append(volume / max(1.0 - float(close[zone].mean()), _LEAST_FREE))
         beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
         return _Rest(
             variance=float(np.mean(rest[near] ** 2)) if near.any() else 0.0,
