@@ -91,7 +91,7 @@ def reconstruct(
     checked = (*_checks(pictures, cameras, coverage, settings.trust), *solid.checks)
     failed = checks.failed(checked)
     if failed:
-        solid = replace(solid, volume=solid.volume.doubted(failed))
+        solid = replace(solid, volume=solid.volume.distrusted(failed))
     said = () if solid.volume.trusted else (solid.volume.verdict,)
     warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}

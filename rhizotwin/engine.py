@@ -1,4 +1,4 @@
-"""Choose what computes: LLVM on the CPU or CUDA on an NVIDIA card, before Mitsuba is first used.
+"""Choose what computes: LLVM on the CPU or CUDA on an NVIDIA GPU, before Mitsuba is first used.
 
 Dr.Jit loads LLVM at run time, and versions 14, 15 and 16 abort the whole process at the first kernel on AVX-512 processors, so
 the library is chosen here, by version, and never left to Dr.Jit's own search.
@@ -151,7 +151,7 @@ def start(device: str = "auto") -> str:
     Parameters
     ----------
     device
-        ``"cpu"`` (LLVM), ``"cuda"`` (an NVIDIA card), or ``"auto"``: the card if one is usable, otherwise the CPU.
+        ``"cpu"`` (LLVM), ``"cuda"`` (an NVIDIA GPU), or ``"auto"``: the GPU if one is usable, otherwise the CPU.
 
     Raises
     ------
@@ -174,9 +174,9 @@ def start(device: str = "auto") -> str:
     dr, mi = _load()
     if device != "cpu" and dr.has_backend(dr.JitBackend.CUDA):
         mi.set_variant(_VARIANTS["cuda"])
-        return "computing on the NVIDIA card (CUDA)"
+        return "computing on the NVIDIA GPU (CUDA)"
     if device == "cuda":
-        raise UserError("--device cuda: no usable NVIDIA card or driver was found; use --device cpu, or install NVIDIA's driver")
+        raise UserError("--device cuda: no usable NVIDIA GPU or driver was found; use --device cpu, or install NVIDIA's driver")
     if missing is not None:
         raise missing
     try:

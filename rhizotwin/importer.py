@@ -109,7 +109,7 @@ def import_pictures(
             worst = max(clipped, key=lambda name: clipped[name])
             notes.append(
                 f"warning: {len(clipped)} of {len(found)} pictures are overexposed, {worst} worst with {100.0 * clipped[worst]:.0f} % of "
-                "its pixels at full scale: what roots keep back of that light cannot be measured; expose less, the panel at 0.8 of it"
+                "its pixels at full scale: what roots absorb of that light cannot be measured; expose less, the panel at 0.8 of it"
             )
         origin |= {"clipped": clipped, "versions": versions()}
         dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin)

@@ -326,15 +326,15 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
     azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
     points = np.zeros((2, int(shown.sum())))
     for turn in range(_ROUNDS):
-        pull, hold = np.zeros(len(start)), np.zeros(len(start))
+        gradient, curvature = np.zeros(len(start)), np.zeros(len(start))
         for moment in orders:
             own, off, by_angle = moment.improve(azimuth)
             points = own if moment.order == 1 else points
             unit = ROWS_TOGETHER * moment.scatter**2
-            pull += (moment.weight * by_angle * off).sum(axis=1) / unit
-            hold += (moment.weight * by_angle**2).sum(axis=1) / unit
+            gradient += (moment.weight * by_angle * off).sum(axis=1) / unit
+            curvature += (moment.weight * by_angle**2).sum(axis=1) / unit
         if turn < _ROUNDS // 4:
-            azimuth = azimuth + start * float(pull @ start / max(float(hold @ start**2), 1e-9))
+            azimuth = azimuth + start * float(gradient @ start / max(float(curvature @ start**2), 1e-9))
             ideal = azimuth
         else:
             steps = float(ideal @ start / max(float(start @ start), 1e-9))
@@ -344,9 +344,9 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
                     "or a plan with another number of views a turn"
                 )
             off = azimuth - ideal
-            azimuth = azimuth + (pull - off / table_sigma**2) / (hold + table_sigma**-2)
+            azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
             # how uneven this table is, by expectation and maximisation: what a view's angle is off by, and how far it is not known
-            table_sigma = max(float(np.sqrt(np.mean(off**2 + 1.0 / (hold + table_sigma**-2)))), LEAST_ANGLE_SIGMA_RAD)
+            table_sigma = max(float(np.sqrt(np.mean(off**2 + 1.0 / (curvature + table_sigma**-2)))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
     everywhere[:, shown] = points
     turned = frames.rotation_z(-float(azimuth[0]))[:2, :2]

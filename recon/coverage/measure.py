@@ -29,7 +29,7 @@ Outline = Callable[[Image, Image, Mask], Silhouette]
 
 
 _LEARN_VIEWS = 16
-"""Views from which the law of the roots' translucency is learnt."""
+"""Views from which the roots' attenuation is learnt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +167,7 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
 def _without_wall(
     cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Take off what clings to the wall, and tell the share of it that films cover; in air nothing does, and few views do not tell."""
+    """Take off the fouling of the wall, and tell the share of it that films cover; in air nothing does, and few views do not tell."""
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
         return opacity, seen, None

@@ -27,7 +27,7 @@ UPSAMPLING = 2
 UNSEEN_PX = 1e7
 """Value of a distance map where its picture says nothing."""
 _BLUR_PX = 0.7
-"""Standard deviation of the blur before outlines are drawn; `outline_level` allows for it, however wide a strip is."""
+"""Standard deviation of the blur before outlines are drawn; `outline_level` allows for it, however wide a band is."""
 _SILENT_PX = 4
 """Blur, interpolation and widening reach less far than this."""
 _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
@@ -53,7 +53,7 @@ class Silhouette:
     seen: Mask
     """(H, W): the picture says something about the water here."""
     opacity: Image | None = None
-    """(H, W), 0 to 1: light that roots keep back, over what an opaque root would; None where the picture is a silhouette already."""
+    """(H, W), 0 to 1: light that roots absorb, over what an opaque root would; None where the picture is a silhouette already."""
 
     def cut(self, window: Window) -> Silhouette:
         """Return the part in a window."""
@@ -157,10 +157,10 @@ def thesis(image: Image, seen: Mask) -> Silhouette:
 
 
 def outline_level(peak: NDArray[np.floating]) -> Image:
-    """Return the level of blurred coverage that outlines a strip of whatever width, from the peak across it.
+    """Return the level of blurred coverage that outlines a band of whatever width, from the peak across it.
 
-    A strip of half-width a, blurred by a Gaussian of width s, peaks at ``m = erf(a / (sqrt(2) s))`` and has the value
-    ``erf(2 a / (sqrt(2) s)) / 2`` at its edge: ``t(m) = erf(2 erfinv(m)) / 2``, one half where the strip is wide.
+    A band of half-width a, blurred by a Gaussian of width s, peaks at ``m = erf(a / (sqrt(2) s))`` and has the value
+    ``erf(2 a / (sqrt(2) s)) / 2`` at its edge: ``t(m) = erf(2 erfinv(m)) / 2``, one half where the band is wide.
     """
     m = np.clip(peak, 0.0, 1.0 - 1e-6)
     return (0.5 * erf(2.0 * erfinv(m))).astype(np.float32)

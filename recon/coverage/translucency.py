@@ -6,7 +6,7 @@ so that a round root of radius w has the opacity
     alpha(x) = (1 - b) (1 - exp(-2 mu sqrt(w^2 - x^2)))        at the distance x from its axis.
 
 Across a resolved root mu and w shape the profile differently: an opaque one is a box, a translucent one is round and the thinner the
-fainter. So mu is fitted to the profiles of straight, lone strips. What a picture tells of a root thinner than a few pixels is its
+fainter. So mu is fitted to the profiles of straight, lone bands. What a picture tells of a root thinner than a few pixels is its
 opacity summed across, A = integral of alpha, and from A and mu follows w: coverage is opacity times ``2 w / A``.
 """
 
@@ -29,19 +29,19 @@ CLEARLY = 1.2
 An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by chance.
 """
 _REACH_PX, _STEP_PX = 14.0, 0.5
-"""Profiles reach so far to each side, beyond the widest strip and its flanks, in steps of half a pixel."""
+"""Profiles reach so far to each side, beyond the widest band and its flanks, in steps of half a pixel."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
-"""Places across a strip."""
+"""Places across a band."""
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""A strip is averaged over these places along it, where its profile must be the same (`_SAME`)."""
+"""A band is averaged over these places along it, where its profile must be the same (`_SAME`)."""
 _SAME = 0.12
 """Opacity along one root differs by less (standard deviation): chosen above noise, and below the step where another root crosses."""
 _WIDTH_PX = (4.0, 11.0)
-"""Full widths at half height that are fitted: narrower strips are mostly blur, and too faint ones would be missed."""
+"""Full widths at half height that are fitted: narrower bands are mostly blur, and too faint ones would be missed."""
 _FLANK_PX = 1.7
 """Beyond half the width, where a blur of 0.85 px (two standard deviations) has ended."""
 _EMPTY = 0.06
-"""Opacity beside a lone strip is less."""
+"""Opacity beside a lone band is less."""
 _GOOD = 0.02
 """Profiles that no root explains better than this (root mean square) are none of one lone root."""
 _MOST = 3000
@@ -54,7 +54,7 @@ _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
 """Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""
 _DARK, _STRAIGHT = 0.3, 0.8
 """Places whose blurred opacity is above the first, and whose gradients lie in one direction (coherence of the structure tensor) to the
-second, are looked at: the axis of a strip, away from crossings."""
+second, are looked at: the axis of a band, away from crossings."""
 _CORE = 0.6
 """Opacity inside a root wide enough to show its own light, which is less than 0.4."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
@@ -62,13 +62,13 @@ _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
 _RADII_PX = np.geomspace(1.0, 7.5, 80)
 """Radii that are compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, and room for what blur and translucency change."""
 _MOST_GAIN = 20.0
-"""Upper end of the search for the gain: that of a root that keeps back a twentieth of the light."""
+"""Upper end of the search for the gain: that of a root that absorbs a twentieth of the light."""
 _OWN = (0.0, 0.5, 1.0)
 """Shares of the light in the darkest cores that may be the roots' own."""
 _LONGEST_PX = 60.0
 """Things shorter than this are no roots to learn from."""
 _FINE = 16
-"""Samples a pixel of the strips that profiles are compared with."""
+"""Samples a pixel of the bands that profiles are compared with."""
 _PEAK_BLUR_PX = 1.0
 """The peak nearby is looked up in pictures blurred so much, where noise of single pixels is no peak."""
 _SIGMA_PX = 0.5
@@ -121,7 +121,7 @@ def _large(opacity: Image, seen: Mask) -> Mask:
 
 
 def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
-    """Sample opacity across straight, lone strips: profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height."""
+    """Sample opacity across straight, lone bands: profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height."""
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
@@ -168,7 +168,7 @@ def _balanced(width: Array) -> NDArray[np.int64]:
     return np.concatenate([order[:0]] + [order[bins == one][:_A_BIN] for one in np.unique(bins)])
 
 
-def _strips(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
+def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
     """Return (offsets, opacity (N, len(offsets))) across round roots of some radii, blurred, without their own brightness."""
     x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
     opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
@@ -186,10 +186,10 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
     own_2, count = (profiles**2 * window).sum(axis=1)[:, None], window.sum(axis=1)[:, None]
     for i, mu in enumerate(_MU_PER_MM):
         for j, blur_px in enumerate(_BLUR_PX):
-            strip = _strips(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
-            cross, strip_2 = (profiles * window) @ strip.T, window @ (strip**2).T
+            band = _bands(_RADII_PX, mu / px_a_mm, blur_px)[1][:, :: int(_FINE * _STEP_PX)]
+            cross, band_2 = (profiles * window) @ band.T, window @ (band**2).T
             for k, full in enumerate(1.0 - own):
-                cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * strip_2) / count).min(axis=1)
+                cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * band_2) / count).min(axis=1)
     good = cost.min(axis=(0, 1, 2)) < _GOOD**2
     bins = np.floor(width)
     used = [one for one in np.unique(bins[good]) if (good & (bins == one)).sum() >= _LEAST // 3]
@@ -229,8 +229,8 @@ def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
     """Tabulate the peaks of blurred opacity of round roots and the gains (N,) that make their coverage add up to their diameters."""
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
-    x, seen = _strips(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
-    _, smooth = _strips(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
+    x, seen = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)
+    _, smooth = _bands(radii, mu_per_mm / px_a_mm, float(np.hypot(_SIGMA_PX, _PEAK_BLUR_PX)))
     low, high = np.ones(len(radii)), np.full(len(radii), _MOST_GAIN)
     for _ in range(40):  # bisection
         gain = 0.5 * (low + high)

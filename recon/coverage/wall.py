@@ -1,4 +1,4 @@
-"""What clings to the canister's inner wall, told from the roots inside: algae films and bubbles.
+"""Fouling of the canister's inner wall, told from the roots inside: algae films and bubbles.
 
 Every line of sight passes the wall twice. Unrolled and seen over the turn, what is on the wall adds up in its place while roots inside
 pass by; so a place of the wall is as dark as most of its views show it. Films are broad and faint: their light is given back to the

@@ -45,7 +45,7 @@ class Volume:
     terms: tuple[Term, ...]
     """Causes of uncertainty."""
 
-    def doubted(self, reasons: Sequence[str]) -> Volume:
+    def distrusted(self, reasons: Sequence[str]) -> Volume:
         """Return the same volume, not trusted for more reasons."""
         before = "" if self.trusted else self.verdict.removeprefix(checks.NO_VOLUME)
         return replace(self, trusted=False, verdict=checks.verdict([*([before] if before else []), *reasons]))
@@ -72,7 +72,7 @@ class Budget:
         return max(0.0, self.volume_mm3 - less), self.volume_mm3 + more
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def objections(self) -> tuple[str, ...]:
         """Return why the scan cannot give a volume; empty where it can."""
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
@@ -93,8 +93,8 @@ class Budget:
     @property
     def verdict(self) -> str:
         """Return one sentence: what the volume is worth."""
-        if self.doubts:
-            return checks.verdict(self.doubts)
+        if self.objections:
+            return checks.verdict(self.objections)
         low, high = self.interval_mm3
         return f"the true volume lies between {low:.3g} and {high:.3g} mm3 with 90 % confidence"
 
@@ -104,7 +104,7 @@ class Budget:
             mm3=self.volume_mm3,
             interval_mm3=self.interval_mm3,
             bounds_mm3=bounds_mm3,
-            trusted=not self.doubts,
+            trusted=not self.objections,
             verdict=self.verdict,
             terms=self.terms,
         )

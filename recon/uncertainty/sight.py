@@ -35,7 +35,7 @@ _WHERE = {
 
 
 def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
-    """Return what a shape may have beyond where sight ends, above as below and to all sides.
+    """Return what a shape may have where it is occluded, above as below and to all sides.
 
     Its columns along each axis that end where too few views see go on, at most to where enough of them see again or to the water's end.
     Of the axes the one counts along which most may be hidden.
@@ -57,7 +57,7 @@ def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Wate
     side = max((-1, 1), key=lambda s: hidden[axis, s])
     where = _WHERE[(2, side) if axis == 2 else (0, -1)]
     return Term(
-        name="beyond sight",
+        name="occluded",
         less_mm3=0.0,
         more_mm3=hidden[axis, -1] + hidden[axis, 1],
         why=f"the shape goes on where too few views see, {where}",

@@ -16,7 +16,7 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
 
 _OUTLINE_PX = 0.1
-"""An outline may be this far off (90 %): strips of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their direction."""
+"""An outline may be this far off (90 %): bands of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their direction."""
 _ABSENT = 0.1
 """What no picture needs is taken to be absent; at 90 % confidence, a tenth of it may be there."""
 _COARSER = 4

@@ -74,10 +74,14 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
         _even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
         _even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
         _even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
-        _signed("radii, pull", total, "the pictures still pull at the radii against the smoothness of branches"),
+        _signed(
+            "radii, residual gradient",
+            total,
+            "the fit stops where the pictures still ask for other radii, against the smoothness of branches",
+        ),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
-        _even("doubtful ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends whose tips others hide may be no roots"),
+        _even("uncertain ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
@@ -85,7 +89,7 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
 
 
 def _translucency(system: RootSystem) -> tuple[Term, ...]:
-    """Return what the doubt of the roots' attenuation means: other radii would keep back as much light."""
+    """Return what the uncertainty of the roots' attenuation means: other radii would absorb as much light."""
     law, tubes = system.law, system.tubes
 
     def volume_mm3(mu_per_mm: float | None) -> float:
@@ -209,7 +213,7 @@ class _Rest:
             width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
             if seen.mu_per_mm is None:
                 volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
-            else:  # faint roots keep back light by their volume
+            else:  # faint roots absorb light by their volume
                 volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
             missing.append(volume / max(1.0 - float(close[zone].mean()), _LEAST_FREE))
         beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))

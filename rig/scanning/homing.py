@@ -45,8 +45,8 @@ def facing_angle(seen: Sighting, scene: Scene) -> float:
 def angle_against(cam_from_canister: Array, references: Sequence[Reference], scene: Scene) -> float:
     """Return the table angle relative to pictures taken at known angles by a camera that stood at the same place.
 
-    With ``cam_from_canister = C Rz(angle) S`` for the camera C and the seat S, both constant, the rotation between two pictures is the
-    table's alone: errors of camera, seat and strip cancel. Several references lessen the noise of single pictures; their median is taken.
+    With ``cam_from_canister = C Rz(angle) S`` for camera C and canister pose S, both constant, the rotation between two pictures is the
+    table's alone: errors of these and the strip cancel. Several references lessen the noise of single pictures; their median is taken.
     """
     canister_from_cam = frames.invert(cam_from_canister)
     direction = scene.turntable.direction

@@ -102,10 +102,10 @@ def test_a_failed_check_takes_the_trust_away_and_says_why() -> None:
     volume = Budget(volume_mm3=100.0, terms=(term,), views=40).volume((90.0, 110.0))
     assert volume.trusted
     lost = checks.failed([picture_checks.of_scan({"complete": False}, FRAMES), shape_checks.of_motion(0.01)])
-    doubted = volume.doubted(lost)
-    assert not doubted.trusted
-    assert doubted.verdict.startswith(checks.NO_VOLUME)
-    assert "stopped after 3 pictures" in doubted.verdict
-    again = doubted.doubted(["another reason"])
+    distrusted = volume.distrusted(lost)
+    assert not distrusted.trusted
+    assert distrusted.verdict.startswith(checks.NO_VOLUME)
+    assert "stopped after 3 pictures" in distrusted.verdict
+    again = distrusted.distrusted(["another reason"])
     assert again.verdict.count(checks.NO_VOLUME) == 1
     assert again.verdict.endswith("another reason")

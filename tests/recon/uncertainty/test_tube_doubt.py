@@ -30,8 +30,8 @@ def test_swollen_tubes_are_pulled_back() -> None:
     swollen = tubes.moved(true, true.centre_mm, 1.1 * true.radius_mm)
     terms = {term.name: term for term in tube_doubt.doubt(seen, at_rest(swollen, px_a_mm=4.0)).terms}
     volume = np.pi * 0.275**2 * true.length_mm
-    assert 0.1 * volume < terms["radii, pull"].less_mm3 < 0.3 * volume
-    assert terms["radii, pull"].more_mm3 == 0.0
+    assert 0.1 * volume < terms["radii, residual gradient"].less_mm3 < 0.3 * volume
+    assert terms["radii, residual gradient"].more_mm3 == 0.0
     assert terms["area"].less_mm3 > 0.1 * volume
 
 

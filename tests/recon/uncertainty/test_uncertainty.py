@@ -23,7 +23,7 @@ def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:
 def test_terms_add_in_quadrature_on_each_side() -> None:
     budget = Budget(volume_mm3=100.0, terms=(term(3.0, 6.0), term(4.0, 8.0)), views=40)
     np.testing.assert_allclose(budget.interval_mm3, (95.0, 110.0))
-    assert budget.doubts == ()
+    assert budget.objections == ()
     assert "between 95 and 110 mm3" in budget.verdict
 
 
