@@ -82,6 +82,7 @@ def parser() -> argparse.ArgumentParser:
         if name == "accuracy":
             _add_selection(one)
     _add_scatter(what.add_parser("scatter", help=_SCATTER, description=_SCATTER))
+    _add_scaling(what.add_parser("scaling", help=_SCALING, description=_SCALING))
     compared = what.add_parser("compare", help="two runs of the ladder on the same pictures, or the speed of this code against a commit's")
     compared.add_argument("before", type=Path, nargs="?", metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
     compared.add_argument(
@@ -100,6 +101,16 @@ def parser() -> argparse.ArgumentParser:
     )
     adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     return made
+
+
+_SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"
+
+
+def _add_scaling(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--axes", type=_words, metavar="NAME,...", help="only these (a wrong name lists them)")
+    one.add_argument("--quick", action="store_true", help="small pictures, two points an axis")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every point as JSON, too")
 
 
 _SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
@@ -192,6 +203,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _compare(given)
         if given.what == "scatter":
             return _scatter(given)
+        if given.what == "scaling":
+            return _scaling(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -221,6 +234,16 @@ def _scatter(given: argparse.Namespace) -> int:
     say("\n" + scatter.table(values))
     scatter.write(_scatter_path(), values, about=about(given))
     say(f"recorded: {_scatter_path()}")
+    return 0
+
+
+def _scaling(given: argparse.Namespace) -> int:
+    from benchmarks import scaling
+
+    found = scaling.measure(given.axes, quick=given.quick, device=given.device, say=say)
+    say("\n" + scaling.table(found))
+    if given.output is not None:
+        atomic.write_json(given.output, scaling.as_json(found))
     return 0
 
 

@@ -118,7 +118,7 @@ def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say:
                 once: list[Used] = []
                 for root in (other, ROOT) if number % 2 == 0 else (ROOT, other):
                     out = Path(working) / f"{number}-{len(once)}"
-                    once.append(_run(root, [*words, *(("-o", str(out), "--device", device) if job.makes else ())]))
+                    once.append(run_once(root, [*words, *(("-o", str(out), "--device", device) if job.makes else ())]))
                     shutil.rmtree(out, ignore_errors=True)
                 pairs.append((once[0], once[1]) if number % 2 == 0 else (once[1], once[0]))
         found.append(_ratio(job, pairs))
@@ -150,11 +150,11 @@ def _pictures(job: Job, root: Path, *, device: str) -> str:
     folder = cache.folder() / "against" / f"{root.name[:12]}-{'-'.join(job.pictures).replace('--', '')}"
     if not (folder / "dataset.json").is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        _run(root, ["simulate", *job.pictures, "-o", str(folder), "--device", device])
+        run_once(root, ["simulate", *job.pictures, "-o", str(folder), "--device", device])
     return str(folder)
 
 
-def _run(root: Path, words: Sequence[str]) -> Used:
+def run_once(root: Path, words: Sequence[str]) -> Used:
     """Run a command line in a checkout, in a process of its own."""
     began = time.perf_counter()
     with tempfile.TemporaryFile() as errors:

@@ -19,6 +19,9 @@ TARGET_PX: Final = 90.0
 """Larger markers are averaged down to at most this side."""
 GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
+FLAT: Final = 6.0
+"""Beyond so many standard deviations a blurred step is flat to 1e-8; farther out, the products' factors would be too small for float32's
+fast path."""
 BLUR_PX: Final = (0.25, 6.0)
 """Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the largest markers."""
 FIRST_BLUR_PX: Final = 1.2
@@ -64,8 +67,21 @@ class MarkerFit:
     are linear in light there is no bend (`recon.calibration.curve`)."""
 
 
+class Scratch:
+    """Memory for tabulated patterns, handed from marker to marker: fresh memory costs more than filling it."""
+
+    def __init__(self) -> None:
+        self.planes = np.empty((4, len(GRID), len(GRID)), np.float32)
+        self.table = np.empty((len(GRID), len(GRID), 4), np.float32)
+
+
 def fit_marker(
-    image: NDArray[np.uint8 | np.uint16], white: NDArray[np.bool_], start_px: Array, *, blur_px: float = FIRST_BLUR_PX
+    image: NDArray[np.uint8 | np.uint16],
+    white: NDArray[np.bool_],
+    start_px: Array,
+    *,
+    blur_px: float = FIRST_BLUR_PX,
+    scratch: Scratch | None = None,
 ) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
@@ -80,6 +96,7 @@ def fit_marker(
     white : (n, n) True where the pattern is white, border included, row 0 at the top.
     start_px : (4, 2) corners, good to about two pixels.
     blur_px : first guess of the blur; take a neighbour's.
+    scratch : memory of a fit before, of the same thread.
 
     Returns
     -------
@@ -88,7 +105,7 @@ def fit_marker(
     """
     side_px = float(np.mean(np.linalg.norm(np.roll(start_px, -1, axis=0) - start_px, axis=1)))
     window = _window(image, start_px, side_px)
-    fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px)
+    fitted = None if window is None else _gauss_newton(window, white, blur_px / window.scale_px, scratch or Scratch())
     if window is None or fitted is None:
         return None
     warp, blur, covariance, correlation, bend = fitted
@@ -144,13 +161,15 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
     return _Window(light.ravel()[unsaturated], xy[:, unsaturated], (start_px - centre_px) / scale_px, centre_px, scale_px, fold / scale_px)
 
 
-def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tuple[Array, float, Array, float, float] | None:
+def _gauss_newton(
+    window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
+) -> tuple[Array, float, Array, float, float] | None:
     """Return H and b (11,), blur, covariance of them all (18, 18), the correlation and the bend, or None where the fit runs away.
 
     Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other pictures.
     """
     warp = np.append(_homography_through(window.start), np.zeros(3))
-    table, tabled = np.empty(0, np.float32), np.zeros(2)
+    table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
     xy, light = window.xy, window.light
     s, t = _start_st(warp, xy)
     for iteration in range(MOST_STEPS):
@@ -161,14 +180,15 @@ def _gauss_newton(window: _Window, white: NDArray[np.bool_], blur: float) -> tup
             xy, light, s, t = xy[:, inside], light[inside], s[inside], t[inside]
         sigma = blur / np.linalg.norm(np.reshape(_slope(warp, np.zeros(1), np.zeros(1)), (2, 2)), axis=1)
         if np.any(np.abs(sigma - tabled) > RETABLE * tabled):
-            table, tabled = _pattern(white, float(sigma[0]), float(sigma[1])), sigma
+            table, tabled = _pattern(white, float(sigma[0]), float(sigma[1]), scratch), sigma
         with np.errstate(all="ignore"):  # a fit that runs away may fold the marker up
             s, t, to_h = _invert(warp, xy, s, t)
         if not (np.isfinite(s).all() and np.isfinite(t).all()):
             return None
         at = [np.clip((c - GRID[0]) / (GRID[1] - GRID[0]), -1e6, 1e6).astype(np.float32) for c in (s, t)]
         pattern, by_s, by_t, by_log_blur = cv2.remap(table, *at, cv2.INTER_LINEAR).reshape(-1, 4).T.astype(np.float64)
-        rows = np.empty((19, len(s)))
+        if rows.shape[1] != len(s):
+            rows = np.empty((19, len(s)))
         rows[12], rows[13], rows[14], rows[18] = 1.0, s, t, light
         np.multiply(rows[12:15], pattern, out=rows[15:18])
         products = _products(rows[12:])
@@ -231,7 +251,7 @@ def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Ar
         np.multiply(change, bulge, out=rows[row])
 
 
-def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArray[np.float32]:
+def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
     """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (t down, s right): cells convolved with a Gaussian in closed form.
 
     A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second one by s (heat equation).
@@ -240,7 +260,7 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArra
     edges = np.linspace(-1.0, 1.0, len(white) + 1)
     factors: list[list[NDArray[np.float32]]] = []
     for sigma in (sigma_s, sigma_t):
-        z = (GRID[:, None] - edges) / sigma
+        z = np.clip((GRID[:, None] - edges) / sigma, -FLAT, FLAT)
         step = np.ones((len(GRID), len(edges) + 2))
         step[:, 1:-1], step[:, -1] = 0.5 * (1.0 + erf(z * np.sqrt(0.5))), 0.0
         slope, bend = np.zeros_like(step), np.zeros_like(step)
@@ -249,8 +269,11 @@ def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float) -> NDArra
         factors.append([(f[:, :-1] - f[:, 1:]).astype(np.float32) for f in (step, slope, bend)])
     (s0, s1, s2), (t0, t1, t2) = factors
     cells_s0, t0_cells = cells @ s0.T, t0 @ cells
-    planes = (t0 @ cells_s0, t0_cells @ s1.T, t1 @ cells_s0, t0_cells @ s2.T + t2 @ cells_s0)
-    return np.asarray(cv2.merge(planes), np.float32)
+    planes = scratch.planes  # five small products: a larger one would be shared among BLAS's threads, which wait for each other
+    for left, right, plane in ((t0, cells_s0, 0), (t0_cells, s1.T, 1), (t1, cells_s0, 2), (t0_cells, s2.T, 3)):
+        np.matmul(left, right, out=planes[plane])
+    planes[3] += t2 @ cells_s0
+    return np.asarray(cv2.merge(list(planes), scratch.table), np.float32)
 
 
 def _matrix(warp: Array) -> Array:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, fit_marker
+from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, Scratch, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named
@@ -98,10 +98,10 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     covariances: list[Array] = []
     bends: list[float] = []
     blurs: list[float] = []
-    side, blur_px = dictionary.markerSize + 2, FIRST_BLUR_PX
+    side, blur_px, scratch = dictionary.markerSize + 2, FIRST_BLUR_PX, Scratch()
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
-        fit = fit_marker(image, white, start_px, blur_px=blur_px)
+        fit = fit_marker(image, white, start_px, blur_px=blur_px, scratch=scratch)
         if fit is not None:
             blur_px = fit.blur_px
             found.append(int(marker_id))

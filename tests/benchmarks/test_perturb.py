@@ -194,12 +194,12 @@ PRINT = cases.quick(scenes=("printed_8ml",), profiles=("clean",), methods=("cove
 """Not the ball: on the axis it is its own mirror image."""
 
 
-@pytest.mark.parametrize(("change", "is_open"), [("rounded:101", True), ("lossy:1", False)])
-def test_the_gate_opens_under_rounding_and_shuts_under_a_real_loss(change: str, is_open: bool) -> None:
+def test_the_gate_shuts_under_a_real_loss() -> None:
+    """That it opens under rounding is a step of its own of ``./run test --all``, with the whole set."""
     folder = Path(accuracy.__file__).parent
     baseline = gate.read_baseline(folder / "baseline_accuracy_quick.json")
     others = {case.name for case in cases.quick()} - {PRINT.name}
-    found = accuracy.metrics(PRINT, accuracy.record_of(PRINT, device="cpu", change=change))
+    found = accuracy.metrics(PRINT, accuracy.record_of(PRINT, device="cpu", change="lossy:1"))
     measured = baseline.without({*others, "projection"})
     findings = gate.compare(found, measured, scatter=scatter.read(folder / "scatter_accuracy_quick.json"))
-    assert gate.passes(findings) == is_open, gate.table(findings)
+    assert not gate.passes(findings), gate.table(findings)

@@ -1,0 +1,143 @@
+"""How processor time and memory of a reconstruction grow with views, pixels, roots and finer voxels, one at a time.
+
+Each point is `rhizotwin reconstruct` in a process of its own, on pictures that are rendered once and kept in the cache. The exponent is the
+slope of a straight line through the logarithms: the start and what does not grow are in it, so that it tells what a person waits for.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import against, cache
+from benchmarks.run import Say
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.truth import load_truth
+
+LENGTH = "root length"
+"""The axis whose values are what the truth of the rendered plants says."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One point of an axis."""
+
+    pictures: tuple[str, ...]
+    """Words of ``simulate``."""
+    words: tuple[str, ...] = ()
+    """Words of ``reconstruct`` beside."""
+    value: float | None = None
+    """Where the point lies; None asks the truth for the length of the roots, m."""
+
+
+def _step(scene: str, value: float | None, *, views: int = 40, wide: int = 800, voxel_mm: float = 0.27) -> Step:
+    pictures = (scene, "--views", str(views), "--image-wh", f"{wide}x{3 * wide // 4}")
+    return Step(pictures, ("--voxel-mm", f"{voxel_mm:g}"), value)
+
+
+AXES: dict[str, tuple[Step, ...]] = {
+    "views": tuple(_step("radish_day15b", n, views=n) for n in (20, 40, 80, 160)),
+    "megapixels": tuple(_step("radish_day15b", 0.75e-6 * n**2, wide=n) for n in (576, 1152, 2304, 2828)),
+    LENGTH: tuple(_step(f"radish_day{name}", None) for name in ("05a", "10a", "15b", "30c")),
+    "1/voxel_mm": tuple(_step("printed_8ml", 1.0 / mm, voxel_mm=mm) for mm in (0.4, 0.2, 0.1, 0.05)),
+}
+"""Views 20 to 160, 0.25 to 6 million pixels, the roots of 5 to 30 days, voxels of 0.4 to 0.05 mm."""
+QUICK: dict[str, tuple[Step, ...]] = {
+    "views": tuple(_step("printed_8ml", n, views=n, wide=200) for n in (10, 40)),
+    "megapixels": tuple(_step("printed_8ml", 0.75e-6 * n**2, views=10, wide=n) for n in (200, 800)),
+    "1/voxel_mm": tuple(_step("printed_8ml", 1.0 / mm, views=10, wide=200, voxel_mm=mm) for mm in (0.4, 0.1)),
+}
+"""The same in little."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """What one reconstruction used."""
+
+    value: float
+    cpu_s: float
+    memory_mib: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """How an axis makes reconstructions grow."""
+
+    axis: str
+    points: tuple[Point, ...]
+    cpu: float
+    """Exponent of processor time."""
+    memory: float
+    """Exponent of peak memory."""
+
+
+def measure(axes: Sequence[str] | None, *, quick: bool, device: str, say: Say) -> list[Growth]:
+    """Run every point of some axes, or of all.
+
+    Raises
+    ------
+    UserError
+        Where an axis is unknown, or a run fails.
+    """
+    offered = QUICK if quick else AXES
+    for axis in axes or ():
+        if axis not in offered:
+            raise UserError(f"--axes {axis} is none of {', '.join(offered)}")
+    found = []
+    for axis in axes or offered:
+        points = []
+        for step in offered[axis]:
+            folder = _pictures(step, device=device)
+            points.append(_point(step, folder, device=device))
+            say(f"{axis} {points[-1].value:.4g}: {points[-1].cpu_s:.1f} s of processor time, {points[-1].memory_mib:.0f} MiB")
+        found.append(growth(axis, points))
+    return found
+
+
+def growth(axis: str, points: Sequence[Point]) -> Growth:
+    """Fit the exponents of an axis's points."""
+    at = np.log([point.value for point in points])
+    cpu, memory = (np.polyfit(at, np.log([getattr(point, name) for point in points]), 1)[0] for name in ("cpu_s", "memory_mib"))
+    return Growth(axis=axis, points=tuple(points), cpu=float(cpu), memory=float(memory))
+
+
+def table(found: Sequence[Growth]) -> str:
+    """Return the exponents as a table in Markdown."""
+    lines = ["| against | from | to | processor s | exponent | memory MiB | exponent |", "|---|---|---|---|---|---|---|"]
+    for one in found:
+        first, last = one.points[0], one.points[-1]
+        times, memories = f"{first.cpu_s:.1f} -> {last.cpu_s:.1f}", f"{first.memory_mib:.0f} -> {last.memory_mib:.0f}"
+        lines.append(f"| {one.axis} | {first.value:.3g} | {last.value:.3g} | {times} | {one.cpu:.2f} | {memories} | {one.memory:.2f} |")
+    return "\n".join(lines)
+
+
+def as_json(found: Sequence[Growth]) -> dict[str, Any]:
+    """Return the growths as JSON values."""
+    return {"growths": [asdict(one) for one in found]}
+
+
+def _pictures(step: Step, *, device: str) -> Path:
+    """Return the folder of a point's pictures, rendered once."""
+    folder = cache.folder() / "scaling" / "-".join(step.pictures).replace("--", "")
+    if not (folder / "dataset.json").is_file():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        against.run_once(against.ROOT, ["simulate", *step.pictures, "-o", str(folder), "--device", device])
+    return folder
+
+
+def _point(step: Step, folder: Path, *, device: str) -> Point:
+    """Reconstruct once for the kernels, and once more for the numbers."""
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-scaling-") as working:
+        used = [
+            against.run_once(
+                against.ROOT, ["reconstruct", str(folder), *step.words, "-o", str(Path(working) / str(number)), "--device", device]
+            )
+            for number in range(2)
+        ]
+    value = load_truth(folder).traits["total_length_mm"] / 1000.0 if step.value is None else step.value
+    return Point(value=value, cpu_s=used[-1].cpu_s, memory_mib=used[-1].memory_mib)
