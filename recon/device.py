@@ -1,8 +1,8 @@
 """Numbers for Dr.Jit's kernels: how they get there, and what a checker calls them.
 
-Dr.Jit takes an array of NumPy as it lies in memory, and compiles a kernel anew for every combination of inputs that begin at a multiple of
-64 bytes and inputs that do not. Small arrays begin anywhere, so that a kernel of twenty inputs would be compiled time and again (a second
-each). These are copied to where they begin at a multiple of 64 bytes.
+Dr.Jit takes an array of NumPy as it lies in memory, and compiles a kernel anew for every combination of inputs that
+begin at a multiple of 64 bytes and inputs that do not. Small arrays begin anywhere, so that a kernel of twenty inputs
+would be compiled time and again (a second each). These are copied to where they begin at a multiple of 64 bytes.
 """
 
 from typing import Any, TypeAlias
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rhizotwin import engine
 
-# Mitsuba's types exist only once a variant is chosen, so that a checker knows none of them: these names say what is meant.
+# Mitsuba's types exist only once a variant is chosen, so that a checker knows none of them:
+# these names say what is meant.
 Float: TypeAlias = Any
 """mi.Float"""
 UInt32: TypeAlias = Any

@@ -21,7 +21,8 @@ class CurveFound:
     curve: Curve
     stated: Curve
     bend: float | None
-    """By how much half-way greys of the markers' edges are too bright, over the contrast, read by ``curve``; None: too few measured."""
+    """By how much half-way greys of the markers' edges are too bright, over the contrast, read by ``curve``; None: too
+    few measured."""
     stated_bend: float | None
     """The same read by ``stated``."""
     markers: int

@@ -1,4 +1,7 @@
-"""The whole way from a dataset to a result, in memory: Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result."""
+"""The whole way from a dataset to a result, in memory.
+
+Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
+"""
 
 from __future__ import annotations
 

@@ -76,7 +76,9 @@ class HullSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RootSettings:
-    """When roots are sought as tubes: where much of the trimmed hull is untrimmed and small, or much of what is seen is missed.
+    """When roots are sought as tubes.
+
+    They are where much of the trimmed hull is untrimmed and small, or much of what is seen is missed.
 
     Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large
     leaves (14 % small). Translucent roots of five days that no resolved root told to be so leave a half of their

@@ -1,7 +1,7 @@
 """The values that a reconstruction hands from stage to stage, written for study in open formats.
 
-Each stage has two files: NAME.json holds its fields as they are named in Python, NAME.npz the arrays among them. Where an array stands, the
-JSON has ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
+Each stage has two files: NAME.json holds its fields as they are named in Python, NAME.npz the arrays among them. Where
+an array stands, the JSON has ``{"npz": KEY, "shape": [...], "dtype": "..."}``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import atomic
 
 STAGES = ("cameras", "coverage", "hull", "roots", "hull_calibrated", "solid")
-"""What there is, in the order in which it is made; the first hull is carved again where the roots told of the cameras."""
+"""What there is, in the order in which it is made; the first hull is carved again where the roots told of the
+cameras."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class StageFolder:
         value : dataclass
             What the stage made.
         leave : tuple of str
-            Names of fields that are left out wherever they stand: what comes from an earlier stage, or is made from it on the device.
+            Names of fields that are left out wherever they stand: what comes from an earlier stage, or is made from it
+            on the device.
 
         Raises
         ------
@@ -70,7 +72,10 @@ class StageFolder:
 
 
 def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDArray[Any]]) -> object:
-    """Return a value as JSON has it, and put the arrays in it among ``arrays``; numbers that are not finite become null."""
+    """Return a value as JSON has it, and put the arrays in it among ``arrays``.
+
+    Numbers that are not finite become null.
+    """
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):

@@ -1,19 +1,20 @@
 """Cameras of a telecentric scan without markers: from the canister's own edges, and from what makes the views agree.
 
-With parallel rays that nothing bends, a point (X, Y, Z) of the canister is seen from the azimuth alpha and the elevation eps at
+With parallel rays that nothing bends, a point (X, Y, Z) of the canister is seen from the azimuth alpha and the
+elevation eps at
 
     u = u_axis + (-X sin alpha + Y cos alpha) / s            column
     v = v_0 - (Z cos eps - (X cos alpha + Y sin alpha) sin eps) / s    row, s mm a pixel.
 
-The canister's two outer edges give its axis u_axis and lean in every view, and with the diameter that a person knows the scale s. The
-table's angles come from the roots without finding a single one of them: what a row of a picture cuts, added up, is the same in every view
-(its zeroth moment), its centre of mass (its first moment) goes round with the table as one point does, and its mean square (its second)
-as an ellipse. These are the
-Helgason-Ludwig conditions of parallel projections (Ludwig 1966, Communications on Pure and Applied Mathematics 19:49). The zeroth
-moments also tell the elevation: points that are nearer stand lower in the picture.
+The canister's two outer edges give its axis u_axis and lean in every view, and with the diameter that a person knows
+the scale s. The table's angles come from the roots without finding a single one of them: what a row of a picture cuts,
+added up, is the same in every view (its zeroth moment), its centre of mass (its first moment) goes round with the table
+as one point does, and its mean square (its second) as an ellipse. These are the Helgason-Ludwig conditions of parallel
+projections (Ludwig 1966, Communications on Pure and Applied Mathematics 19:49). The zeroth moments also tell the
+elevation: points that are nearer stand lower in the picture.
 
-Under parallel straight rays a shape and its mirror image, turned the other way, make the same pictures: the sense of the table has to be
-given.
+Under parallel straight rays a shape and its mirror image, turned the other way, make the same pictures: the sense of
+the table has to be given.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ Array = NDArray[np.float64]
 Stack = NDArray[np.uint8 | np.uint16]
 
 LEAST_VIEWS = 12
-"""Fewer views round the turn leave the centre of mass of a row, three unknowns and an angle a view, with little to spare."""
+"""Fewer views round the turn leave the centre of mass of a row, three unknowns and an angle a view, with little to
+spare."""
 BARE_QUANTILE = 0.85
 """Of a pixel's values over the turn: the panel, where roots pass in less than a seventh of the views."""
 EDGE_REACH_PX = 12
@@ -53,7 +55,8 @@ TENSOR_PX = 2.0
 BAND = 0.06
 """Share of the water's height that is left out at its surface and floor, where reflections are no roots."""
 ANGLE_SIGMA_RAD = np.deg2rad(1.5)
-"""How far a cheap table's angle may be from equal steps, to begin with (measured on a real one of 72 steps: 0.8 degrees)."""
+"""How far a cheap table's angle may be from equal steps, to begin with (measured on a real one of 72 steps: 0.8
+degrees)."""
 LEAST_ANGLE_SIGMA_RAD = np.deg2rad(0.01)
 """No table is better than this: a tenth of a sixteenth step of a bare motor of 200 steps."""
 SHIFT_SIGMA_PX = 1.0
@@ -63,10 +66,11 @@ LEAST_SHIFT_PX = 0.02
 ROWS_TOGETHER = 8.0
 """Rows of a picture that share one root's error and count as one."""
 MOST_AGREEMENT_PX = 3.0
-"""Centres of mass that are farther than this from where one turning point would be: bent rays, another canister, or no turn at all."""
+"""Centres of mass that are farther than this from where one turning point would be: bent rays, another canister, or no
+turn at all."""
 STEPS_AGREE = 0.15
-"""Share by which all steps together may be longer or shorter than told (a real table: 0.01 to 0.02); a turn with one view in six more or
-less is another plan."""
+"""Share by which all steps together may be longer or shorter than told (a real table: 0.01 to 0.02); a turn with one
+view in six more or less is another plan."""
 HEIGHTS_AGREE_MM = 1.0
 """Less is the thickness of a meniscus."""
 _ROUNDS = 200
@@ -92,7 +96,10 @@ class BareCanister:
     """Half the width through which the panel is seen."""
 
     def notes(self, scene: Scene) -> tuple[str, ...]:
-        """Return what a person should know of cameras that were found so, and where the pictures contradict the scene."""
+        """Return what a person should know of cameras that were found so.
+
+        That is also where the pictures contradict the scene.
+        """
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
         said = [
             f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm a pixel by its diameter of "
@@ -127,18 +134,18 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
 
     Parameters
     ----------
-    pictures
-        (H, W) each, of one telecentric camera at rest before a turning canister.
-    scene
+    pictures : sequence of (H, W) uint8 or uint16 array
+        Each, of one telecentric camera at rest before a turning canister.
+    scene : Scene
         Canister with its outer radius, water level, table's sense, plan's distance.
-    table_deg
+    table_deg : sequence of float
         Angles that the table was told.
 
     Raises
     ------
     UserError
-        Where the camera is not telecentric, the views are too few, the canister's edges or the water's surface are not seen, or the views
-        do not agree.
+        Where the camera is not telecentric, the views are too few, the canister's edges or the water's surface are not
+        seen, or the views do not agree.
     """
     if scene.camera.kind != "telecentric":
         raise UserError('cameras without markers are found for a telecentric camera only; give camera.kind = "telecentric" in the scene')
@@ -227,9 +234,12 @@ def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> _Edges:
 
 
 def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
-    """Return the column at the middle row, and its change by the row, where the panel ends at the column ``at``, robustly.
+    """Return the column at the middle row, and its change by the row, where the panel ends.
 
-    The edge is where the light has fallen half way from the panel to the darkest of the few pixels behind it, which may be less than black.
+    Robustly, about the column ``at``.
+
+    The edge is where the light has fallen half way from the panel to the darkest of the few pixels behind it, which may
+    be less than black.
     """
     first = max(at - EDGE_REACH_PX, 0)
     part = picture[rows, first : at + 2 * EDGE_REACH_PX].astype(np.float64)
@@ -253,7 +263,10 @@ def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, 
 
 
 def _moments(stack: Stack, bare: NDArray[np.float32], edges: _Edges) -> tuple[Array, Array]:
-    """Return each row's mass (V, R), px, and its moments about the axis (2, V, R): the centre of mass, px, and the mean square, px."""
+    """Return each row's mass (V, R), px, and its moments about the axis (2, V, R).
+
+    The moments are the centre of mass, px, and the mean square, px.
+    """
     margin = round(BAND * (edges.rows[1] - edges.rows[0]))
     rows = np.arange(edges.rows[0] + margin, edges.rows[1] - margin)
     side = round(BAND * (edges.columns[1] - edges.columns[0]))
@@ -274,7 +287,8 @@ def _moments(stack: Stack, bare: NDArray[np.float32], edges: _Edges) -> tuple[Ar
 def _upright(covered: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the cosine (R, C) of what a picture's threads lean from the vertical, by the structure tensor.
 
-    A row cuts an opaque thread of diameter d over d / cos(lean), and the lean changes from view to view; times the cosine it is d in all.
+    A row cuts an opaque thread of diameter d over d / cos(lean), and the lean changes from view to view; times the
+    cosine it is d in all.
     """
     across, down = (cv2.Sobel(covered, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
     horizontal, vertical = (cv2.GaussianBlur(part * part, (0, 0), TENSOR_PX) for part in (across, down))
@@ -293,7 +307,10 @@ class _Moment:
     scatter: float = 1.0
 
     def basis(self, azimuth: Array) -> tuple[Array, Array]:
-        """Return the shapes (V, order + 1) that a moment goes through with the azimuth, and their derivatives: (-X sin + Y cos)^order."""
+        """Return the shapes (V, order + 1) that a moment goes through with the azimuth, and their derivatives.
+
+        The shapes are those of (-X sin + Y cos)^order.
+        """
         s, c = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
         power = np.arange(self.order + 1)[None, :]
         shape = (-s) ** (self.order - power) * c**power
@@ -302,7 +319,10 @@ class _Moment:
         return shape, by_s * c - by_c * s
 
     def improve(self, azimuth: Array) -> tuple[Array, Array, Array]:
-        """Fit every row's own numbers (order + 1, R), renew the weights, and return them, what is left (V, R) and its change by angle."""
+        """Fit every row's own numbers (order + 1, R), renew the weights, and return them with what is left.
+
+        What is left (V, R) comes with its change by angle.
+        """
         shape, by_angle = self.basis(azimuth)
         normal = np.einsum("vr,vi,vj->rij", self.weight, shape, shape) + 1e-9 * np.eye(self.order + 1)
         own = np.linalg.solve(normal, np.einsum("vr,vi,vr->ri", self.weight, shape, self.value)[..., None])[..., 0].T
@@ -315,8 +335,8 @@ class _Moment:
 def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, float]:
     """Find the azimuths (V,), and each row's turning point (2, R), px, from the rows' first and second moments.
 
-    Azimuths and what turns are improved by turns, first with equal steps of any size, then with each view's angle free. The second moments
-    help where a view looks along the line from the axis to the centres of mass.
+    Azimuths and what turns are improved by turns, first with equal steps of any size, then with each view's angle free.
+    The second moments help where a view looks along the line from the axis to the centres of mass.
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
@@ -345,7 +365,8 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
                 )
             off = azimuth - ideal
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
-            # how uneven this table is, by expectation and maximisation: what a view's angle is off by, and how far it is not known
+            # how uneven this table is, by expectation and maximisation:
+            # what a view's angle is off by, and how far it is not known
             table_sigma = max(float(np.sqrt(np.mean(off**2 + 1.0 / (curvature + table_sigma**-2)))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
     everywhere[:, shown] = points
@@ -356,8 +377,9 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
 def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
     """Find by how many rows each view is lifted (V,), and the camera's elevation (rad), from the rows' masses.
 
-    ``nearer`` (V, R) is how many pixels nearer than the axis a row's centre of mass lies. What is nearer by n is seen lower by
-    elevation * n, so that the mass of a row changes by what flows out of it: d(mass * nearer) / d row for a unit of elevation.
+    ``nearer`` (V, R) is how many pixels nearer than the axis a row's centre of mass lies. What is nearer by n is seen
+    lower by elevation * n, so that the mass of a row changes by what flows out of it: d(mass * nearer) / d row for a
+    unit of elevation.
     """
     views, rows = mass.shape
     typical = np.median(mass, axis=0)
@@ -383,7 +405,10 @@ def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
 
 
 def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:
-    """Return a view's camera: looking at the axis from an azimuth and elevation, rolled and shifted as the canister's edges show."""
+    """Return a view's camera, which looks at the axis from an azimuth and elevation.
+
+    It is rolled and shifted as the canister's edges show.
+    """
     away, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     forward = -np.cos(elevation) * away - np.sin(elevation) * up

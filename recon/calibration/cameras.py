@@ -55,7 +55,8 @@ class Ring:
     covariance: Array
     """(6, 6) as in `Camera`."""
     own_deg: float
-    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still camera."""
+    """Standard deviation (each axis) of the camera's movement between the views, found from the pictures; 0 for a still
+    camera."""
     own_mm: float
 
 
@@ -115,7 +116,8 @@ class RootCalibration:
     """Whether index and cameras were taken as the roots would have them."""
     nodes: int
     before_px: float
-    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its best place."""
+    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its
+    best place."""
     after_px: float
     """The same when the rig is changed as found."""
 

@@ -1,10 +1,11 @@
 """How the canister stands in the strip of markers: its outer wall's own edges, seen against the backlight, tell.
 
-The cameras come from the strip, which is on a net pot that may be misaligned; the light is refracted by the canister. A line of sight that
-touches the outer wall passes the canister's axis at exactly the outer radius, whatever the wall and the water do (Bouguer's invariant at
-|b| = R_o): inside of it the picture is black (grazing light is reflected away), outside it shows the bare panel. All edges of all views in
-one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o (blur, a canister of another size) is
-common to all and found with it.
+The cameras come from the strip, which is on a net pot that may be misaligned; the light is refracted by the canister. A
+line of sight that touches the outer wall passes the canister's axis at exactly the outer radius, whatever the wall and
+the water do (Bouguer's invariant at
+|b| = R_o): inside of it the picture is black (grazing light is reflected away), outside it shows the bare panel. All
+edges of all views in one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o
+(blur, a canister of another size) is common to all and found with it.
 """
 
 from collections.abc import Callable, Sequence
@@ -76,7 +77,8 @@ def find_canister(
     Returns
     -------
     CanisterPose or None
-        None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark surroundings).
+        None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
+        surroundings).
     """
     lines = [_edge_lines(view, images(k), scene) for k, view in enumerate(views)]
     origin = np.concatenate([line[0] for line in lines])
@@ -120,7 +122,7 @@ def _from_axis(start: Array, along: Array) -> Array:
 
 
 def _edge_lines(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
-    """Return the lines of sight (origins, directions) through the measured edges of one picture, in the strip's frame."""
+    """Return the lines of sight (origins, directions) through the edges of one picture, in the strip's frame."""
     canister = scene.canister
     low = -canister.height_mm + MARGIN_MM
     high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm) - MARGIN_MM
@@ -168,7 +170,10 @@ def _measured(view: View, image: Grey, tangent_mm: Array, inner_mm: Array) -> Ar
 
 
 def _steepest(profile: Array, offset: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where profiles (N, S) rise most steeply outward (centroid of the rise about its peak), and whether they do clearly."""
+    """Return where profiles (N, S) rise most steeply outward, and whether they do clearly.
+
+    The place is the centroid of the rise about its peak.
+    """
     span = round(3.0 / STEP_PX)
     rise = np.maximum(np.diff(profile, axis=1), 0.0)
     summed = np.cumsum(np.pad(rise, ((0, 0), (1, 0))), axis=1)

@@ -1,8 +1,8 @@
 """Whether the pictures' numbers are light, as the marker strip's edges tell.
 
-A lens blurs light, and evenly: half-way through an edge between black and white is half-way between black and white. A camera's curve does
-so to numbers: where it was not undone, or undone when there was none, the greys of an edge are too bright or too dark. `MarkerFit.bend`
-measures that on all edges of all markers, whatever the blur is.
+A lens blurs light, and evenly: half-way through an edge between black and white is half-way between black and white. A
+camera's curve does so to numbers: where it was not undone, or undone when there was none, the greys of an edge are too
+bright or too dark. `MarkerFit.bend` measures that on all edges of all markers, whatever the blur is.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,8 @@ from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.transfer import Curve
 
 MOST_BEND = 0.02
-"""A larger bend is no accident: sRGB taken for light has 0.18, light taken for sRGB -0.25, the twin's right pictures 0.000 to 0.003.
+"""A larger bend is no accident: sRGB taken for light has 0.18, light taken for sRGB -0.25, the twin's right pictures
+0.000 to 0.003.
 
 A gamma that is off by 0.1 has 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
 LEAST_MARKERS = 10
@@ -31,9 +32,12 @@ _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
 
 
 def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Ask the markers' edges whether the pictures were read by the right curve, and read them anew where they clearly were not.
+    """Ask the markers' edges whether the pictures were read by the right curve.
 
-    Silhouettes, and pictures with given cameras or of a rig without a strip, are left as they are: they show no markers.
+    Where they clearly were not, they are read anew.
+
+    Silhouettes, and pictures with given cameras or of a rig without a strip, are left as they are: they show no
+    markers.
     """
     dataset, captured = pictures.dataset, pictures.frames
     if dataset.masks or dataset.scene.strip.rows == 0 or all(frame.cam_from_canister is not None for frame in captured):
@@ -66,9 +70,12 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
     Parameters
     ----------
-    detected : markers of the pictures, read by the stated curve.
-    stated : the files' own word, or the scene's.
-    again : reads some of the pictures by another curve, and returns their markers.
+    detected : sequence of Markers
+        Markers of the pictures, read by the stated curve.
+    stated : Curve
+        The files' own word, or the scene's.
+    again : callable
+        Reads some of the pictures by another curve, and returns their markers.
     """
     bend, count = bend_of(detected)
     if bend is None or abs(bend) <= MOST_BEND:

@@ -1,7 +1,8 @@
 """How each picture was exposed, told by what stands still in it: the bare panel beside the canister.
 
-A line of sight that passes the canister by sees the panel itself, and in every view of a camera that stands still the same part of it. What
-such pixels of one picture have over those of all pictures of the station is the picture's exposure.
+A line of sight that passes the canister by sees the panel itself, and in every view of a camera that stands still the
+same part of it. What such pixels of one picture have over those of all pictures of the station is the picture's
+exposure.
 """
 
 from collections.abc import Sequence
@@ -55,9 +56,12 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
 
     Parameters
     ----------
-    images : (H, W) linear in light.
-    views : their cameras.
-    stations : which standing of the camera each belongs to.
+    images : sequence of (H, W) uint8 or uint16 array
+        Linear in light.
+    views : sequence of View
+        Their cameras.
+    stations : sequence of tuple of int
+        Which standing of the camera each belongs to.
     """
     gain, clipped, level = np.ones(len(images)), np.zeros(len(images)), np.full(len(images), np.nan)
     told = True
@@ -85,7 +89,10 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
 
 
 def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
-    """Tell the pixels, one of `_STEP` each way, whose line of sight passes canister and net pot by, at heights between skirt and base."""
+    """Tell the pixels, one of `_STEP` each way, whose line of sight passes canister and net pot by.
+
+    It does so at heights between skirt and base.
+    """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0, width, _STEP), np.arange(0, height, _STEP))
     directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))

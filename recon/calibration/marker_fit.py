@@ -1,6 +1,7 @@
-"""Measure a marker's corners: lay its known pattern, blurred and bent round the net pot, over the picture by least squares.
+"""Measure a marker's corners: lay its known pattern over the picture by least squares, blurred and bent.
 
-OpenCV's refinements look for straight sides (a cylinder's are not) and are off by up to a pixel; blur pulls some of them inwards.
+OpenCV's refinements look for straight sides (a cylinder's are not) and are off by up to a pixel; blur pulls some of
+them inwards.
 """
 
 from dataclasses import dataclass
@@ -20,10 +21,11 @@ TARGET_PX: Final = 90.0
 GRID: Final = np.linspace(-1.3, 1.3, 209)
 """Where the pattern is tabulated along s and t; a marker covers [-1, 1]."""
 FLAT: Final = 6.0
-"""Beyond so many standard deviations a blurred step is flat to 1e-8; farther out, the products' factors would be too small for float32's
-fast path."""
+"""Beyond so many standard deviations a blurred step is flat to 1e-8; farther out, the products' factors would be too
+small for float32's fast path."""
 BLUR_PX: Final = (0.25, 6.0)
-"""Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the largest markers."""
+"""Standard deviations between which the blur is sought: a pixel alone has 0.29, and 6 is over half a module of the
+largest markers."""
 FIRST_BLUR_PX: Final = 1.2
 """Standard deviation that the fit of a first marker begins with; others begin with that of the one before."""
 RETABLE: Final = 0.03
@@ -35,9 +37,11 @@ MOST_STEPS: Final = 15
 MOST_MOVE: Final = 0.15
 """A step moves no corner by more than this, in half sides."""
 ENOUGH_PX: Final = 0.003
-"""Steps of the corners below this end the fit: a seventh of what the covariance does not know of (`view_fit.FLOOR_PX`)."""
+"""Steps of the corners below this end the fit: a seventh of what the covariance does not know of
+(`view_fit.FLOOR_PX`)."""
 LEAST_CORRELATION: Final = 0.9
-"""Every wrong module of 64 takes 2/64 off the correlation of balanced black and white: three may be wrong, by dirt or glare."""
+"""Every wrong module of 64 takes 2/64 off the correlation of balanced black and white: three may be wrong, by dirt or
+glare."""
 MOST_SHIFT, MOST_SHIFT_PX = 0.1, 2.5
 """A fit whose corners end farther than this from the start, in sides and in pixels, is refused."""
 MOST_BULGE: Final = 0.5
@@ -61,10 +65,11 @@ class MarkerFit:
     correlation: float
     """Between the picture and the fitted pattern."""
     bend: float = 0.0
-    """By how much greys half-way between the marker's black and white are brighter than half-way, as a share of the contrast.
+    """By how much greys half-way between the marker's black and white are brighter than half-way, as a share of the
+    contrast.
 
-    Blur makes every grey between the two, as many on either side of an edge, whatever its shape is, as long as it is even: in pictures that
-    are linear in light there is no bend (`recon.calibration.curve`)."""
+    Blur makes every grey between the two, as many on either side of an edge, whatever its shape is, as long as it is
+    even: in pictures that are linear in light there is no bend (`recon.calibration.curve`)."""
 
 
 class Scratch:
@@ -85,18 +90,23 @@ def fit_marker(
 ) -> MarkerFit | None:
     """Fit a marker's pattern to the picture.
 
-    The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by a Gaussian in the
-    picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 - s^2)``: a homography H through the
-    corners and a bulge b (3,), which is what a cylinder about an axis along t adds to a flat marker. All 18 parameters (8 of H, b, the
-    blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
+    The model of the pixel at W(s, t) is ``k(s, t) + w(s, t) T(s, t)`` with T the pattern (1 white, 0 black) blurred by
+    a Gaussian in the picture, k and w linear in (s, t). In homogeneous coordinates ``W(s, t) = H (s, t, 1) + b (1 -
+    s^2)``: a homography H through the corners and a bulge b (3,), which is what a cylinder about an axis along t adds
+    to a flat marker. All 18 parameters (8 of H, b, the blur, 3 of k, 3 of w) are fitted together by Gauss-Newton.
 
     Parameters
     ----------
-    image : (H, W) grey levels, linear in light.
-    white : (n, n) True where the pattern is white, border included, row 0 at the top.
-    start_px : (4, 2) corners, good to about two pixels.
-    blur_px : first guess of the blur; take a neighbour's.
-    scratch : memory of a fit before, of the same thread.
+    image : (H, W) uint8 or uint16 array
+        Grey levels, linear in light.
+    white : (n, n) bool array
+        True where the pattern is white, border included, row 0 at the top.
+    start_px : (4, 2) float64 array
+        Corners, good to about two pixels.
+    blur_px : float
+        First guess of the blur; take a neighbour's.
+    scratch : Scratch or None
+        Memory of a fit before, of the same thread.
 
     Returns
     -------
@@ -164,9 +174,12 @@ def _window(image: NDArray[np.uint8 | np.uint16], start_px: Array, side_px: floa
 def _gauss_newton(
     window: _Window, white: NDArray[np.bool_], blur: float, scratch: Scratch
 ) -> tuple[Array, float, Array, float, float] | None:
-    """Return H and b (11,), blur, covariance of them all (18, 18), the correlation and the bend, or None where the fit runs away.
+    """Return H and b, the blur, the covariance of all, the correlation and the bend.
 
-    Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other pictures.
+    H and b are (11,), the covariance is (18, 18); None where the fit runs away.
+
+    Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other
+    pictures.
     """
     warp = np.append(_homography_through(window.start), np.zeros(3))
     table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
@@ -252,9 +265,12 @@ def _by_warp(rows: Array, by_s: Array, by_t: Array, warp: Array, s: Array, t: Ar
 
 
 def _pattern(white: NDArray[np.bool_], sigma_s: float, sigma_t: float, scratch: Scratch) -> NDArray[np.float32]:
-    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (t down, s right): cells convolved with a Gaussian in closed form.
+    """Tabulate T, dT/ds, dT/dt and dT/dlog(blur) on `GRID` x `GRID` (t down, s right).
 
-    A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second one by s (heat equation).
+    They are cells convolved with a Gaussian in closed form.
+
+    A step at e blurred by sigma is Phi((s - e) / sigma); a derivative by log sigma is sigma^2 times the second one by s
+    (heat equation).
     """
     cells = np.pad(white.astype(np.float32), 1, constant_values=1.0)
     edges = np.linspace(-1.0, 1.0, len(white) + 1)

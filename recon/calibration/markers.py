@@ -1,4 +1,7 @@
-"""Find the markers of the strip in a picture: OpenCV names them, `recon.calibration.marker_fit` measures their corners."""
+"""Find the markers of the strip in a picture.
+
+OpenCV names them, `recon.calibration.marker_fit` measures their corners.
+"""
 
 from dataclasses import dataclass
 
@@ -16,9 +19,11 @@ Bytes = NDArray[np.uint8]
 Picture = NDArray[np.uint8 | np.uint16]
 
 LONGEST_PX = 2100
-"""Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+"""Pictures are halved until their longer side is below this for the search; corners are measured in the full
+picture."""
 _ALIKE = 0.7, 1.4
-"""Heights of markers of one strip over their median: a strip round a net pot shows nearer and farther ones by a fifth."""
+"""Heights of markers of one strip over their median: a strip round a net pot shows nearer and farther ones by a
+fifth."""
 _WINDOWS_PX = 7, 37, 10
 """Least, largest and step of the windows of OpenCV's adaptive threshold, tried on pictures of the strip."""
 _BRIGHTEST = 99.5
@@ -37,7 +42,8 @@ class Markers:
     ids: NDArray[np.int64]
     """(M,) ascending."""
     corners_px: Array
-    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from outside."""
+    """(M, 4, 2), pixel centres at integers: top left, top right, bottom right, bottom left, seen upright from
+    outside."""
     covariance_px2: Array | None = None
     """(M, 8, 8) of x, y of the four corners in order; None: 0.1 px each, independent."""
     bend: Array | None = None
@@ -75,9 +81,12 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
 
     Parameters
     ----------
-    image : (H, W) grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
-    strip : the strip that is looked for; markers of other ids are ignored.
-    measure : False keeps OpenCV's corners (refined by its SUBPIX, as the thesis has them), about ten times less exact.
+    image : (H, W) uint8 or uint16 array
+        Grey levels linear in light (blur then leaves edges in place), uint8 or uint16 left-aligned.
+    strip : MarkerStrip
+        The strip that is looked for; markers of other ids are ignored.
+    measure : bool
+        False keeps OpenCV's corners (refined by its SUBPIX, as the thesis has them), about ten times less exact.
 
     Returns
     -------
@@ -130,7 +139,10 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
 def _search(
     image: Picture, dictionary: cv2.aruco.Dictionary, strip: MarkerStrip, *, subpix: bool
 ) -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return ids (M,) of the strip, rough corners (M, 4, 2) in the full picture, and the ids of like size that are not the strip's."""
+    """Return ids (M,) of the strip, rough corners (M, 4, 2), and strange ids of like size.
+
+    The corners are in the full picture.
+    """
     small, shrink = image, 1
     while max(image.shape) / shrink > LONGEST_PX:
         shrink *= 2
@@ -159,7 +171,10 @@ def _height_px(four: Array) -> float:
 
 
 def _detector(dictionary: cv2.aruco.Dictionary, *, subpix: bool = False) -> cv2.aruco.ArucoDetector:
-    """Return a detector for markers that are small, blurred and foreshortened (tried on pictures of the strip: 18-20 of 26 found)."""
+    """Return a detector for markers that are small, blurred and foreshortened.
+
+    Tried on pictures of the strip: 18-20 of 26 found.
+    """
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax, parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX
     parameters.perspectiveRemovePixelPerCell = 8

@@ -19,9 +19,11 @@ from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 
 STILL_PX = 2.0
-"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for moving."""
+"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for
+moving."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for itself."""
+"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for
+itself."""
 LEAST_RING = 5
 """Views of a ring among which a moved one can be told."""
 OUTLIER_WEIGHT = 0.1
@@ -29,7 +31,8 @@ OUTLIER_WEIGHT = 0.1
 AS_CALIBRATED = 1e-7
 """Prior of the relative change of focus that holds the lens as it is."""
 STRANGERS = 3
-"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's strip is another."""
+"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's
+strip is another."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +70,9 @@ def find_poses(
 ) -> Poses:
     """Find the camera of every picture from its markers.
 
-    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the camera of each ring,
-    every table angle, the canister's pose on the table and what the camera moved between views (`recon.calibration.rig_fit`). Views
-    that do not fit are left out with the reason.
+    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the
+    camera of each ring, every table angle, the canister's pose on the table and what the camera moved between views
+    (`recon.calibration.rig_fit`). Views that do not fit are left out with the reason.
 
     Parameters
     ----------
@@ -118,7 +121,10 @@ def find_poses(
 
 
 def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
-    """Refuse pictures that show the strip's markers among others of their size: poses from a part of another strip would be wrong."""
+    """Refuse pictures that show the strip's markers among others of their size.
+
+    Poses from a part of another strip would be wrong.
+    """
     counts = Counter(marker_id for markers in detected if len(markers.ids) for marker_id in markers.foreign)
     strange = sorted(marker_id for marker_id, count in counts.items() if count > 1)
     if len(strange) >= STRANGERS:
@@ -185,7 +191,10 @@ def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
 def _together(
     views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
-    """Fit the rig to the views, leave out those that moved, fit again. Views of cameras that went about freely keep their own pose."""
+    """Fit the rig to the views, leave out those that moved, fit again.
+
+    Views of cameras that went about freely keep their own pose.
+    """
     keys = _rig_keys(views, sorted(seen), scene, captured)
     if not keys:
         return Poses(views=tuple(views), after_px=float(np.median([views[k].reprojection_px for k in seen])))

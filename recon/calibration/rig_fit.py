@@ -1,4 +1,7 @@
-"""One least-squares problem over all pictures: where the camera stood for each ring, how the table turned, how the canister sits on it."""
+"""One least-squares problem over all pictures.
+
+Where the camera stood for each ring, how the table turned, how the canister sits on it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,30 +15,37 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 
 CANISTER = np.array([0, 1, 3, 4])
-"""How a canister stands on a table, as parts of a twist: tilt about x and y, offset in x and y (height and turn belong to the camera)."""
+"""How a canister stands on a table, as parts of a twist: tilt about x and y, offset in x and y (height and turn belong
+to the camera)."""
 CANISTER_PRIOR = np.array([np.deg2rad(2.0), np.deg2rad(2.0), 5.0, 5.0])
 """How misaligned a canister may stand: rad, rad, mm, mm."""
 FREE_PRIOR_RAD = 0.3
-"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a misaligned canister changes."""
+"""How far an angle that nobody commanded may be from the camera's azimuth about the strip, which a misaligned canister
+changes."""
 TAIL = 4.0
 """Degrees of freedom of Student's t for the views' own movement: one moved view does not loosen the others."""
 STILL = np.array([np.deg2rad(1e-5), 1e-4])
 """Least spread (rad, mm) of the views' own movement."""
 LEAST_SCALE = 0.3
-"""Residuals are taken to be no smaller than this share of what their covariances say: a chance few must not look exact."""
+"""Residuals are taken to be no smaller than this share of what their covariances say: a chance few must not look
+exact."""
 MOST_STEPS = 15
 """Gauss-Newton converges fast or runs away."""
 SPREAD_STEPS = 10
 """Fixed-point steps of the spreads within one step of the fit; they settle together."""
 _CHI2_MEDIAN = 7.34
-"""Median of chi square with 8 degrees of freedom (`scipy.stats.chi2.median(8)` is 7.344): of a marker's four corners."""
+"""Median of chi square with 8 degrees of freedom (`scipy.stats.chi2.median(8)` is 7.344): of a marker's four
+corners."""
 ENOUGH = 1e-6
 """Steps (rad, mm, px) below this end the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """What the pictures are explained by: ``cam_from_canister = own[v] @ cam_from_rig[ring[v]] @ Rz(angle[v]) @ table_from_canister``."""
+    """What the pictures are explained by.
+
+    ``cam_from_canister = own[v] @ cam_from_rig[ring[v]] @ Rz(angle[v]) @ table_from_canister``.
+    """
 
     ring: NDArray[np.int64]
     """(V,) index into cam_from_rig."""
@@ -85,11 +95,13 @@ class RigFit:
 
 
 def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings) -> RigFit:
-    """Fit the rig to all pictures by Gauss-Newton; each step reduces a picture to the normal equations of its pose, which loses nothing.
+    """Fit the rig to all pictures by Gauss-Newton.
 
-    Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is found from the pictures
-    (expectation maximisation under Student's t): it goes to zero for a still camera, which pools all views, and grows to the scatter of
-    the single views where the camera moved.
+    Each step reduces a picture to the normal equations of its pose, which loses nothing.
+
+    Corners are weighted by covariance and Cauchy's loss, marker by marker. The spread of the views' own movement is
+    found from the pictures (expectation maximisation under Student's t): it goes to zero for a still camera, which
+    pools all views, and grows to the scatter of the single views where the camera moved.
 
     Parameters
     ----------
@@ -196,7 +208,10 @@ class _System:
         return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, settings)
 
     def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the shared (S,) and local (V, 7) step, the covariances (S, S), (V, 7, 7), and the cross covariance (V, S, 7)."""
+        """Return the shared (S,) and local (V, 7) step, and their covariances.
+
+        These are (S, S), (V, 7, 7), and between the two (V, S, 7).
+        """
         precision = np.repeat(spread[self.rig.ring] ** -2.0, 3, axis=1) * weight[:, None]
         prior = np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)

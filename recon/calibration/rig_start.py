@@ -39,9 +39,13 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
 
     Parameters
     ----------
-    cam_from_canister : (4, 4) of each view, from its own markers.
-    captured : the views' frames: ring, placement and commanded table angle. Each placement of the camera in a ring has a camera of its own.
-    direction : +1 where positive table angles turn counter-clockwise seen from above.
+    cam_from_canister : sequence of (4, 4) float64 array
+        Of each view, from its own markers.
+    captured : sequence of Frame
+        The views' frames: ring, placement and commanded table angle. Each placement of the camera in a ring has a
+        camera of its own.
+    direction : int
+        +1 where positive table angles turn counter-clockwise seen from above.
     """
     poses = np.array(cam_from_canister)
     stations = sorted({frame.station for frame in captured})
@@ -83,7 +87,10 @@ def _scatter(angles: Array) -> float:
 
 
 def _middle(poses: Array) -> Array:
-    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others (rotations count as shifts of an arm of `_ARM_MM`)."""
+    """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others.
+
+    Rotations count as shifts of an arm of `_ARM_MM`.
+    """
     flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * _ARM_MM, poses[:, :3, 3]], axis=1)
     return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
 

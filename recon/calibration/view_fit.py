@@ -1,4 +1,7 @@
-"""One picture's markers against a camera: residuals, their derivatives by the camera's pose, and the single-view pose (PnP)."""
+"""One picture's markers against a camera.
+
+Residuals, their derivatives by the camera's pose, and the single-view pose (PnP).
+"""
 
 from dataclasses import dataclass
 
@@ -18,8 +21,9 @@ FLOOR_PX = 0.02
 UNKNOWN_PX = 0.1
 """Error of a corner that comes without a covariance."""
 _MISREAD_PX = 1.5, 10.0
-"""Median and largest distance of a picture's corners from their places by SQPNP, beyond which some are taken for misread: corners that
-OpenCV finds are off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its side."""
+"""Median and largest distance of a picture's corners from their places by SQPNP, beyond which some are taken for
+misread: corners that OpenCV finds are off by 0.1 to 0.2 (`docs/calibration.md`), those of another marker by its
+side."""
 _RANSAC_PX, _RANSAC_TRIES = 3.0, 300
 """Corners nearer than this agree; with half of the corners misread, nine of 300 draws of five hold none of those."""
 _ENOUGH_MM = 1e-5
@@ -45,7 +49,9 @@ class Sightings:
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Least squares of one picture about a pose, for a left-hand twist (rotation rad, translation mm), the inset (px) and the lens's focus.
+    """Least squares of one picture about a pose, for a left-hand twist, the inset and the focus.
+
+    Units are rad and mm of the twist, and px of the inset.
 
     The focus is the relative change of the focal lengths.
     """
@@ -90,9 +96,12 @@ def linearise(
 
     Parameters
     ----------
-    inset_px : how much larger on each side the markers' images are than they should be (shared by all pictures).
-    focal_scale : factor on the camera's focal lengths (shared by all pictures).
-    scale : factor on the corners' standard deviations.
+    inset_px : float
+        How much larger on each side the markers' images are than they should be (shared by all pictures).
+    focal_scale : float
+        Factor on the camera's focal lengths (shared by all pictures).
+    scale : float
+        Factor on the corners' standard deviations.
     """
     count, camera = len(seen.px), seen.camera.focused(focal_scale)
     cam = frames.apply(cam_from_canister, seen.points_mm.reshape(-1, 3))
@@ -117,8 +126,8 @@ def linearise(
 def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
     """Return ``cam_from_canister`` from one picture alone, or None where there is no solution.
 
-    SQPNP (Terzakis & Lourakis 2020) starts it; where its residuals are large, RANSAC does; Gauss-Newton over the corners ends it.
-    ``polish`` weighs the corners by their covariance and lets outliers go.
+    SQPNP (Terzakis & Lourakis 2020) starts it; where its residuals are large, RANSAC does; Gauss-Newton over the
+    corners ends it. ``polish`` weighs the corners by their covariance and lets outliers go.
     """
     points, px = seen.points_mm.reshape(-1, 3), seen.px.reshape(-1, 2)
     camera, lens = matrix(seen.camera), np.array(seen.camera.distortion)

@@ -1,1 +1,4 @@
-"""How much of each pixel roots cover: the empty backlight, what is no root, silhouettes, and coverage sampled at points."""
+"""How much of each pixel roots cover: the empty backlight, what is no root, silhouettes.
+
+Coverage is sampled at points.
+"""

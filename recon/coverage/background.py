@@ -26,9 +26,11 @@ _LEAST_SHARE = 0.5
 _RIM_PX = 11
 """Width of the square about each pixel of glare that is glare too: five pixels each way for its blurred flank."""
 _UPPER, _ALIKE = 0.2, 0.04
-"""The panel is what the brightest fifth of the views show, and those within this share of them: roots may pass in four views of five."""
+"""The panel is what the brightest fifth of the views show, and those within this share of them: roots may pass in four
+views of five."""
 _COVERED = 0.96
-"""A background darker than this share of the smooth surface was covered in every view: as far below it as views may differ (`_ALIKE`)."""
+"""A background darker than this share of the smooth surface was covered in every view: as far below it as views may
+differ (`_ALIKE`)."""
 _CORE = 0.85
 """Share of the canister's width in which the smooth surface is fitted: beyond, the wall's reflection makes it steep."""
 _SAMPLES = 40_000
@@ -48,11 +50,14 @@ _THREADS = 2
 
 
 def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
-    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water, and out of it to the backlight.
+    """Return the pixels (H, W) whose line of sight passes below the net pot's skirt into the water.
 
-    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of half a pixel
-    and `_MARGIN_MM` at what is opaque: the skirt before and behind the canister, the grid or water surface, and the base, as far out as the
-    outer wall. How far a line of sight stays clear of these is computed for one pixel in four each way and interpolated.
+    It also leaves the water again for the backlight.
+
+    Left out are the outermost 2 % of the canister's width, where the wall reflects nearly everything, and a margin of
+    half a pixel and `_MARGIN_MM` at what is opaque: the skirt before and behind the canister, the grid or water
+    surface, and the base, as far out as the outer wall. How far a line of sight stays clear of these is computed for
+    one pixel in four each way and interpolated.
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
@@ -68,7 +73,10 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
 
 
 def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_z: Array) -> Array:
-    """Return how far (in height) rays with these invariants stay clear of everything opaque; NaN where they miss the water."""
+    """Return how far (in height) rays with these invariants stay clear of everything opaque.
+
+    NaN where they miss the water.
+    """
     r_skirt, r_o, r_i, z_cam = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, float(view.centre_mm[2])
     with np.errstate(invalid="ignore"):
         line = refraction.trace(optics, view.rho_mm, z_cam, np.where(np.abs(w) < optics.w_limit, w, np.nan), p_z)
@@ -86,7 +94,8 @@ def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_
 def wall_light(view: cameras.View, optics: Optics) -> Image:
     """Return the share (H, W) of the backlight that comes through the canister's walls; that of the flank beyond it.
 
-    Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is estimated without them.
+    Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is
+    estimated without them.
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
@@ -101,9 +110,10 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
 def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> tuple[Image, Mask]:
     """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
 
-    Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the panel in
-    nearly every view (the taproot on the axis, a crowd of roots) that is too dark: a smooth surface through the trusted pixels takes
-    its place. It is fitted first to pixels that most views show alike, as a crowd may hide more of the panel than it leaves free.
+    Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the
+    panel in nearly every view (the taproot on the axis, a crowd of roots) that is too dark: a smooth surface through
+    the trusted pixels takes its place. It is fitted first to pixels that most views show alike, as a crowd may hide
+    more of the panel than it leaves free.
 
     Parameters
     ----------
@@ -132,7 +142,8 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
         part = stack[:, begin : begin + _BLOCK_ROWS]
         if inside.ndim == 3:
             part = np.where(inside[:, begin : begin + _BLOCK_ROWS], part, 0.0)
-        # sorted from the brightest: what lies outside comes last, and the quintile is that of the views that look into the water
+        # sorted from the brightest: what lies outside comes last,
+        # and the quintile is that of the views that look into the water
         number = views if inside.ndim == 2 else inside[:, begin : begin + _BLOCK_ROWS].sum(axis=0)
         rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
         ranks = np.unique(rank)
@@ -154,7 +165,9 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
 
 
 def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
-    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row, dark outliers and glare left out.
+    """Fit a smooth surface from above: Chebyshev in the position across the canister and the row.
+
+    Dark outliers and glare are left out.
 
     It begins with the pixels (H, W) that are ``sure``; where it runs on from them, it decides on the others.
     """
@@ -194,7 +207,9 @@ def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = 
 
 
 def estimate_single(image: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Image:
-    """Estimate the empty backlight of one picture from itself: dark things up to 31 px wide are closed, wider ones bridged.
+    """Estimate the empty backlight of one picture from itself.
+
+    Dark things up to 31 px wide are closed, wider ones bridged.
 
     For cameras that moved from view to view.
 

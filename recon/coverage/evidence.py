@@ -1,4 +1,7 @@
-"""What the pictures say about thin roots: coverage in all views, where a root may be, and where one is thick for certain."""
+"""What the pictures say about thin roots.
+
+Coverage in all views, where a root may be, and where one is thick for certain.
+"""
 
 from __future__ import annotations
 
@@ -146,15 +149,19 @@ def sine_to_sight(du: Vector3f, dv: Vector3f, direction: Vector3f) -> Float:
 
     Parameters
     ----------
-    du, dv : gradients of column and row by the point, mi.Vector3f; along the line of sight no pixel changes.
-    direction : mi.Vector3f, canister frame.
+    du, dv : Vector3f
+        Gradients of column and row by the point, mi.Vector3f; along the line of sight no pixel changes.
+    direction : Vector3f
+        mi.Vector3f, canister frame.
     """
     along = dr.dot(dr.normalize(dr.cross(du, dv)), direction)
     return dr.sqrt(dr.maximum(1 - dr.square(along), 0.0))
 
 
 def generous_outline(silhouette: Silhouette) -> Image:
-    """Return a signed distance (2 H, 2 W) in pixels to a generous outline, as `silhouettes.signed_distance` does to the best one.
+    """Return a signed distance (2 H, 2 W) in pixels to a generous outline.
+
+    `silhouettes.signed_distance` returns that to the best one.
 
     It is meant to hold every root, however thin, at the price of holding more.
     """

@@ -43,7 +43,8 @@ class Coverage:
     exposures: Exposures | None = None
     """How the pictures were exposed, in the order of the cameras; None: not asked."""
     dirt: float | None = None
-    """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no wall."""
+    """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
+    wall."""
 
     def fill(self, frame: int) -> float | None:
         """Return the share of the seen water that roots cover in a frame; None where it is not used."""
@@ -167,7 +168,10 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
 def _without_wall(
     cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Take off the fouling of the wall, and tell the share of it that films cover; in air nothing does, and few views do not tell."""
+    """Take off the fouling of the wall, and tell the share of it that films cover.
+
+    In air nothing does, and few views do not tell.
+    """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
         return opacity, seen, None
@@ -221,7 +225,10 @@ def _backgrounds(
 
 
 def _still(views: list[View]) -> bool:
-    """Tell whether a ring's camera stood still: the canister, a few millimetres off the table's axis, hardly moves in the picture."""
+    """Tell whether a ring's camera stood still.
+
+    The canister, a few millimetres off the table's axis, hardly moves in the picture.
+    """
     focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])
     column, row = focal * axis[:, 0] / axis[:, 2], focal * axis[:, 1] / axis[:, 2]

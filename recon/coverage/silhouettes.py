@@ -1,7 +1,7 @@
 """Silhouettes: how much of each pixel a root covers, and the signed distance to the outline in pixels.
 
-Two ways: ``coverage`` measures the covered fraction of each pixel against the empty backlight, and outlines it so that roots
-thinner than a pixel keep their width; ``thesis`` is the binary way of the thesis (T3.4.2).
+Two ways: ``coverage`` measures the covered fraction of each pixel against the empty backlight, and outlines it so that
+roots thinner than a pixel keep their width; ``thesis`` is the binary way of the thesis (T3.4.2).
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ _BLUR_PX = 0.7
 _SILENT_PX = 4
 """Blur, interpolation and widening reach less far than this."""
 _CORE, _CORE_PX, _LEAST_CORE = 0.6, 5, 20
-"""Root is resolved where opacity is above this over a square of this many pixels: a root of that width, whose own light is less than 0.4.
-Fewer such pixels than this tell no median."""
+"""Root is resolved where opacity is above this over a square of this many pixels: a root of that width, whose own light
+is less than 0.4. Fewer such pixels than this tell no median."""
 _NEAR_PX, _LEAST_NEAR = 13, 0.02
-"""Resolved root within a square of this many pixels tells the brightness of a root there: the light on it changes along it. Three
-pixels of the square (this share) or fewer tell none."""
+"""Resolved root within a square of this many pixels tells the brightness of a root there: the light on it changes along
+it. Three pixels of the square (this share) or fewer tell none."""
 _LEAST_REFERENCE = 0.3
-"""Opacity of a root that covers its pixel is at least this: a brighter one is glassy, and nothing is divided by less."""
+"""Opacity of a root that covers its pixel is at least this: a brighter one is glassy, and nothing is divided by
+less."""
 _LEAST_NOISE = 1e-4
 """Opacity that noise has at least: rendered pictures without noise have rounding."""
 _FLOOR = 0.1
@@ -53,7 +54,8 @@ class Silhouette:
     seen: Mask
     """(H, W): the picture says something about the water here."""
     opacity: Image | None = None
-    """(H, W), 0 to 1: light that roots absorb, over what an opaque root would; None where the picture is a silhouette already."""
+    """(H, W), 0 to 1: light that roots absorb, over what an opaque root would; None where the picture is a silhouette
+    already."""
 
     def cut(self, window: Window) -> Silhouette:
         """Return the part in a window."""
@@ -73,7 +75,10 @@ class Window:
 
     @staticmethod
     def around(silhouettes: Sequence[Silhouette]) -> Window:
-        """Return the window that holds what any of the pictures tells, with a margin of silence or the picture's border about it."""
+        """Return the window that holds what any of the pictures tells.
+
+        With a margin of silence or the picture's border about it.
+        """
         told = np.logical_or.reduce([silhouette.seen for silhouette in silhouettes])
         low, size = [], []
         for axis in (0, 1):  # columns, then rows
@@ -128,7 +133,8 @@ def without_noise(coverage: Image, above: Mask, seen: Mask) -> Silhouette:
 def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
     """Tell the pixels (H, W) whose surroundings (Gaussian of a pixel) are darker than noise makes them.
 
-    The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is empty.
+    The noise is that of the empty backlight: the median absolute deviation of the smoothed opacity, most of which is
+    empty.
     """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     if not seen.any():
@@ -142,8 +148,8 @@ def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = Coverag
 def thesis(image: Image, seen: Mask) -> Silhouette:
     """Silhouette of T3.4.2: Otsu's threshold, joined with hysteresis on Sobel edges, then opened.
 
-    Otsu's threshold and the hysteresis levels are those of the seen part of the picture (the thesis gives no numbers; the high
-    level is Otsu's threshold of the edge strength and the low level half of it).
+    Otsu's threshold and the hysteresis levels are those of the seen part of the picture (the thesis gives no numbers;
+    the high level is Otsu's threshold of the edge strength and the low level half of it).
     """
     if not seen.any():
         return Silhouette(np.zeros(image.shape, np.float32), seen)
@@ -173,8 +179,8 @@ _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
 def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
 
-    Where the picture says nothing, and within a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as inside.
-    Sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
+    Where the picture says nothing, and within a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as
+    inside. Sample (i, j) lies at the pixel position ((j + 0.5) / 2 - 0.5, (i + 0.5) / 2 - 0.5).
     """
     size = (silhouette.coverage.shape[1] * UPSAMPLING, silhouette.coverage.shape[0] * UPSAMPLING)
     blurred = cv2.GaussianBlur(silhouette.coverage, (0, 0), _BLUR_PX)
@@ -220,7 +226,8 @@ def level_distance(value: Image) -> Image:
     far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
     use = inside & ~beside
     signed[use] = np.maximum(far[use] - near[row[use], column[use]], 0.5)
-    # outside, where it only tells how far an outline is for certain, a chamfer's 2 % do no harm; they take 1.7 % of a ball's radius
+    # outside, where it only tells how far an outline is for certain, a chamfer's 2 % do no harm;
+    # they take 1.7 % of a sphere's radius
     far, label = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     beyond = np.zeros(int(label.max()) + 1, np.float32)
     beyond[label[inside]] = near[inside]

@@ -1,13 +1,14 @@
 """How much light roots let through, from the pictures, and what a translucent root covers.
 
-A root of chord c passes ``exp(-mu c)`` of the light, besides a share b of the backlight's brightness that it shows by itself (front light),
-so that a round root of radius w has the opacity
+A root of chord c passes ``exp(-mu c)`` of the light, besides a share b of the backlight's brightness that it shows by
+itself (front light), so that a round root of radius w has the opacity
 
     alpha(x) = (1 - b) (1 - exp(-2 mu sqrt(w^2 - x^2)))        at the distance x from its axis.
 
-Across a resolved root mu and w shape the profile differently: an opaque one is a box, a translucent one is round and the thinner the
-fainter. So mu is fitted to the profiles of straight, lone bands. What a picture tells of a root thinner than a few pixels is its
-opacity summed across, A = integral of alpha, and from A and mu follows w: coverage is opacity times ``2 w / A``.
+Across a resolved root mu and w shape the profile differently: an opaque one is a box, a translucent one is round and
+the thinner the fainter. So mu is fitted to the profiles of straight, lone bands. What a picture tells of a root thinner
+than a few pixels is its opacity summed across, A = integral of alpha, and from A and mu follows w: coverage is opacity
+times ``2 w / A``.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ Array = NDArray[np.float64]
 CLEARLY = 1.2
 """Roots are taken to be opaque unless that leaves this many times as much variance as translucent ones do.
 
-An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by chance.
-"""
+An opaque plant of the twin gave 1.03, translucent roots (2 a mm) 1.4 to 3.3; hundreds of samples differ by less by
+chance. """
 _REACH_PX, _STEP_PX = 14.0, 0.5
 """Profiles reach so far to each side, beyond the widest band and its flanks, in steps of half a pixel."""
 _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
@@ -35,7 +36,8 @@ _OFFSETS = np.arange(-_REACH_PX, _REACH_PX + 1e-6, _STEP_PX)
 _ALONG_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """A band is averaged over these places along it, where its profile must be the same (`_SAME`)."""
 _SAME = 0.12
-"""Opacity along one root differs by less (standard deviation): chosen above noise, and below the step where another root crosses."""
+"""Opacity along one root differs by less (standard deviation): chosen above noise, and below the step where another
+root crosses."""
 _WIDTH_PX = (4.0, 11.0)
 """Full widths at half height that are fitted: narrower bands are mostly blur, and too faint ones would be missed."""
 _FLANK_PX = 1.7
@@ -47,20 +49,23 @@ _GOOD = 0.02
 _MOST = 3000
 """Places of a view that are looked at."""
 _A_BIN, _LEAST = 120, 30
-"""Profiles used of each pixel of width, and fewer than which tell nothing: a median of 30 is uncertain by a quarter of their spread."""
+"""Profiles used of each pixel of width, and fewer than which tell nothing: a median of 30 is uncertain by a quarter of
+their spread."""
 _MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
 """Attenuations that are tried: 12 % apart from faint to dark, then nearly opaque and opaque."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
 """Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""
 _DARK, _STRAIGHT = 0.3, 0.8
-"""Places whose blurred opacity is above the first, and whose gradients lie in one direction (coherence of the structure tensor) to the
-second, are looked at: the axis of a band, away from crossings."""
+"""Places whose blurred opacity is above the first, and whose gradients lie in one direction (coherence of the structure
+tensor) to the second, are looked at: the axis of a band, away from crossings."""
 _CORE = 0.6
 """Opacity inside a root wide enough to show its own light, which is less than 0.4."""
 _DARKEST_CORES, _MOST_OWN = 0.005, 0.3
-"""The roots' own light is what this share of the cores has less than, and at most this much: a quantile, since noise reaches farther."""
+"""The roots' own light is what this share of the cores has less than, and at most this much: a quantile, since noise
+reaches farther."""
 _RADII_PX = np.geomspace(1.0, 7.5, 80)
-"""Radii that are compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, and room for what blur and translucency change."""
+"""Radii that are compared with profiles, 2.6 % apart: half of `_WIDTH_PX`, and room for what blur and translucency
+change."""
 _MOST_GAIN = 20.0
 """Upper end of the search for the gain: that of a root that absorbs a twentieth of the light."""
 _OWN = (0.0, 0.5, 1.0)
@@ -94,9 +99,12 @@ def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Law:
 
     Parameters
     ----------
-    opacities : (H, W) one less image over backlight, of some views.
-    seen : (H, W) where they say something.
-    px_a_mm : scale across the canister's axis.
+    opacities : list of (H, W) float32 array
+        One less image over backlight, of some views.
+    seen : list of (H, W) bool array
+        Where they say something.
+    px_a_mm : float
+        Scale across the canister's axis.
     """
     own, found = [np.zeros(0)], []
     for opacity, here in zip(opacities, seen, strict=True):
@@ -121,7 +129,10 @@ def _large(opacity: Image, seen: Mask) -> Mask:
 
 
 def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
-    """Sample opacity across straight, lone bands: profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height."""
+    """Sample opacity across straight, lone bands.
+
+    These are profiles (N, `_OFFSETS`) about their middles, and widths (N,) at half height.
+    """
     smooth = cv2.GaussianBlur(opacity, (0, 0), 1.0)
     g_x, g_y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     xx, yy, xy = (cv2.GaussianBlur(a, (0, 0), 3.0) for a in (g_x * g_x, g_y * g_y, g_x * g_y))
@@ -151,7 +162,10 @@ def _profiles(opacity: Image, seen: Mask) -> tuple[Array, Array]:
 
 
 def _fall(profile: Array, level: Array) -> Array:
-    """Return how far (N,) from its beginning, in pixels, each profile (N, M) falls below a level (N,); infinite where it does not."""
+    """Return how far (N,) from its beginning, in pixels, each profile (N, M) falls below a level (N,).
+
+    Infinite where it does not.
+    """
     below = profile < level[:, None]
     first = np.maximum(np.argmax(below, axis=1), 1)
     row = np.arange(len(profile))
@@ -169,7 +183,10 @@ def _balanced(width: Array) -> NDArray[np.int64]:
 
 
 def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Array]:
-    """Return (offsets, opacity (N, len(offsets))) across round roots of some radii, blurred, without their own brightness."""
+    """Return (offsets, opacity (N, len(offsets))) across round roots of some radii, blurred.
+
+    Their own brightness is left out.
+    """
     x = np.arange(-_REACH_PX * _FINE, _REACH_PX * _FINE + 1) / _FINE
     opacity = 1.0 - np.exp(-2.0 * mu_a_px * np.sqrt(np.maximum(radius_px[:, None] ** 2 - x**2, 0.0)))
     return x, cv2.GaussianBlur(opacity, (0, 0), sigmaX=blur_px * _FINE, sigmaY=1e-3, borderType=cv2.BORDER_CONSTANT)
@@ -214,8 +231,8 @@ def _vertex(at: Array, cost: Array, best: int) -> float:
 def covered(opacity: Image, law: Law, px_a_mm: float) -> Image:
     """Return the coverage of translucent roots from their opacity, both (H, W).
 
-    The gain is that of a straight round root with the peak that blurred opacity has nearby; chosen so that the root's coverage,
-    at most 1, adds up to its diameter.
+    The gain is that of a straight round root with the peak that blurred opacity has nearby; chosen so that the root's
+    coverage, at most 1, adds up to its diameter.
     """
     if law.mu_per_mm is None:
         raise ValueError(f"{law=} is that of opaque roots")
@@ -226,7 +243,10 @@ def covered(opacity: Image, law: Law, px_a_mm: float) -> Image:
 
 
 def _gains(mu_per_mm: float, px_a_mm: float) -> tuple[Array, Array]:
-    """Tabulate the peaks of blurred opacity of round roots and the gains (N,) that make their coverage add up to their diameters."""
+    """Tabulate the peaks of blurred opacity of round roots, and the gains, both (N,).
+
+    The gains make their coverage add up to their diameters.
+    """
     radii = np.geomspace(_THINNEST_MM, 3.0, 100) * px_a_mm
     radii = radii[radii < _REACH_PX - 3.0]
     x, seen = _bands(radii, mu_per_mm / px_a_mm, _SIGMA_PX)

@@ -1,8 +1,9 @@
 """Fouling of the canister's inner wall, told from the roots inside: algae films and bubbles.
 
-Every line of sight passes the wall twice. Unrolled and seen over the turn, what is on the wall adds up in its place while roots inside
-pass by; so a place of the wall is as dark as most of its views show it. Films are broad and faint: their light is given back to the
-pictures. Bubbles are small, round and dark-rimmed: what they cover is not seen. Thin long things stay: they are roots on the wall.
+Every line of sight passes the wall twice. Unrolled and seen over the turn, what is on the wall adds up in its place
+while roots inside pass by; so a place of the wall is as dark as most of its views show it. Films are broad and faint:
+their light is given back to the pictures. Bubbles are small, round and dark-rimmed: what they cover is not seen. Thin
+long things stay: they are roots on the wall.
 """
 
 from __future__ import annotations
@@ -53,7 +54,10 @@ class Crossings:
 
 @dataclass(frozen=True)
 class Wall:
-    """The unrolled inner wall; row 0 at the top of the water, column 0 at azimuth 0, both in texels of about `_TEXEL_MM`."""
+    """The unrolled inner wall, in texels of about `_TEXEL_MM`.
+
+    Row 0 is at the top of the water, column 0 at azimuth 0.
+    """
 
     film: Image
     """(rows, columns) optical depth."""
@@ -98,7 +102,10 @@ def _enlarged(values: Array, coarse: tuple[int, ...], image_wh: tuple[int, int])
 
 
 def look_up(panorama: Image, column: Image, row: Image) -> Image:
-    """Interpolate the unrolled wall (rows, columns) at texel coordinates (H, W); it goes round in columns and ends in rows."""
+    """Interpolate the unrolled wall (rows, columns) at texel coordinates (H, W).
+
+    It goes round in columns and ends in rows.
+    """
     ringed = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1)
     around = np.mod(column, np.float32(panorama.shape[1])) + np.float32(1.0)
     return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
@@ -136,7 +143,10 @@ def study(
     keys, film = list(opacity), np.zeros((rows, columns), np.float32)
 
     def place(k: int) -> NDArray[np.int32]:
-        """Return the texels (2, h, w) that a view's sampled pixels look through, near and far; -1 where nothing is seen."""
+        """Return the texels (2, h, w) that a view's sampled pixels look through, near and far.
+
+        -1 where nothing is seen.
+        """
         sides = []
         for side in (0, 1):
             row, column = (np.rint(at[side][sampled]).astype(np.int32) for at in (where[k].row, where[k].column))
@@ -147,7 +157,10 @@ def study(
     places = dict(zip(keys, monitor.each(place, "wall", keys), strict=True))
 
     def observed(k: int) -> Image:
-        """Return the mean optical depth (2, rows * columns) of the places a view sees, other side's film taken off, NaN elsewhere."""
+        """Return the mean optical depth (2, rows * columns) of the places a view sees, other side's film taken off.
+
+        NaN elsewhere.
+        """
         sides = []
         for side in (0, 1):
             here = places[k][side] >= 0
@@ -181,8 +194,9 @@ def _quantile(observed: Image) -> Image:
 def _bubbles(dark: Image, views: Image, least: float) -> Mask:
     """Tell the small dark places of the unrolled wall (rows, columns) that stand alone, with a texel about them.
 
-    Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear ring round the place;
-    and where a crowd of roots inside makes it dark, it is as clear as its ring in those views that look past them.
+    Where a root touches the wall it goes on from there in every view (V, rows, columns), so that none shows a clear
+    ring round the place; and where a crowd of roots inside makes it dark, it is as clear as its ring in those views
+    that look past them.
     """
     rows, columns = dark.shape
     square = np.ones((3, 3), bool)

@@ -1,4 +1,7 @@
-"""Views of the canister: a camera with its pose, pixels to rays and points to pixels through the water (float64 reference)."""
+"""Views of the canister: a camera with its pose, pixels to rays and points to pixels through the water.
+
+Float64 reference.
+"""
 
 from dataclasses import dataclass
 
@@ -82,8 +85,10 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
 
     Returns
     -------
-    line : lines of sight in the azimuth frame, NaN where the ray misses.
-    enters : (N,) whether the ray enters the water through the wall.
+    line : WaterLine
+        Lines of sight in the azimuth frame, NaN where the ray misses.
+    enters : (N,) bool array
+        Whether the ray enters the water through the wall.
     """
     w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, pixel_directions(view, px))
     inside = np.abs(w) < optics.w_limit
@@ -101,12 +106,15 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
 
     Parameters
     ----------
-    points_mm : (N, 3) in the canister frame, inside the water's radius.
+    points_mm : (N, 3) float64 array
+        In the canister frame, inside the water's radius.
 
     Returns
     -------
-    px : (N, 3, 2) pixels of up to three images, NaN where there are fewer.
-    count : (N,) number of images; 0 where the view is blind.
+    px : (N, 3, 2) float64 array
+        Pixels of up to three images, NaN where there are fewer.
+    count : (N,) int64 array
+        Number of images; 0 where the view is blind.
     """
     points = frames.apply(view.azimuth_from_canister, points_mm)
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
@@ -114,6 +122,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project water points (N, 3) that a view sees once, fast: their pixels (N, 2), NaN for those far out and those it cannot see."""
+    """Project water points (N, 3) that a view sees once, fast.
+
+    Their pixels (N, 2), NaN for those far out and those it cannot see.
+    """
     w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), frames.apply(view.azimuth_from_canister, points_mm))
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))

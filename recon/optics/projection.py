@@ -5,8 +5,8 @@ The mathematics and its symbols are those of `recon.optics.refraction`; here the
     f1 = P . nu - b_w = 0                                               the point lies beside the line
     f2 = z_entry + p_z / h_w (P . t + sqrt(R_i^2 - b_w^2)) - P_z = 0    and at its height
 
-are solved for (b_a, p_z) by Newton's method with the analytic Jacobian, started from a small table per view. Points that a view
-sees not at all, or twice (the water is a lens), are treated alike: such a view says nothing about them.
+are solved for (b_a, p_z) by Newton's method with the analytic Jacobian, started from a small table per view. Points
+that a view sees not at all, or twice (the water is a lens), are treated alike: such a view says nothing about them.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ _PARAMETERS = 32
 _CELL_MM = 1.0
 """Cells of the start table; Newton's steps do the rest."""
 NEWTON_STEPS, NEAR_MM = 3, 3e-4
-"""What these steps do not bring this near to its point counts as unseen: a thousandth of a pixel, and ten times single precision."""
+"""What these steps do not bring this near to its point counts as unseen: a thousandth of a pixel, and ten times single
+precision."""
 _FLANK, _STEEPEST = 0.9995, 0.98
 """Steps stay within these shares of the largest impact parameter and climb: at one, slopes are infinite."""
 _TABLE_MM = 0.2, 2.0
-"""Cameras whose distances from the axis and heights differ by less share a start table: Newton's steps make up for it."""
+"""Cameras whose distances from the axis and heights differ by less share a start table: Newton's steps make up for
+it."""
 
 
 def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Array]:
@@ -42,8 +44,10 @@ def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Arra
 
     Returns
     -------
-    b_a : (ny, nx) impact parameter in air, mm, of the (only) image.
-    count : (ny, nx) number of images.
+    b_a : (ny, nx) float64 array
+        Impact parameter in air, mm, of the (only) image.
+    count : (ny, nx) float64 array
+        Number of images.
     """
     r_i = optics.inner_radius_mm
     x = np.arange(-np.ceil(r_i) - 1, np.ceil(r_i) + 2, _CELL_MM)
@@ -67,7 +71,10 @@ def _start_table(optics: Optics, rho_mm: float, p_z: float) -> tuple[Array, Arra
 
 
 def _view_table(optics: Optics, view: View) -> Array:
-    """Return (ny, nx, 2): starting b_a, and the distance in mm (horizontal) to where the view is blind or sees double."""
+    """Return (ny, nx, 2): starting b_a, and the distance to where it is blind or sees double.
+
+    The distance is horizontal, in mm.
+    """
     z_cam, reach = float(view.centre_mm[2]), view.rho_mm - optics.outer_radius_mm
     steepest = max(abs(optics.water_z_mm - z_cam), abs(optics.floor_z_mm - z_cam))
     p_max = float(np.sin(np.arctan2(steepest, reach)))
@@ -103,7 +110,10 @@ class ViewBank:
 
     @staticmethod
     def of(views: Sequence[View], optics: Optics) -> ViewBank:
-        """Pack views; cameras at the same distance and height (within 0.2 mm and 2 mm) share a start table's contents."""
+        """Pack views.
+
+        Cameras at the same distance and height, within `_TABLE_MM`, share a start table's contents.
+        """
         packed = np.zeros((len(views), _PARAMETERS))
         made: dict[tuple[int, int], Array] = {}
         tables = []
@@ -293,7 +303,10 @@ def _follow(o: Optics, view: tuple[Float, Float, Float, Float], at: tuple[Float,
 
 
 def _pixel(parameter: list[Float], b: Float, p: Float, ray: _Ray) -> tuple[Float, Float, Bool, tuple[Float, Float, Float, Float]]:
-    """Return column and row of rays, whether they come from in front, and the derivatives of column and row by (b, p)."""
+    """Return column and row of rays, whether they come from in front, and the derivatives.
+
+    Those are of column and row by (b, p).
+    """
     rho, h_a = parameter[9], ray.h_a
     # direction in air, and its derivatives by (b, p)
     d_y = b * h_a / rho

@@ -1,12 +1,13 @@
 """Refraction at a round canister in closed form: the readable reference, in float64 numpy.
 
-Concentric cylinders about z conserve two optical invariants along a ray with optical direction ``p = n d`` (``|p| = n``):
-``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)`` the ray's horizontal
-impact parameter in medium i is ``b_i = L / h_i``; between the radii r1 > r2 it covers the horizontal length
-``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius r its horizontal heading turns by
-``asin(b_i / r) - asin(b_j / r)``. Everything here is in the camera's azimuth frame: the canister frame turned about z so that the
-camera's centre is at (rho, 0, z_cam). A camera is then just (rho, z_cam), and the unknowns of a projection are ``p_z`` and
-``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the canister.
+Concentric cylinders about z conserve two optical invariants along a ray with optical direction ``p = n d`` (``|p| =
+n``): ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula). With ``h_i = sqrt(n_i^2 - p_z^2)`` the
+ray's horizontal impact parameter in medium i is ``b_i = L / h_i``; between the radii r1 > r2 it covers the horizontal
+length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius r its
+horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``. Everything here is in the camera's azimuth frame: the
+canister frame turned about z so that the camera's centre is at (rho, 0, z_cam). A camera is then just (rho, z_cam), and
+the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the
+canister.
 
 `recon.optics.projection` is the same mathematics as a Dr.Jit kernel; a test holds the two together.
 """
@@ -25,9 +26,11 @@ _SINGLE = 0.97
 _NEWTON_STEPS = 12
 """At most; rays that are not within a thousand times `_CLOSE_MM` after them are none."""
 _START = 0.9
-"""Share of the largest impact parameter that Newton's steps begin within: farther out the first one may leave the range."""
+"""Share of the largest impact parameter that Newton's steps begin within: farther out the first one may leave the
+range."""
 _CLOSE_MM = 1e-7
-"""Newton's steps end where every ray passes its point this near: far below the 3e-4 mm that the fast kernel asks for."""
+"""Newton's steps end where every ray passes its point this near: far below the 3e-4 mm that the fast kernel asks
+for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +50,10 @@ class Optics:
 
     @property
     def w_limit(self) -> float:
-        """Largest impact parameter in air, over the outer radius, of rays that reach the water (1 unless an index is near 1)."""
+        """Largest impact parameter in air, over the outer radius, of rays that reach the water.
+
+        It is 1 unless an index is near 1.
+        """
         to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water)
         return min(1.0, to_water) * (1.0 - 1e-9)
 
@@ -97,9 +103,12 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
 
     Parameters
     ----------
-    rho_mm, z_cam_mm : horizontal distance of the camera from the axis, and its height, canister frame.
-    w : (...) impact parameter in air over the outer radius, in (-1, 1).
-    p_z : (...) vertical component of the unit direction in air.
+    rho_mm, z_cam_mm : float64 array or float
+        Horizontal distance of the camera from the axis, and its height, canister frame.
+    w : (...) float64 array
+        Impact parameter in air over the outer radius, in (-1, 1).
+    p_z : (...) float64 array
+        Vertical component of the unit direction in air.
     """
     r_o, r_i = optics.outer_radius_mm, optics.inner_radius_mm
     h_a = np.sqrt(1.0 - p_z**2)
@@ -118,10 +127,10 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
 
 
 def transmittance(optics: Optics, w: Array, p_z: Array) -> Array:
-    """Return the share (...) of unpolarised light that rays of these invariants keep on their way into the water and out again.
+    """Return the share (...) of unpolarised light that rays keep on their way into the water and out again.
 
-    Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius r:
-    ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
+    Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius
+    r: ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
     """
     momentum = w * optics.outer_radius_mm * np.sqrt(1.0 - p_z**2)
     through = np.ones(np.broadcast(w, p_z).shape)
@@ -140,7 +149,10 @@ def height_at(optics: Optics, line: WaterLine, points_xy_mm: Array) -> Array:
 
 
 def _p_z_through(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> Array:
-    """Solve f2 for p_z at given w: the ray of impact w whose water line has the point's height beside it (monotone in p_z)."""
+    """Solve f2 for p_z at given w: the ray of impact w whose water line has the point's height beside it.
+
+    Monotone in p_z.
+    """
     p_z = np.zeros(np.broadcast(w, points[..., 2]).shape)
     step = 1e-6
     for _ in range(12):
@@ -166,12 +178,15 @@ def images(
 
     Parameters
     ----------
-    points_mm : (N, 3) points with x^2 + y^2 < R_i^2, azimuth frame.
+    points_mm : (N, 3) float64 array
+        Points with x^2 + y^2 < R_i^2, azimuth frame.
 
     Returns
     -------
-    w, p_z : (N, max_images), NaN where there are fewer images; ordered by w.
-    count : (N,) number of images.
+    w, p_z : (N, max_images) float64 array
+        NaN where there are fewer images; ordered by w.
+    count : (N,) int64 array
+        Number of images.
     """
     n = len(points_mm)
     grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, samples + 1)) * optics.w_limit
@@ -209,11 +224,13 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
 
     Parameters
     ----------
-    points_mm : (N, 3) points with x^2 + y^2 < R_i^2, azimuth frame.
+    points_mm : (N, 3) float64 array
+        Points with x^2 + y^2 < R_i^2, azimuth frame.
 
     Returns
     -------
-    w, p_z : (N,), NaN for points that lie so far out that they may have two images or none, and where no ray from the camera ends.
+    w, p_z : (N,) float64 array
+        NaN for points that lie so far out that they may have two images or none, and where no ray from the camera ends.
     """
     single_mm = _SINGLE * optics.outer_radius_mm / optics.n_water
     w = np.clip(points_mm[:, 1] * optics.n_water / optics.outer_radius_mm, -_START * optics.w_limit, _START * optics.w_limit)
@@ -261,6 +278,9 @@ def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array
 
 
 def invariants(rho_mm: float, outer_radius_mm: float, directions: Array) -> tuple[Array, Array]:
-    """Return (w, p_z) of unit directions (..., 3) in air that leave the camera, azimuth frame; |w| >= 1 misses the canister."""
+    """Return (w, p_z) of unit directions (..., 3) in air that leave the camera, azimuth frame.
+
+    |w| >= 1 misses the canister.
+    """
     p_z = directions[..., 2]
     return rho_mm * directions[..., 1] / np.sqrt(1.0 - p_z**2) / outer_radius_mm, p_z

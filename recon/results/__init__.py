@@ -1,1 +1,4 @@
-"""A result as a folder: numbers, traits, files, its pictures (beside the truth where there is one) and the page for people."""
+"""A result as a folder: numbers, traits, files, its pictures, and the page for people.
+
+The pictures show the truth beside it where there is one.
+"""

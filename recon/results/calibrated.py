@@ -36,7 +36,10 @@ class Row:
 
 
 def of_cameras(cameras: Cameras) -> Json:
-    """Return what all views together told as JSON values, for the ``rig`` of a result; empty where the cameras were given and no more."""
+    """Return what all views together told as JSON values, for the ``rig`` of a result.
+
+    Empty where the cameras were given and no more.
+    """
     found = {} if cameras.markers is None else _of_markers(cameras.markers)
     if found or cameras.roots is not None:
         found |= _of_roots(cameras, found.get("focal_scale", 1.0))
@@ -99,7 +102,10 @@ def _of_roots(cameras: Cameras, focal_scale: float) -> Json:
 
 
 def rows(rig: Json) -> list[Row]:
-    """Return the table "calibrated from the pictures" of a result's ``rig``; empty where the cameras were given and nothing was found."""
+    """Return the table "calibrated from the pictures" of a result's ``rig``.
+
+    Empty where the cameras were given and nothing was found.
+    """
     found: list[Row] = []
     if rig.get("n_water_found") is not None:
         taken = rig["n_water"] != rig["n_water_given"]

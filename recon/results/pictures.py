@@ -1,4 +1,7 @@
-"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides. Matplotlib without a screen."""
+"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides.
+
+Matplotlib without a screen.
+"""
 
 import logging
 from pathlib import Path
@@ -74,7 +77,10 @@ def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset,
 
 
 def for_screen(dataset: Dataset, file: str) -> Floats | None:
-    """Return a picture of the dataset (H, W) as screens show it, 0..1; None, with a warning, where it cannot be read any more."""
+    """Return a picture of the dataset (H, W) as screens show it, 0..1.
+
+    None, with a warning, where it cannot be read any more.
+    """
     try:
         picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
     except UserError as error:
@@ -85,7 +91,10 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:
-    """Return where each frame's camera should have stood by the plan, (3,) in the canister frame; nothing where nobody planned."""
+    """Return where each frame's camera should have stood by the plan, (3,) in the canister frame.
+
+    Nothing where nobody planned.
+    """
     centres: dict[str, Floats] = {}
     for frame in dataset.frames:
         if frame.table_deg is None or frame.ring >= len(dataset.scene.plan.rings):
@@ -218,7 +227,10 @@ def shape_close_up(shape: Mesh) -> Figure:
 
 
 def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
-    """Draw the shape, the truth and the distance between them, from the front (upper row) and from the side, close up."""
+    """Draw the shape, the truth and the distance between them, from two sides.
+
+    The upper row is from the front, the lower one from the side, close up.
+    """
     points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
@@ -259,7 +271,10 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
 
 
 def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
-    """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing; one point a pixel of the picture."""
+    """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing.
+
+    One point a pixel of the picture.
+    """
     row, column = np.nonzero(found.hit)
     _, first, number = np.unique((row // SHRINK) * found.hit.shape[1] + column // SHRINK, return_index=True, return_inverse=True)
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)[first]

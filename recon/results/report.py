@@ -16,14 +16,16 @@ DPI = 130
 def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: Path | None = None) -> list[Path]:
     """Write ``pictures/*.png`` into a result folder.
 
-    A picture of the dataset that cannot be read any more is left out: the result is made already, and must not be lost with it.
+    A picture of the dataset that cannot be read any more is left out: the result is made already, and must not be lost
+    with it.
 
     Parameters
     ----------
-    dataset
+    dataset : Path or Dataset
         That the result was made from: its folder, or as it was loaded then.
-    truth_mesh
-        File of the true solid; where given, the shape is drawn beside it (``shape_and_truth.png``). Simulated data only.
+    truth_mesh : Path or None
+        File of the true solid; where given, the shape is drawn beside it (``shape_and_truth.png``). Simulated data
+        only.
 
     Returns
     -------

@@ -31,7 +31,10 @@ BAR_RGB = "#4c86b0"
 
 
 def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -> Figure:
-    """Draw from the front (upper row) and from the side: the picture nearest to that side, the roots by diameter, and by order."""
+    """Draw from the front (upper row) and from the side.
+
+    The picture nearest to that side, the roots by diameter, and by order.
+    """
     points = np.concatenate([root.points_mm for root in roots])
     diameters = np.concatenate([root.diameters_mm for root in roots])
     scale = ScalarMappable(norm=Normalize(0.0, float(np.percentile(diameters, THICKEST_PERCENT))), cmap="viridis")
@@ -117,7 +120,10 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: picture
 
 
 def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: Json, dataset: Dataset) -> None:
-    """Show the picture whose camera stands nearest to a side, cut to the roots, with room for the lens that the water is."""
+    """Show the picture whose camera stands nearest to a side, cut to the roots.
+
+    Room is left for the lens that the water is.
+    """
     axes.set_xticks([])
     axes.set_yticks([])
     used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None]

@@ -1,4 +1,7 @@
-"""The tables of a result's page: the volume and how far it can be trusted, the traits, and what the scan calibrated by itself."""
+"""The tables of a result's page: the volume and how far it can be trusted, the traits.
+
+Also what the scan calibrated by itself.
+"""
 
 import html
 from collections.abc import Sequence
@@ -18,7 +21,10 @@ def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: S
 
 
 def calibration(summary: Json) -> str:
-    """Return what all views together gave, with uncertainties and the reprojection before and after; empty where the poses were given."""
+    """Return what all views together gave, with uncertainties and the reprojection before and after.
+
+    Empty where the poses were given.
+    """
     rig = summary.get("rig") or {}
     rows = [
         (
@@ -36,7 +42,10 @@ def calibration(summary: Json) -> str:
 
 
 def _ring(ring: Json) -> list[list[str]]:
-    """Return where a ring's camera stands; its covariance is of rotation (rad) and translation (mm) along the camera's axes."""
+    """Return where a ring's camera stands.
+
+    Its covariance is of rotation (rad) and translation (mm) along the camera's axes.
+    """
     name = f"Camera of ring {ring['ring']}" + (f", placement {ring['placement'] + 1}" if ring.get("placement") else "")
     pose = frames.invert(np.array(ring["cam_from_rig"], np.float64))
     spread = np.sqrt(np.maximum(np.diag(np.array(ring["covariance"], np.float64)), 0.0))

@@ -158,7 +158,10 @@ class Result:
 
     @property
     def traits(self) -> Any:
-        """The traits with units and definitions: a pandas frame, indexed by name, where pandas is installed, otherwise a list of dicts."""
+        """The traits with units and definitions.
+
+        A pandas frame, indexed by name, where pandas is installed, otherwise a list of dicts.
+        """
         rows = trait_table.to_json(self.measured)["traits"]
         if find_spec("pandas") is None:
             return rows

@@ -38,7 +38,8 @@ RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
 )
-"""What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among them."""
+"""What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among
+them."""
 LARGEST = 1e15
 """No number of a result is as large: cubic millimetres, seconds, mebibytes."""
 
@@ -135,13 +136,19 @@ def read_summary(folder: Path) -> Json:
 
 
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
-    """Return the marker strip that a result was measured by; None in results of earlier versions, UserError where it is damaged."""
+    """Return the marker strip that a result was measured by.
+
+    None in results of earlier versions, UserError where it is damaged.
+    """
     told = summary.get("strip")
     return None if told is None else from_plain(MarkerStrip, told, Place(str(Path(folder) / "result.json")).at("strip"))
 
 
 def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
-    """Return the leaves of ``shape.npz``, or those of the hull before trimming; UserError where missing, damaged or empty."""
+    """Return the leaves of ``shape.npz``, or those of the hull before trimming.
+
+    UserError where missing, damaged or empty.
+    """
     path, prefix = Path(folder) / "shape.npz", "hull_" if hull else ""
     if not path.is_file():
         raise UserError(f"{path} does not exist; reconstruct again.")

@@ -19,7 +19,8 @@ from rhizotwin.scenes.traits import Traits, measure_traits
 Floats = NDArray[np.float64]
 
 THICK_CELLS = 3.0
-"""Roots of a larger radius, in finest voxels, are measured on the mesh; the mesh of thinner ones is eaten (-10 % of 0.3 mm roots' area)."""
+"""Roots of a larger radius, in finest voxels, are measured on the mesh; the mesh of thinner ones is eaten (-10 % of 0.3
+mm roots' area)."""
 
 
 def of_shape(
@@ -36,10 +37,14 @@ def of_shape(
 
     Parameters
     ----------
-    vertices_mm, faces : (V, 3) and (F, 3), the surface.
-    roots : may be empty; what needs centre lines is None then.
-    finest_mm : edge of the voxels from which the surface was drawn.
-    extents_mm : lowest and highest corner of the shape, for one whose surface is empty.
+    vertices_mm, faces : (V, 3) float64 array, (F, 3) int64 array
+        The surface.
+    roots : sequence of Root
+        May be empty; what needs centre lines is None then.
+    finest_mm : float
+        Edge of the voxels from which the surface was drawn.
+    extents_mm : tuple of (3,) sequences of float
+        Lowest and highest corner of the shape, for one whose surface is empty.
     """
     points = np.concatenate([vertices_mm, *(root.points_mm for root in roots)]) if len(vertices_mm) or roots else np.array(extents_mm)
     surface_mm2 = _area_mm2(vertices_mm, faces, roots, THICK_CELLS * finest_mm)
@@ -81,11 +86,14 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
 
 
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return one row a result as CSV: its name, scene, whose it is, traits with their units in the head, the volume's interval, warnings.
+    """Return one row a result as CSV.
+
+    It has name, scene, whose it is, traits with their units in the head, the volume's interval, warnings.
 
     Parameters
     ----------
-    rows : (name, summary, traits) of each result.
+    rows : sequence of tuple of str
+        (name, summary, traits) of each result.
     """
     ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "warnings")
     head = ["result", "scene", *subject.NAMES, *(d.heading for d in trait_table.DEFINITIONS), *ends]

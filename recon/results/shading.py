@@ -1,4 +1,7 @@
-"""A small orthographic renderer for meshes: depth buffer, smooth normals, soft shading. For pictures, not for measuring."""
+"""A small orthographic renderer for meshes: depth buffer, smooth normals, soft shading.
+
+For pictures, not for measuring.
+"""
 
 from dataclasses import dataclass
 
@@ -53,9 +56,9 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
 
     Parameters
     ----------
-    box_mm
+    box_mm : tuple of float
         (left, right, bottom, top) of the picture along the side's axes.
-    px_mm
+    px_mm : float
         Size of a pixel.
     """
     left, right, bottom, top = box_mm
@@ -136,8 +139,8 @@ def shade(
     """Return an RGBA picture (H / shrink, W / shrink, 4) in 0..1, transparent where nothing is met.
 
     Light falls from the upper left; hollows behind nearer parts are darkened, far parts fade a little towards white.
-    ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours that carry
-    numbers can be read.
+    ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours
+    that carry numbers can be read.
     """
     light = np.array([-0.45, 0.65, 0.75], np.float32)
     light /= np.linalg.norm(light)

@@ -28,7 +28,9 @@ def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: in
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return the distance of each point to its triangle, all (N, 3): Ericson, Real-Time Collision Detection (2005), 5.1.5.
+    """Return the distance of each point to its triangle, all (N, 3).
+
+    Ericson, Real-Time Collision Detection (2005), 5.1.5.
 
     Equal to the smallest of the distances to the three edges, and to the plane where the foot lies inside.
     """
@@ -55,9 +57,9 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
 def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]) -> Floats:
     """Return the distance (N,) in mm of each point (N, 3) to the nearest point of a mesh (V, 3), (F, 3).
 
-    Triangles are sorted into classes of like size, the fullest first. In each class the candidates are the nearest centroids; a point
-    is done when the next centroid is farther than the distance found so far plus the class's largest circumradius about the centroid,
-    so no nearer triangle can have been missed.
+    Triangles are sorted into classes of like size, the fullest first. In each class the candidates are the nearest
+    centroids; a point is done when the next centroid is farther than the distance found so far plus the class's largest
+    circumradius about the centroid, so no nearer triangle can have been missed.
     """
     points_mm = np.asarray(points_mm, np.float64)
     if not len(faces):
@@ -74,7 +76,10 @@ def distances(points_mm: Floats, vertices_mm: Floats, faces: NDArray[np.integer]
 
 
 def _grouped(classes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Return the members of the classes (M,), the fullest class first; those of a small class go with the next larger size."""
+    """Return the members of the classes (M,), the fullest class first.
+
+    Those of a small class go with the next larger size.
+    """
     groups: list[NDArray[np.int64]] = []
     waiting = np.zeros(0, np.int64)
     sizes = np.unique(classes)

@@ -1,4 +1,7 @@
-"""Score a reconstruction against the truth of a simulated dataset: the reconstruction itself never opens its ``truth`` folder."""
+"""Score a reconstruction against the truth of a simulated dataset.
+
+The reconstruction itself never opens its ``truth`` folder.
+"""
 
 import math
 from dataclasses import asdict, dataclass
@@ -28,7 +31,10 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well a result agrees with the truth, as a whole and stage by stage. Errors are signed fractions: found / true - 1."""
+    """How well a result agrees with the truth, as a whole and stage by stage.
+
+    Errors are signed fractions: found / true - 1.
+    """
 
     scene: str
     voxel_mm: float

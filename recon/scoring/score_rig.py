@@ -65,7 +65,10 @@ def _true(row: Row, truth: Truth) -> float | None:
 
 
 def _table_angles(cameras: Sequence[Camera], truth: Truth) -> RigError | None:
-    """Return how far the table angles are off (root mean square), their common part taken out: the camera's azimuth takes that up."""
+    """Return how far the table angles are off (root mean square), their common part taken out.
+
+    The camera's azimuth takes that up.
+    """
     true = {view.file: view.table_deg for view in truth.views}
     off: dict[int, list[float]] = {}
     for view in cameras:

@@ -38,7 +38,8 @@ class HullScore:
     volume_error: float
     """Signed fraction: what is too much here is what silhouettes cannot tell."""
     kept_recall: float
-    """Share of the true solid's voxel centres that lie in the trimmed shape's leaves: what is missing more was trimmed away."""
+    """Share of the true solid's voxel centres that lie in the trimmed shape's leaves: what is missing more was trimmed
+    away."""
     leaf_count_volume_mm3: float
     """Volume of the shape's leaves that are at least half occupied, counted whole: the thesis's measure."""
 

@@ -16,7 +16,8 @@ class TraitScore:
     true: Any
     unit: str
     error: float | None
-    """found / true - 1; of angles the difference in degrees; of histograms the share of the true length that lies in other bins."""
+    """found / true - 1; of angles the difference in degrees; of histograms the share of the true length that lies in
+    other bins."""
     error_unit: str
     """1 or deg."""
 
@@ -58,7 +59,10 @@ def rows(scores: dict[str, TraitScore]) -> list[tuple[str, str]]:
 
 
 def _misplaced(found: list[float], true: list[float]) -> float | None:
-    """Return half the sum of the bins' differences over the true length: 0 where all agree, 1 where none of an equal length does."""
+    """Return half the sum of the bins' differences over the true length.
+
+    0 where all agree, 1 where none of an equal length does.
+    """
     if not found or not true:
         return None
     count = max(len(found), len(true))

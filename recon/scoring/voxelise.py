@@ -1,9 +1,12 @@
-"""Which voxel centres lie inside a closed triangle mesh: vertical rays through the columns of a grid, counted with sign.
+"""Which voxel centres lie inside a closed triangle mesh.
 
-A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Every triangle is laid on the columns (x, y) whose
-centre lies in its projection; a column's crossings, sorted by height, change the winding number by the sign of the triangle's
-normal, and a centre is inside where the winding number is not zero. Columns that pass exactly through an edge or a vertex are
-given to one triangle by symbolic perturbation (Edelsbrunner and Muecke 1990), so that no crossing is lost or counted twice.
+Vertical rays through the columns of a grid, counted with sign.
+
+A voxel ``i`` (three integers) covers ``origin_mm + voxel_mm * [i, i + 1]``. Every triangle is laid on the columns (x,
+y) whose centre lies in its projection; a column's crossings, sorted by height, change the winding number by the sign of
+the triangle's normal, and a centre is inside where the winding number is not zero. Columns that pass exactly through an
+edge or a vertex are given to one triangle by symbolic perturbation (Edelsbrunner and Muecke 1990), so that no crossing
+is lost or counted twice.
 
 Nothing is ever as large as the grid: work and memory go with the surface (crossings) and with the voxels asked for.
 """
@@ -138,11 +141,11 @@ def cross_columns(
 
     Parameters
     ----------
-    vertices_mm, faces
+    vertices_mm, faces : float64 array, integer array
         Mesh, (V, 3) in mm and (F, 3), consistently oriented and closed (vertices need not be shared).
-    origin_mm, voxel_mm
+    origin_mm, voxel_mm : float64 array, float
         The grid: voxel i covers ``origin_mm + voxel_mm * [i, i + 1]``.
-    x_range
+    x_range : tuple of int or None
         Columns ``x_range[0] <= i_x < x_range[1]`` only; None: all that the mesh reaches.
 
     Raises
@@ -208,7 +211,10 @@ def _slabs(vertices_mm: Floats, faces: NDArray[np.integer], origin_mm: Floats, v
 
 
 def count_inside(vertices_mm: Floats, faces: NDArray[np.integer], *, origin_mm: Floats, voxel_mm: float) -> int:
-    """Return the number of voxel centres of the (unbounded) grid inside a closed mesh; parameters as `cross_columns`."""
+    """Return the number of voxel centres of the (unbounded) grid inside a closed mesh.
+
+    Parameters as `cross_columns`.
+    """
     slabs = _slabs(vertices_mm, faces, origin_mm, voxel_mm)
     return sum(cross_columns(vertices_mm, faces, origin_mm=origin_mm, voxel_mm=voxel_mm, x_range=slab).count for slab in slabs)
 
@@ -226,8 +232,8 @@ def count_in_boxes(
 
     Parameters
     ----------
-    low, size
-        (N, 3) lowest voxel and (N,) edge in voxels of each box, in any order.
+    low, size : (N, 3) and (N,) integer array
+        Lowest voxel and edge in voxels of each box, in any order.
 
     Returns
     -------

@@ -1,7 +1,8 @@
 """How far a volume can be trusted: an error budget, term by term, and what it says as a whole.
 
-Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms come from different causes,
-so they add up in quadrature, each side by itself (a root that nobody saw makes the volume larger only).
+Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms come from
+different causes, so they add up in quadrature, each side by itself (a root that nobody saw makes the volume larger
+only).
 """
 
 from __future__ import annotations

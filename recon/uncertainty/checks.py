@@ -1,7 +1,10 @@
-"""What a scan must pass before its volume is trusted: checks of the pictures themselves, that do not lean on what was made of them.
+"""What a scan must pass before its volume is trusted.
 
-Each check compares one measured number with limits that come from what it would do to a volume, and says in one sentence what was found,
-and in another what to do about it. One that fails takes the trust away; one that is only so-so is said.
+Checks of the pictures themselves, that do not lean on what was made of them.
+
+Each check compares one measured number with limits that come from what it would do to a volume, and says in one
+sentence what was found, and in another what to do about it. One that fails takes the trust away; one that is only so-so
+is said.
 """
 
 from collections.abc import Sequence

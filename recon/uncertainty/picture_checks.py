@@ -1,4 +1,7 @@
-"""The checks of the scan and its pictures: finished, exposed, linear, sharp, with markers and a canister that are where they should be."""
+"""The checks of the scan and its pictures.
+
+Finished, exposed, linear, sharp, with markers and a canister that are where they should be.
+"""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,7 @@
-"""The checks of what the pictures show of roots and canister together: motion, dirt, and whether the views agree and see."""
+"""The checks of what the pictures show of roots and canister together.
+
+Motion, dirt, and whether the views agree and see.
+"""
 
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.checks import Check, judged, state_of, stated, untold
@@ -21,7 +24,9 @@ def of_dirt(share: float | None, trust: TrustSettings = TrustSettings()) -> Chec
 
 
 def of_sight(*, missed: float, unexplained: float, fill: float, structure: float | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the views agree, that the shape explains them, and that they see past the roots: the worst of them is told.
+    """Check that the views agree, that the shape explains them, and that they see past the roots.
+
+    The worst of them is told.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""What the fitted tubes leave of the pictures: noise, or structure that no tube makes (bright cores, hairs, roots that moved)."""
+"""What the fitted tubes leave of the pictures.
+
+Noise, or structure that no tube makes (bright cores, hairs, roots that moved).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ _SMOOTH_PX = 1.0
 
 
 def left_by(seen: Evidence, system: RootSystem) -> float:
-    """Return what is left beside the tubes, smoothed and without the noise, over what they cover (both root mean square).
+    """Return what is left beside the tubes, smoothed and without the noise, over what they cover.
+
+    Both are root mean squares.
 
     A tube whose radius is off by a tenth leaves about a tenth.
     """
