@@ -125,7 +125,7 @@ def _overhead() -> list[Metric]:
             rig = replace(server.rig, name="twin")
             devices = open_devices(rig, twin.calibrated_scene(), clock=clock)
             try:
-                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", say=lambda _: None, progress=False)
+                dataset = scan(devices, twin.calibrated_scene(), Path(working) / "dataset", say=lambda _: None)
             finally:
                 devices.close()
         finally:
@@ -144,7 +144,7 @@ def _calibrate(profiles: tuple[str, ...]) -> list[Metric]:
         scene = replace(files.load_scene("printed_8ml"), disturbances=files.load_profile(profile))
         with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
             folder = Path(working) / "pictures"
-            simulate_board(scene, CharucoBoard(), folder, pictures=BOARD_PICTURES, seed=0, progress=False)
+            simulate_board(scene, CharucoBoard(), folder, pictures=BOARD_PICTURES, seed=0)
             found = calibration.calibrate(sorted(folder.glob("*.png")), CharucoBoard())
         true_px = scene.camera.focal_px
         error = max(abs(found.camera.focal_px[k] / true_px[k] - 1.0) for k in range(2))
@@ -176,6 +176,6 @@ def _scan(twin: Twin, folder: Path) -> Dataset:
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, seed=twin.seed, say=lambda _: None, progress=False)
+        return scan(devices, scene, folder, seed=twin.seed, say=lambda _: None)
     finally:
         devices.close()

@@ -153,7 +153,7 @@ def _scan(twin: Twin, folder: Path, *, resume: bool) -> Dataset:
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, resume=resume, seed=twin.seed, say=lambda _: None, progress=False)
+        return scan(devices, scene, folder, resume=resume, seed=twin.seed, say=lambda _: None)
     finally:
         devices.close()
 

@@ -11,7 +11,7 @@ import sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from rhizotwin.cli import main  # noqa: E402 - first the signal
-from rhizotwin.said import DEBUG_VARIABLE  # noqa: E402
+from rhizotwin.scenes.said import DEBUG_VARIABLE  # noqa: E402
 
 if not os.environ.get(DEBUG_VARIABLE):  # what libraries have to say to programmers; what a person must know is said in a sentence
     logging.captureWarnings(True)  # not a filter, which libraries change when they are loaded

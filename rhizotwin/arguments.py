@@ -14,6 +14,7 @@ from cyclopts import Parameter
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import Place
 from rhizotwin.scenes.subject import check_subject
+from rhizotwin.scenes.terminal import OneBar
 
 T = TypeVar("T")
 
@@ -204,6 +205,34 @@ class Placing:
     """Then enlarge it so many times, diameters too."""
     shift_mm: Annotated[tuple[float, float, float], option(read_shift_mm, "X,Y,Z")] | None = None
     """Then move it, from where --place puts it; write --shift-mm=-5,0,-20 where the first number is below 0."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """How much is told of the work while it lasts: one bar on a terminal, a line a stage elsewhere."""
+
+    quiet: Flag = False
+    """Show no progress."""
+    verbose: Flag = False
+    """Write a line for each stage, with its time."""
+
+    def bar(self, **shares: float) -> OneBar:
+        """Return a bar for stages that take about these shares of the time."""
+        return OneBar(shares, quiet=self.quiet, verbose=self.verbose)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """Where a page is served."""
+
+    host: Annotated[str, named("ADDRESS")] = "127.0.0.1"
+    """Address to serve the page at; 127.0.0.1 is this machine alone."""
+    port: Port = 8080
+    """Port to serve the page at, or the next free one."""
+    no_browser: Flag = False
+    """Print the page's address, and open no browser."""
 
 
 @Parameter(name="*")

@@ -9,8 +9,8 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
-from rhizotwin.said import DEBUG_VARIABLE, FULL, failure
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 AFTER_STOP = {

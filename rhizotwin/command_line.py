@@ -1,6 +1,5 @@
 """The command line: the table of commands as a cyclopts application, their help, and each mistake in typing as one sentence."""
 
-import difflib
 import inspect
 import re
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from cyclopts.exceptions import (
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.near import nearest
 
 ABOUT = (
     "A digital twin of a hydroponic root-imaging rig: render roots in a refracting water canister, reconstruct them "
@@ -44,9 +44,9 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
     UserError
         For a mistake in typing.
     """
-    if list(words) in ([], *([group] for group in GROUPS - ALONE)):
-        raise UserError(f"{'STEP' if words else 'COMMAND'} is missing; see {' '.join(['rhizotwin', *words])} --help")
     app = build(words)
+    if list(words) in ([], *([group] for group in GROUPS - ALONE)):
+        words = [*words, "--help"]
     try:
         function, bound, _ = app.parse_args(list(words), exit_on_error=False, print_error=False)
     except CycloptsError as error:
@@ -152,5 +152,5 @@ def _name(argument: Any) -> str:
 
 
 def _meant(word: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    near = nearest(word, known)
+    return f"; did you mean {near}?" if near else ""

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+from rhizotwin.arguments import Progress
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import beside, write_json
@@ -18,7 +19,7 @@ IMAGE_WH = (800, 600)
 VOXEL_MM = 0.27
 
 
-def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
+def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
     """Run the demonstration in a folder; a finished one in it is replaced, the pictures of a stopped one are kept.
 
     Parameters
@@ -29,6 +30,8 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
         Disturbance profile, see `scenes.files.load_profile`.
     say : callable
         Takes each line of text for the user.
+    progress : Progress
+        How much is told meanwhile.
 
     Raises
     ------
@@ -36,28 +39,29 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
         If the folder holds anything else than an earlier demonstration.
     """
     with held(folder):
-        _demo(folder, profile=profile, say=say)
+        _demo(folder, profile=profile, say=say, progress=progress)
 
 
-def _demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
+def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
     """Do what `demo` says in a folder that nobody else works in."""
     from rhizotwin.recon.scoring.score import score
-    from rhizotwin.scenes.monitor import Monitor
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     _clear(folder)
     dataset, result = folder / "dataset", folder / "result"
     scene = change_scene(files.load_scene(SCENE), views=VIEWS, image_wh=IMAGE_WH, profile=profile)
     say(f"1. {SCENE}: rendering {VIEWS} views of {IMAGE_WH[0]}x{IMAGE_WH[1]} pixels through air, acrylic and water")
-    try:
-        simulate(scene, dataset, profile_name=profile, seed=0, monitor=Monitor.on_terminal())
-    except CannotContinueError:  # stopped with another profile or program
-        _remove(dataset)
-        simulate(scene, dataset, profile_name=profile, seed=0, monitor=Monitor.on_terminal())
+    with progress.bar(render=1.0) as bar:
+        try:
+            simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
+        except CannotContinueError:  # stopped with another profile or program
+            _remove(dataset)
+            simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
     say("2. reconstructing it from the pictures alone")
-    pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM)
+    pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM, progress=progress)
     say("3. comparing it with the truth")
-    found = score(result, dataset)
+    with progress.bar(score=1.0) as bar, bar.stage("score"):
+        found = score(result, dataset)
     write_json(folder / "score.json", found.to_dict())
     say("")
     say(found.table())
@@ -67,7 +71,9 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None]) -> None:
         say(f"  {path}")
     say(f"every number: {folder / 'score.json'}")
     say(f"what the camera saw: {dataset / 'images'}")
-    say(f"next: rhizotwin scenes; rhizotwin reconstruct {dataset} -o my_result --voxel-mm 0.1")
+    say(f"one page with all of it: {result / 'report.html'}")
+    say(f"next: rhizotwin view {result}")
+    say("or:   rhizotwin scenes")
 
 
 def _clear(folder: Path) -> None:

@@ -15,6 +15,7 @@ from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey, decode_grey
 from rhizotwin.scenes.provenance import versions
 
@@ -36,7 +37,14 @@ class Imported:
 
 
 def import_pictures(
-    folder: Path, scene: Scene, out: Path, *, cameras: Path | None = None, masks: bool = False, no_strip: bool = False
+    folder: Path,
+    scene: Scene,
+    out: Path,
+    *,
+    cameras: Path | None = None,
+    masks: bool = False,
+    no_strip: bool = False,
+    monitor: Monitor | None = None,
 ) -> Imported:
     """Copy a folder of pictures into a new dataset.
 
@@ -55,6 +63,8 @@ def import_pictures(
         The pictures are silhouettes: white root on black. They need ``cameras``, since they show no markers.
     no_strip : bool
         There is no marker strip: the cameras are to be found from the canister's edges and the roots (a telecentric camera, one ring).
+    monitor : Monitor, optional
+        Hears how far it is.
 
     Raises
     ------
@@ -81,7 +91,8 @@ def import_pictures(
     if white is None:
         notes.append(_curve_note(paths, scene))
     clipped: dict[str, float] = {}
-    with new_folder(out) as building:
+    monitor = monitor or Monitor()
+    with new_folder(out) as building, monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
         found = []
         for path, (ring, table_deg) in zip(paths, table, strict=True):
             data = _data_of(path, scene, white=white)
@@ -100,6 +111,7 @@ def import_pictures(
                     cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
                 )
             )
+            step()
         origin: dict[str, Any] = {
             "program": "rhizotwin import",
             "pictures": str(folder),

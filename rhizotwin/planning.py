@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from rhizotwin import plan_report, sources
 from rhizotwin.plans import Row, Variant
@@ -24,6 +23,7 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
 
 VIEW_TIME_S = 2.0
@@ -46,7 +46,7 @@ def run_plans(
     profile_name: str,
     seeds: int,
     say: Callable[[str], None],
-    progress: bool = True,
+    monitor: Monitor | None = None,
 ) -> list[Row]:
     """Simulate, reconstruct and score every variant; what an earlier run with the same settings scored is taken over.
 
@@ -55,6 +55,7 @@ def run_plans(
     scene : with its specimen and the profile's disturbances.
     folder : gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; `RUN` while a run is under way.
     seeds : runs of each variant, seeds 0, 1, ...
+    monitor : hears of each run as a stage (`stage_of`).
 
     Raises
     ------
@@ -71,7 +72,7 @@ def run_plans(
         "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score")),
     }
     with held(folder):
-        return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, progress=progress)
+        return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())
 
 
 def _run(
@@ -82,8 +83,7 @@ def _run(
     profile_name: str,
     seeds: int,
     say: Callable[[str], None],
-    *,
-    progress: bool,
+    monitor: Monitor,
 ) -> list[Row]:
     """Do what `run_plans` says in a folder that nobody else works in."""
     _refuse_strangers(folder)
@@ -91,13 +91,10 @@ def _run(
     runs = list(itertools.product(range(seeds), variants))
     pictures = sum(variant.views * len(variant.heights) for variant, _ in variants) * seeds
     say(f"{len(runs)} runs, {pictures} pictures to render and reconstruct; a stopped run is taken up by the same command")
-    # The bar counts pictures: a plan of twice as many takes about twice as long.
-    with tqdm(total=pictures, desc="plans", unit="picture", disable=not progress, dynamic_ncols=True) as bar:
-        for seed, (variant, changed) in runs:
-            bar.set_postfix_str(variant.name)
-            path = folder / "scores" / f"{variant.name}_seed{seed}.json"
+    for seed, (variant, changed) in runs:
+        path = folder / "scores" / f"{variant.name}_seed{seed}.json"
+        with monitor.stage(stage_of(variant, seed)):
             found[variant].append(_scored(changed, path, settings, profile_name, seed))
-            bar.update(variant.views * len(variant.heights))
     failed = {v.name: score["failed"] for v, scores in found.items() for score in scores if "failed" in score}
     rows = [_row(variant, found[variant]) for variant, _ in variants if variant.name not in failed]
     for name, reason in failed.items():
@@ -109,6 +106,16 @@ def _run(
     plan_report.draw(rows, folder / "plan.png", title=f"{scene.name}, {profile_name}, {seeds} seed{'s' if seeds > 1 else ''}")
     say(plan_report.table(rows))
     return rows
+
+
+def stage_of(variant: Variant, seed: int) -> str:
+    """Return what a run is called while it lasts."""
+    return f"{variant.name}, seed {seed}"
+
+
+def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
+    """Return about how much of the time each run takes: a plan of twice as many pictures takes about twice as long."""
+    return {stage_of(variant, seed): float(variant.views * len(variant.heights)) for variant in variants for seed in range(seeds)}
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:

@@ -1,9 +1,11 @@
 """Steps that several commands take: the engine started, a dataset reconstructed and drawn."""
 
+import webbrowser
 from dataclasses import replace
 from pathlib import Path
 
 from rhizotwin import engine
+from rhizotwin.arguments import Page, Progress
 from rhizotwin.front_door import reconstruct
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, tidy
@@ -43,6 +45,14 @@ def start_engine(device: str, *, quiet: bool = False) -> None:
         print(chosen)
 
 
+def open_page(address: str, port: int, page: Page) -> None:
+    """Print where a page is served, and open it in a browser unless that is not wanted."""
+    print(address, flush=True)
+    print(f"from another computer: ssh -L {port}:localhost:{port} THIS_COMPUTER, then the same address", flush=True)
+    if not page.no_browser:
+        webbrowser.open(address)
+
+
 def reconstruct_whole(
     dataset: Path,
     output: Path,
@@ -51,8 +61,7 @@ def reconstruct_whole(
     settings: Path | None = None,
     mass_g: float | None = None,
     keep_stages: bool = False,
-    quiet: bool = False,
-    verbose: bool = False,
+    progress: Progress = Progress(),
 ) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
 
@@ -64,6 +73,8 @@ def reconstruct_whole(
         TOML file, see `recon.settings`.
     keep_stages : bool
         Keep what each stage made, in the folder ``stages`` of the result.
+    progress : Progress
+        How much is told meanwhile.
 
     Raises
     ------
@@ -86,7 +97,6 @@ def reconstruct_whole(
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page
     from rhizotwin.scenes.dataset import load_dataset
-    from rhizotwin.scenes.terminal import OneBar
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
@@ -95,14 +105,11 @@ def reconstruct_whole(
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     loaded = load_dataset(dataset)  # once: what happens to the folder meanwhile does not change what the result was made from
     with new_folder(output, replaces=RESULT_NAMES) as building:
-        monitor = OneBar(SHARES, quiet=quiet, verbose=verbose)
-        try:
+        with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
             reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, monitor=monitor).save(building)
             with monitor.stage("pictures"):
                 written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))
-        finally:
-            monitor.close()
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

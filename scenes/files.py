@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.scenes import toml_text
+from rhizotwin.scenes import explained
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
@@ -50,7 +50,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths).
+    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths), every key explained.
 
     With ``new`` a file that is there is not replaced.
     """
@@ -58,7 +58,7 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
     specimen = plain["specimen"]
     if specimen and "file" in specimen:
         specimen["file"] = str(Path(specimen["file"]).resolve())
-    write_text(path, toml_text.dumps(_without_none(plain)), new=new)
+    write_text(path, explained.commented(_without_none(plain)), new=new)
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:

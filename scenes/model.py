@@ -16,15 +16,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Canister:
-    """Round acrylic canister, 6 in wide and tall (T3.1); its rim lies in the plane z = 0."""
+    """Round acrylic canister, 6 in wide and tall as in the thesis; its rim lies in the plane z = 0."""
 
     outer_radius_mm: float = bounded(76.2, 5.0, 500.0)
+    """Outside of the wall; with the indices it decides how much the water magnifies, so measure it with calipers."""
     wall_mm: float = bounded(3.175, 0.2, 50.0)
+    """Thickness of the wall."""
     height_mm: float = bounded(152.4, 10.0, 2000.0)
     """Rim to the underside of the base."""
     base_mm: float = bounded(6.0, 0.5, 100.0)
     """Thickness of the base; its inner face, opaque and matt, is the water's floor."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
+    """Refractive index of the wall: acrylic 1.49, glass 1.52, polycarbonate 1.58."""
 
     @property
     def inner_radius_mm(self) -> float:
@@ -44,6 +47,7 @@ class Water:
     level_mm: float = bounded(-4.0, -2000.0, 0.0)
     """z of the surface; above the net pot's grid."""
     n_water: float = bounded(1.333, 1.0, 2.0)
+    """Refractive index of what the roots stand in: water 1.333; an error of 0.001 moves a root by 0.03 mm at 40 mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +55,11 @@ class NetPot:
     """Net pot over the rim; an opaque skirt outside the canister carries the marker strip."""
 
     outer_radius_mm: float = bounded(79.6, 5.0, 600.0)
+    """Radius on which the marker strip lies; it gives every picture its scale, so measure it with the strip on."""
     skirt_bottom_mm: float = bounded(-6.0, -1000.0, 500.0)
+    """z of the skirt's lower edge; the canister is hidden above it."""
     top_mm: float = bounded(31.0, -1000.0, 500.0)
+    """z of the net pot's upper edge."""
     grid_z_mm: float = bounded(-8.0, -1000.0, 0.0)
     """Underside of the opaque grid and felt inside the canister: roots are seen below it."""
 
@@ -66,14 +73,19 @@ class MarkerStrip:
     """
 
     dictionary: str = "APRILTAG_36h11"
+    """Dictionary of the markers as OpenCV names it."""
     columns: int = bounded(31, 4, 500)
+    """Markers in a row, evenly round the net pot."""
     rows: int = bounded(2, 0, 10)
     """0: there is no strip; cameras are found from the canister's edges and the roots."""
     marker_mm: float = bounded(13.0, 1.0, 200.0)
+    """Edge of a marker's black square, measured on the print: a printer that scales by 1 % makes every length 1 % wrong."""
     row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
+    """From a row's lower edge to that of the row above it."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
     """z of the lower edge of the lowest row's markers."""
     first_id: int = bounded(0, 0, 10000)
+    """Number of the first marker in its dictionary: strips with other numbers tell plants apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +114,11 @@ class Camera:
     mm_per_px: float = bounded(0.1, 1e-5, 100.0)
     """Size of a pixel on the specimen; only for a telecentric camera."""
     image_wh: tuple[int, int] = bounded((800, 600), 16, 20000)
+    """Width and height of the pictures in pixels; a root should be three pixels wide or more."""
     focal_px: tuple[float, float] = bounded((1300.0, 1300.0), 1.0, 1e6)
+    """Focal lengths in x and y, in pixels, as `rhizotwin calibrate camera` measures them."""
     principal_px: tuple[float, float] = bounded((399.5, 299.5), -1e6, 1e6)
+    """Where the optical axis meets the picture; pixel centres are at whole numbers."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
     """k1, k2, p1, p2, k3 of the OpenCV model."""
     bits: int = bounded(12, 8, 16)
@@ -151,12 +166,17 @@ class Lights:
     """Diffused backlight panel at x = -backlight_distance_mm and a strip light above the front, both in the rig frame."""
 
     backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
+    """From the table's axis to the panel behind the canister."""
     backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
+    """Width and height of the lit panel: it must fill the picture behind the canister, or its edge is taken for a root."""
     backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
+    """z of the panel's middle."""
     backlight_level: float = bounded(0.75, 0.0, 1.0)
     """Fraction of the camera's full scale that the bare panel reaches."""
     front_xz_mm: tuple[float, float] = bounded((260.0, 260.0), -5000.0, 5000.0)
+    """Where the front light stands, x and z: above the camera, so that the canister does not mirror it."""
     front_wh_mm: tuple[float, float] = bounded((300.0, 60.0), 1.0, 10000.0)
+    """Width and height of the front light."""
     front_level: float = bounded(0.5, 0.0, 1.0)
     """Fraction of full scale that white paper on the strip reaches, facing the camera."""
 
@@ -174,6 +194,7 @@ class Ring:
     """One turn of the table before a camera at rest."""
 
     views: int = bounded(40, 1, 10000)
+    """Pictures in one turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the same outline."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
     """z of the camera in the rig frame."""
     distance_mm: float = bounded(400.0, 20.0, 10000.0)
@@ -187,6 +208,7 @@ class Ring:
     jitter_deg: float = bounded(0.0, 0.0, 20.0)
     """Standard deviation of a commanded per-view change of the camera's orientation, each axis."""
     kind: Literal["root", "shoot"] = "root"
+    """What the ring looks at: the roots through the water, or the shoot in the air."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +216,7 @@ class CapturePlan:
     """The rings of a scan, in order."""
 
     rings: tuple[Ring, ...] = (Ring(),)
+    """One turn of the table each; a second height cures what one height cannot see of level roots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,6 +226,7 @@ class Disturbances:
     full_well_e: float | None = field(default=None, metadata={"limits": (100.0, 1e6)})
     """Electrons at full scale: photon noise is Poisson in these. None: no photon noise."""
     read_noise_e: float = bounded(0.0, 0.0, 1000.0)
+    """Standard deviation of the noise of reading a pixel, in electrons."""
     aperture_mm: float = bounded(0.0, 0.0, 50.0)
     """Diameter of the lens opening; 0 is a pinhole, otherwise what is off the focus distance blurs."""
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
@@ -270,6 +294,7 @@ class Disturbances:
     algae_patches: int = bounded(0, 0, 1000)
     """Number of algae films on the inner wall (they turn with the canister)."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
+    """Light that the middle of an algae film keeps back."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
     """Extinction of the water per mm."""
     felt_fibres: int = bounded(0, 0, 10000)
@@ -283,7 +308,9 @@ class Scene:
     """A whole rig with a specimen and a capture plan."""
 
     name: str = "scene"
+    """Shown in lists and reports; default: the file's name."""
     description: str = ""
+    """One line for lists and reports."""
     subject: Subject = Subject()
     canister: Canister = Canister()
     water: Water = Water()

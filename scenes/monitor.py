@@ -9,8 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
 T = TypeVar("T")
 U = TypeVar("U")
 
@@ -47,11 +45,6 @@ class Monitor:
     def of(given: Monitor | type[Any] | Listener | None) -> Monitor:
         """Return a monitor as it is, or one around a bar, a callable or nothing."""
         return given if isinstance(given, Monitor) else Monitor(given)
-
-    @staticmethod
-    def on_terminal() -> Monitor:
-        """Return a monitor with bars on stderr."""
-        return Monitor(tqdm)
 
     def cancel(self) -> None:
         """Stop the work at its next step; may be called from another thread or from the listener."""

@@ -4,7 +4,6 @@ Understood types: bool, int, float, str, Literal, X | None, tuples of fixed or a
 unions of dataclasses named ``...Specimen``, told apart by the key ``kind`` (``SphereSpecimen`` is kind "sphere").
 """
 
-import difflib
 import math
 import re
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.near import nearest
 
 T = TypeVar("T")
 
@@ -42,14 +42,14 @@ class Place:
 
 def suggestion(name: str, known: list[str]) -> str:
     """Return `` (did you mean "x"?)`` for the nearest known name, or nothing."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    return f' (did you mean "{near[0]}"?)' if near else ""
+    near = nearest(name, known)
+    return f' (did you mean "{near}"?)' if near else ""
 
 
 def to_plain(value: Any) -> Any:
     """Return dataclasses as dicts and tuples as lists, ready for JSON; unions get their ``kind``."""
     if is_dataclass(value) and not isinstance(value, type):
-        plain = {"kind": _kind(type(value))} if _kind(type(value)) else {}
+        plain = {"kind": kind_of(type(value))} if kind_of(type(value)) else {}
         return plain | {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, (tuple, list)):
         return [to_plain(item) for item in value]
@@ -139,7 +139,7 @@ def _tuple(arguments: tuple[Any, ...], value: Any, f: Field[Any], place: Place) 
 
 def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
     """Choose one of several dataclasses by the key ``kind``."""
-    kinds = {_kind(choice): choice for choice in choices}
+    kinds = {kind_of(choice): choice for choice in choices}
     if not isinstance(value, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
     named = ", ".join(f'"{k}"' for k in kinds)
@@ -151,7 +151,7 @@ def _tagged(choices: list[Any], value: Any, place: Place) -> Any:
     return from_plain(kinds[kind], {key: item for key, item in value.items() if key != "kind"}, place)
 
 
-def _kind(choice: type) -> str:
+def kind_of(choice: type) -> str:
     """Return the tag of a member of a union: ``SphereSpecimen`` gives ``sphere``; other classes have none."""
     name = choice.__name__
     return name.removesuffix("Specimen").lower() if name.endswith("Specimen") else ""

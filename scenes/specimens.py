@@ -11,7 +11,9 @@ class SphereSpecimen:
     """A ball, the simplest thing with a known volume."""
 
     diameter_mm: float = bounded(20.0, 0.1, 200.0)
+    """Diameter of the ball."""
     centre_mm: tuple[float, float, float] = bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
+    """Its middle, canister frame: origin on the axis in the plane of the rim, z up."""
 
 
 @dataclass(frozen=True, kw_only=True)

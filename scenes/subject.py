@@ -19,7 +19,7 @@ class Subject:
     plant: str = ""
     """Name of the plant, the same on every day (MIAPPE: observation unit ID)."""
     species: str = ""
-    """Such as Raphanus sativus (MIAPPE: organism)."""
+    """Latin name, such as Raphanus sativus (MIAPPE: organism)."""
     treatment: str = ""
     """What was done to it and not to others (MIAPPE: observation unit factor value)."""
     day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})

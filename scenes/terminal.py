@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Self
 
 from tqdm import tqdm
 
 from rhizotwin.scenes.monitor import Monitor
 
 COLOUR = "#2e8b57"
-_FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
+_FORM = "{percentage:3.0f} %|{bar}| {desc}, {elapsed} so far, {remaining} left"
+BEAT_S = 1.0
+"""Between two refreshings of the bar: the clock goes on where a stage has no steps."""
 _UNKNOWN = 0.02
 """Share of the time for a stage that no share is known of."""
 
@@ -47,6 +50,8 @@ class OneBar(Monitor):
         if watched and not quiet:
             colour = None if "NO_COLOR" in os.environ else COLOUR
             self._bar = tqdm(total=1.0, bar_format=_FORM, file=self._stream, dynamic_ncols=True, leave=False, colour=colour)
+            self._over = threading.Event()
+            threading.Thread(target=self._beat, name="bar", daemon=True).start()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -82,13 +87,32 @@ class OneBar(Monitor):
 
     def close(self) -> None:
         """Take the bar away."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        bar, self._bar = self._bar, None
+        if bar is not None:
+            self._over.set()
+            bar.close()
+
+    def say(self, text: str) -> None:
+        """Print a line on stdout, above the bar."""
+        tqdm.write(text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _beat(self) -> None:
+        """Refresh the bar now and then."""
+        while not self._over.wait(BEAT_S):
+            bar = self._bar
+            if bar is not None:
+                bar.refresh()
 
     def _show(self) -> None:
-        if self._bar is not None:
-            self._bar.set_description_str(self._stage, refresh=False)
+        bar = self._bar
+        if bar is not None:
+            bar.set_description_str(self._stage, refresh=False)
             now = self._done + self._part * self._shares.get(self._stage, _UNKNOWN)
-            self._bar.n = min(1.0, max(self._bar.n, now))
-            self._bar.refresh()
+            bar.n = min(1.0, max(bar.n, now))
+            bar.refresh()

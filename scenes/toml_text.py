@@ -18,13 +18,13 @@ def dumps(table: Mapping[str, Any]) -> str:
 
 def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
     """Return the lines of one table: its own keys first, then the tables in it."""
-    lines = [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value) and not _is_tables(value)]
-    for key, value in table.items():
+    lines = [f"{key} = {value(item)}" for key, item in table.items() if not _is_table(item) and not _is_tables(item)]
+    for key, inner in table.items():
         name = f"{prefix}{key}"
-        if _is_table(value):
-            lines += ["", f"[{name}]", *_table(value, f"{name}.")]
-        elif _is_tables(value):
-            for item in value:
+        if _is_table(inner):
+            lines += ["", f"[{name}]", *_table(inner, f"{name}.")]
+        elif _is_tables(inner):
+            for item in inner:
                 lines += ["", f"[[{name}]]", *_table(item, f"{name}.")]
     return lines
 
@@ -37,14 +37,14 @@ def _is_tables(value: Any) -> bool:
     return isinstance(value, (list, tuple)) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
 
 
-def _value(value: Any) -> str:
+def value(given: Any) -> str:
     """Return one TOML scalar or list; Python's shortest float text is exact and valid TOML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(float(value) if isinstance(value, float) else int(value))
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    raise TypeError(f"TOML cannot hold {type(value).__name__}")
+    if isinstance(given, bool):
+        return "true" if given else "false"
+    if isinstance(given, (int, float)):
+        return repr(float(given) if isinstance(given, float) else int(given))
+    if isinstance(given, str):  # JSON's escapes are TOML's, but for DEL
+        return json.dumps(given, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(given, (list, tuple)):
+        return "[" + ", ".join(value(item) for item in given) + "]"
+    raise TypeError(f"TOML cannot hold {type(given).__name__}")

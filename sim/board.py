@@ -11,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image, write_json
@@ -19,6 +18,7 @@ from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, save_
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.sim import sensor
 from rhizotwin.sim.exposure import expose
@@ -53,7 +53,7 @@ class BoardPictures:
 
 
 def simulate_board(
-    scene: Scene, board: CharucoBoard, folder: Path, *, pictures: int = 20, seed: int = 0, progress: bool = True
+    scene: Scene, board: CharucoBoard, folder: Path, *, pictures: int = 20, seed: int = 0, monitor: Monitor | None = None
 ) -> BoardPictures:
     """Render pictures of the board, ``board.toml`` and ``truth/camera.json`` into a new folder.
 
@@ -66,6 +66,8 @@ def simulate_board(
         New or empty; appears whole or not at all.
     seed : int
         Of poses and noise; picture k does not depend on the pictures before it.
+    monitor : Monitor, optional
+        Hears how far it is.
 
     Raises
     ------
@@ -76,11 +78,12 @@ def simulate_board(
     camera = true_camera(scene)
     poses = {f"board_{k:03d}.png": draw_pose(scene, board, seed=seed, index=k) for k in range(pictures)}
     renderer = BoardRenderer(scene, board)
-    with new_folder(folder) as building:
-        bar = tqdm(poses.items(), desc="render", unit="picture", disable=not progress, dynamic_ncols=True)
-        for k, (name, cam_from_board) in enumerate(bar):
+    monitor = monitor or Monitor()
+    with new_folder(folder) as building, monitor.stage("render"), monitor.steps("render", pictures, "picture") as step:
+        for k, (name, cam_from_board) in enumerate(poses.items()):
             rng = np.random.default_rng([seed, _NOISE, k])
             write_image(building / name, expose(renderer.light(cam_from_board), camera, scene.disturbances, rng=rng))
+            step()
         save_board(board, building / "board.toml")
         views = {name: cam_from_board.tolist() for name, cam_from_board in poses.items()}
         write_json(building / TRUTH, {"camera": to_plain(camera), "seed": seed, "cam_from_board": views})

@@ -114,7 +114,10 @@ def rows(rig: Json) -> list[Row]:
         taken = rig["focal_scale"] != 1.0
         scale = rig["focal_scale"] if taken else rig["focal_scale_found"]
         found.append(_row("focal length over the given", 1.0, scale, rig["focal_scale_sigma"], "", taken=taken))
-    for name, key in (("canister in the strip", "canister_from_strip"), ("canister on the table", "table_from_canister")):
+    for name, key in (
+        ("canister relative to the marker strip", "canister_from_strip"),
+        ("canister relative to the turntable", "table_from_canister"),
+    ):
         if rig.get(key) is not None:
             pose = np.array(rig[key])
             values = [*np.rad2deg(frames.to_rotvec(pose)[:2]), *pose[:2, 3]]

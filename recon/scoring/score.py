@@ -23,6 +23,7 @@ from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_ma
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
 
@@ -90,10 +91,14 @@ class Score:
 
     def _shape_rows(self) -> list[tuple[str, str]]:
         low, high = self.volume_interval_mm3
+        found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (self.volume_mm3, self.volume_true_mm3))
         verdict = "holds" if self.interval_holds_truth else "misses"
         rows = [
-            ("volume", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {_percent(self.volume_error)}"),
-            ("  90 % interval", f"{low:.1f} to {high:.1f} mm3, {verdict} the truth"),
+            (
+                "volume",
+                f"{found_ml} ml, true {true_ml} ml: {_percent(self.volume_error)}",
+            ),
+            ("  90 % interval", f"{between_ml(low, high)}, {verdict} the truth"),
             ("  trusted", "yes" if self.volume_trusted else f"no, {self.volume_verdict}"),
         ]
         for axis, found, true, error in zip("xyz", self.extents_mm, self.extents_true_mm, self.extents_error, strict=True):

@@ -57,7 +57,10 @@ def _true(row: Row, truth: Truth) -> float | None:
         error = truth.drawn.get("focal_error")
         return None if error is None else 1.0 + float(error)
     name, _, what = row.quantity.partition(": ")
-    known = {"canister in the strip": truth.canister_from_strip, "canister on the table": truth.drawn.get("table_from_canister")}
+    known = {
+        "canister relative to the marker strip": truth.canister_from_strip,
+        "canister relative to the turntable": truth.drawn.get("table_from_canister"),
+    }
     if known.get(name) is None:
         return None
     pose = np.array(known[name])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import checks
+from rhizotwin.scenes.said import between_ml
 
 NINETY = 1.645
 """90 % of a normal distribution lies within this many standard deviations."""
@@ -77,7 +78,7 @@ class Budget:
         """Return why the scan cannot give a volume; empty where it can."""
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
-            found.append(f"only {self.views} views were used, and fewer than {trust.least_views} contradict no ghost")
+            found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")
         if self.unexplained > trust.unexplained[1]:
             found.append(f"the shape leaves {100.0 * self.unexplained:.0f} % of what the pictures show unexplained")
         if self.fill > trust.fill[1]:
@@ -86,7 +87,7 @@ class Budget:
         if under or over:
             worst = max(self.terms, key=lambda term: max(under * term.less_mm3, over * term.more_mm3))
             found.append(
-                f"the 90 % interval reaches from {low:.3g} to {high:.3g} mm3, farther than {100.0 * trust.widest:.0f} % to one side, "
+                f"the 90 % interval reaches from {between_ml(low, high)}, farther than {100.0 * trust.widest:.0f} % to one side, "
                 f"most of all for this reason: {worst.why}"
             )
         return tuple(found)
@@ -97,7 +98,7 @@ class Budget:
         if self.objections:
             return checks.verdict(self.objections)
         low, high = self.interval_mm3
-        return f"the true volume lies between {low:.3g} and {high:.3g} mm3 with 90 % confidence"
+        return f"with 90 % confidence the true volume is {between_ml(low, high)}"
 
     def volume(self, bounds_mm3: tuple[float, float]) -> Volume:
         """Return the volume, and how far it can be trusted."""

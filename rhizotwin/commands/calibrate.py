@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, TypeAlias
 
 from rhizotwin import steps
-from rhizotwin.arguments import Device, ImageWh, OutputFile, OutputFolder, Profile, SceneName, Seed, named, option, output, whole
+from rhizotwin.arguments import Device, ImageWh, OutputFile, OutputFolder, Profile, Progress, SceneName, Seed, named, option, output, whole
 from rhizotwin.pages import BoardOptions, PageOptions
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
@@ -77,6 +77,7 @@ def camera(
     board: Annotated[Path | None, named("FILE")] = None,
     drawn: BoardOptions = BoardOptions(),
     scene: SceneName | None = None,
+    progress: Progress = Progress(),
 ) -> None:
     """Fit the lens to pictures of the calibration board.
 
@@ -96,6 +97,8 @@ def camera(
         The board, where there is no file of it.
     scene : str, optional
         Also write scene.toml: this scene with the calibrated camera; its picture size must be the pictures'.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -114,7 +117,8 @@ def camera(
     if board is None and not drawn.given() and beside.is_file():
         print(f"the board is as {beside} says")
         board = beside
-    made = fit(paths, drawn.board_of(board), progress=True)
+    with progress.bar(boards=1.0) as bar:
+        made = fit(paths, drawn.board_of(board), monitor=bar)
     calibrated = None if given is None else _with_camera(given, made.camera)
     with new_folder(output) as building:
         written = [*write_calibration(made, building), write_report(made, building)]
@@ -185,6 +189,7 @@ def simulate(
     seed: Seed = 0,
     drawn: BoardOptions = BoardOptions(),
     device: Device = "auto",
+    progress: Progress = Progress(),
 ) -> None:
     """Render pictures of the calibration board with a scene's camera.
 
@@ -209,6 +214,8 @@ def simulate(
         The board.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -217,10 +224,11 @@ def simulate(
     """
     changed = change_scene(files.load_scene(scene), image_wh=image_wh, profile=profile)
     made = drawn.board()
-    steps.start_engine(device)
+    steps.start_engine(device, quiet=progress.quiet)
     from rhizotwin.sim.board import simulate_board
 
-    simulate_board(changed, made, output, pictures=pictures, seed=seed)
+    with progress.bar(render=1.0) as bar:
+        simulate_board(changed, made, output, pictures=pictures, seed=seed, monitor=bar)
     print(f"{pictures} pictures of the board in {output}, the true lens in {output / 'truth' / 'camera.json'}")
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")
 

@@ -3,10 +3,12 @@
 from pathlib import Path
 
 from rhizotwin import steps
-from rhizotwin.arguments import Device, OutputFolder, Profile
+from rhizotwin.arguments import Device, OutputFolder, Profile, Progress
 
 
-def demo(*, output: OutputFolder = Path("demo"), profile: Profile = "clean", device: Device = "auto") -> None:
+def demo(
+    *, output: OutputFolder = Path("demo"), profile: Profile = "clean", device: Device = "auto", progress: Progress = Progress()
+) -> None:
     """Take all three steps on a small printed root: a few minutes.
 
     Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was found.
@@ -19,6 +21,8 @@ def demo(*, output: OutputFolder = Path("demo"), profile: Profile = "clean", dev
         What the rig gets wrong.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -27,5 +31,5 @@ def demo(*, output: OutputFolder = Path("demo"), profile: Profile = "clean", dev
     """
     from rhizotwin.demo import demo as run_demo
 
-    steps.start_engine(device)
-    run_demo(output, profile=profile, say=print)
+    steps.start_engine(device, quiet=progress.quiet)
+    run_demo(output, profile=profile, say=print, progress=progress)

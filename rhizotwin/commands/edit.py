@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputResult, ResultFolder, named
+from rhizotwin.arguments import OutputResult, Progress, ResultFolder, named
 from rhizotwin.scenes.errors import UserError
 
 
@@ -14,6 +14,7 @@ def edit(
     apply: Annotated[Path, named("FILE")],
     output: OutputResult,
     dataset: Annotated[Path | None, named("DATASET")] = None,
+    progress: Progress = Progress(),
 ) -> None:
     """Apply saved corrections to a result, without a browser.
 
@@ -30,6 +31,8 @@ def edit(
         Folder for the corrected result: new, empty, or an earlier result, which is replaced.
     dataset : Path, optional
         Where the pictures are, if they have moved: for the page, and where the log fits roots again.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -42,7 +45,7 @@ def edit(
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_files
-    from rhizotwin.report import page
+    from rhizotwin.report import page, words
     from rhizotwin.scenes.dataset import load_dataset
 
     session = Session(result)
@@ -51,8 +54,12 @@ def edit(
         found = load_dataset(dataset or Path(str(session.summary["dataset"])))
         result_files.check_same_scan(session.summary["dataset_sha256"], session.summary["scene"], result, found)
         session.refit = refit.fitter(result, found)
-    session.replay(made)
-    summary = corrected.write(session, output)
-    page.write(output, dataset=dataset)
-    print(f"{corrected.in_words(summary)}: {summary['volume_mm3'] / 1000.0:.4g} ml, in {output}")
+    with progress.bar(corrections=2.0, measure=2.0, page=1.0) as bar:
+        with bar.stage("corrections"):
+            session.replay(made)
+        with bar.stage("measure"):
+            summary = corrected.write(session, output)
+        with bar.stage("page"):
+            page.write(output, dataset=dataset)
+    print(f"{corrected.in_words(summary)}: {words.volume(summary)[0]}, in {output}")
     print(f"next: rhizotwin view {output}")

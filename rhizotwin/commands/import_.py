@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, OutputDataset, SceneName, SubjectOptions, named
+from rhizotwin.arguments import Flag, OutputDataset, Progress, SceneName, SubjectOptions, named
 from rhizotwin.scenes import files
 
 
@@ -17,6 +17,7 @@ def import_(
     masks: Flag = False,
     no_strip: Flag = False,
     subject: SubjectOptions = SubjectOptions(),
+    progress: Progress = Progress(),
 ) -> None:
     """Make a dataset of a folder of pictures taken elsewhere.
 
@@ -40,6 +41,8 @@ def import_(
         (camera.kind in the scene) and one turn; the scene's canister.outer_radius_mm gives the scale.
     subject : SubjectOptions
         Whose roots they are.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -50,7 +53,9 @@ def import_(
     """
     from rhizotwin.importer import import_pictures
 
-    made = import_pictures(pictures, subject.told(files.load_scene(scene)), output, cameras=cameras, masks=masks, no_strip=no_strip)
+    told = subject.told(files.load_scene(scene))
+    with progress.bar(copy=1.0) as bar:
+        made = import_pictures(pictures, told, output, cameras=cameras, masks=masks, no_strip=no_strip, monitor=bar)
     for note in made.notes:
         print(f"note: {note}")
     print(f"{len(made.dataset.frames)} pictures in {output}")

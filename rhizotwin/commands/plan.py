@@ -11,6 +11,7 @@ from rhizotwin.arguments import (
     Device,
     OutputFolder,
     Profile,
+    Progress,
     SceneName,
     between,
     list_of,
@@ -61,6 +62,7 @@ def plan(
     seeds: Annotated[int, option(lambda text: whole(text, 1, MAX_SEEDS, f"give 1 to {MAX_SEEDS}"), "N")] = 1,
     within: Annotated[float, option(lambda text: between(text, PERCENT_LIMITS, "%"), "PERCENT")] = 5.0,
     device: Device = "auto",
+    progress: Progress = Progress(),
 ) -> None:
     """Try capture plans on the twin before building or scanning.
 
@@ -86,6 +88,8 @@ def plan(
         Name the cheapest plan whose volume stays within this.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -110,8 +114,9 @@ def plan(
         for rings in dict.fromkeys(asked or [(own,), (own, plans.Height(first_mm + planning.SECOND_RING_MM))])
         for count in grid.views
     ]
-    steps.start_engine(device)
-    rows = planning.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=print)
+    steps.start_engine(device, quiet=progress.quiet)
+    with progress.bar(**planning.shares(variants, seeds)) as bar:
+        rows = planning.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
     chosen = planning.best(rows, within=within / 100.0)
     if chosen is None:
         print(f"no plan stays within {within:g} % of the volume; try more views, pixels or rings")

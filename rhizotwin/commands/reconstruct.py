@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, VoxelMm, named
+from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, named
 
 
 @Parameter(name="*")
@@ -31,8 +31,7 @@ def reconstruct(
     mass_g: MassG | None = None,
     study: Study = Study(),
     device: Device = "auto",
-    quiet: Flag = False,
-    verbose: Flag = False,
+    progress: Progress = Progress(),
 ) -> None:
     """Find the root's shape and volume in a dataset's pictures.
 
@@ -53,10 +52,8 @@ def reconstruct(
         For who studies the method.
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
-    quiet : bool
-        Show no progress and print the volume alone.
-    verbose : bool
-        Write a line for each stage, with its time, and what the scan calibrated by itself.
+    progress : Progress
+        How much is told meanwhile; quiet prints the volume alone, verbose also what the scan calibrated by itself.
 
     Examples
     --------
@@ -65,38 +62,31 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
-    steps.start_engine(device, quiet=quiet)
+    steps.start_engine(device, quiet=progress.quiet)
     from rhizotwin.recon.results import calibrated
     from rhizotwin.report import words
 
     written = steps.reconstruct_whole(
-        dataset,
-        output,
-        voxel_mm=voxel_mm,
-        settings=study.settings,
-        mass_g=mass_g,
-        keep_stages=study.keep_stages,
-        quiet=quiet,
-        verbose=verbose,
+        dataset, output, voxel_mm=voxel_mm, settings=study.settings, mass_g=mass_g, keep_stages=study.keep_stages, progress=progress
     )
     summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
     for warning in summary["warnings"]:
         print(f"warning: {warning}")
-    if verbose:
+    if progress.verbose:
         for line in calibrated.table(summary["rig"]):
             print(line)
-    if verbose and summary["root_mu_per_mm"] is not None:
+    if progress.verbose and summary["root_mu_per_mm"] is not None:
         sigma = summary["root_mu_sigma_per_mm"]
         print(f"translucent roots: attenuation {summary['root_mu_per_mm']:.3g}{'' if sigma is None else f' +- {sigma:.2g}'} per mm")
     found, interval = words.volume(summary)
     used = sum(view["used"] for view in summary["views"])
     print(f"volume {found}, 90 % interval {interval}; {used} of {len(summary['views'])} views used")
-    if quiet:
+    if progress.quiet:
         return
     if summary["volume_trusted"]:
         for sentence in words.budget(summary)[:1]:
             print(sentence)
-    if verbose:
+    if progress.verbose:
         for path in written:
             print(f"  {path}")
     print(f"look at it: {output / 'report.html'}")

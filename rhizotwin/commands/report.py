@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import named, output
+from rhizotwin.arguments import Progress, named, output
 from rhizotwin.scenes.errors import UserError
 
 
@@ -13,6 +13,7 @@ def report(
     *,
     page: Annotated[Path | None, output("FILE")] = None,
     dataset: Annotated[Path | None, named("DATASET")] = None,
+    progress: Progress = Progress(),
 ) -> None:
     """Write the page of a result again, or one page for many results.
 
@@ -28,6 +29,8 @@ def report(
         Where to write the page; needed for more than one result.
     dataset : Path, optional
         Where the pictures are, if they have moved; for one result.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -40,8 +43,9 @@ def report(
         raise UserError("--dataset is for one result; leave it out")
     from rhizotwin.report import page as pages
 
-    if len(results) == 1:
-        written = pages.write(results[0], dataset=dataset, output=page)
-    elif page is not None:
-        written = pages.write_many(results, page)
+    with progress.bar(page=1.0) as bar, bar.stage("page"):
+        if len(results) == 1:
+            written = pages.write(results[0], dataset=dataset, output=page)
+        elif page is not None:
+            written = pages.write_many(results, page)
     print(f"wrote {written} ({written.stat().st_size / 1e6:.1f} MB); open it in a browser")

@@ -41,7 +41,7 @@ def check(
     scene : str, optional
         A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
     record : Path, optional
-        Keep every byte on the wire in this file (JSON lines); it grows.
+        Append every byte on the wire to this file (JSON lines).
     twin : TwinErrors
         What the emulated rig gets wrong.
 
@@ -82,7 +82,7 @@ def jog(
     scene : str, optional
         A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
     record : Path, optional
-        Keep every byte on the wire in this file (JSON lines); it grows.
+        Append every byte on the wire to this file (JSON lines).
     twin : TwinErrors
         What the emulated rig gets wrong.
 

@@ -3,14 +3,20 @@
 import hashlib
 import json
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rhizotwin import rigs
-from rhizotwin.arguments import Flag, OutputDataset, SceneName, SubjectOptions, between, named, option
+from cyclopts import Parameter
+
+from rhizotwin import rigs, steps
+from rhizotwin.arguments import Flag, OutputDataset, Page, Progress, SceneName, SubjectOptions, between, named, option
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import to_plain
+
+if TYPE_CHECKING:
+    from rhizotwin.rig.scanning.onlooker import Onlooker
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
 SHOTS_FILE = "truth/shots.jsonl"
@@ -22,17 +28,41 @@ def read_angle_deg(text: str) -> float:
     return between(text, ANGLE_LIMITS_DEG, "deg")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """How the scan goes."""
+
+    plan: Annotated[str | None, named("PLAN")] = None
+    """Take the rings from here instead of the scene: a file with [[plan.rings]], or a scene's name."""
+    resume: Flag = False
+    """Finish a stopped scan: what it took is kept and not taken again."""
+    table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None
+    """The table's angle now, if the markers cannot be read at the start; 0: the strip's seam faces the camera."""
+    record: Annotated[Path | None, named("FILE")] = None
+    """Append every byte on the wire to this file (JSON lines)."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Watching(Page):
+    """The live page."""
+
+    watch: Flag = False
+    """Serve a live page: last picture with its markers, focus, exposure, evenness of the panel and motion with their limits, the ring and \
+a sketch of the roots so far, time left; pause, go on, stop."""
+
+
 def scan(
     *,
     rig: rigs.RigName,
     output: OutputDataset,
     scene: SceneName | None = None,
-    plan: Annotated[str | None, named("PLAN")] = None,
-    resume: Flag = False,
-    table_angle_deg: Annotated[float | None, option(read_angle_deg, "DEG", name="--table-angle")] = None,
-    record: Annotated[Path | None, named("FILE")] = None,
+    course: Course = Course(),
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     subject: SubjectOptions = SubjectOptions(),
+    watching: Watching = Watching(),
+    progress: Progress = Progress(),
 ) -> None:
     """Take the pictures of a plan on a rig, or on its emulated twin.
 
@@ -49,36 +79,32 @@ def scan(
     scene : str, optional
         A scene file, or a name from 'rhizotwin scenes': canister, strip, calibrated lens and plan; needed for a rig file; the twin's
         default: printed_8ml.
-    plan : str, optional
-        Take the rings from here instead of the scene: a file with [[plan.rings]], or a scene's name.
-    resume : bool
-        Finish a stopped scan: what it took is kept and not taken again.
-    table_angle_deg : float, optional
-        The table's angle now, if the markers cannot be read at the start; 0: the strip's seam faces the camera.
-    record : Path, optional
-        Keep every byte on the wire in this file (JSON lines); it grows.
+    course : Course
+        How the scan goes.
     twin : TwinPictures
         What the emulated rig gets wrong, and how its pictures are made.
     subject : SubjectOptions
         Whose roots they are.
+    watching : Watching
+        The live page.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
     rhizotwin scan --rig twin -o my_scan --fidelity sketch
-    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan
+    rhizotwin scan --rig twin --scene radish_day15a --profile bench --seed 3 -o my_scan --watch
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --plant P7 --treatment "low N" --day 15
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
-    from tqdm import tqdm
-
     from rhizotwin.rig.open import open_devices
     from rhizotwin.rig.scanning.scan import scan as take
 
     emulated = rig == rigs.TWIN
     if not emulated and scene is None:
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
-    bench = rigs.open_bench(rig, scene, errors=twin, plan=plan)
+    bench = rigs.open_bench(rig, scene, errors=twin, plan=course.plan)
     told = subject.told(bench.scene)
     settings: dict[str, Any] = {"twin": None}
     if emulated:
@@ -87,19 +113,23 @@ def scan(
     rendered = emulated and twin.fidelity == "render"
     with ExitStack() as stack:
         stack.enter_context(rigs.hang_up_stops())
-        recorder = rigs.recorder(record, stack)
+        onlooker = _onlooker(bench.scene, watching, stack)
+        recorder = rigs.recorder(course.record, stack)
         devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
         stack.callback(devices.close)
+        bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
             devices,
             told,
             output,
-            resume=resume,
+            resume=course.resume,
             settings=settings,
             seed=twin.seed if emulated else None,
-            table_angle_deg=table_angle_deg,
+            table_angle_deg=course.table_angle_deg,
             ask=rigs.asker(),
-            say=tqdm.write,
+            say=bar.say,
+            onlooker=onlooker,
+            monitor=bar,
             begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
         )
     if rendered:
@@ -108,6 +138,21 @@ def scan(
     print(f"{len(made.frames)} pictures in {output / 'images'}")
     if not emulated or rendered:
         print(f"next: rhizotwin reconstruct {output} -o my_result")
+
+
+def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker | None":
+    """Serve the live page, where it is asked for."""
+    if not watching.watch:
+        return None
+    from rhizotwin.viewer import live_page
+    from rhizotwin.viewer.live import Live
+
+    live = Live(scene)
+    served = live_page.serve(live, host=watching.host, port=watching.port)
+    stack.callback(served.stop)
+    stack.callback(live.close)
+    steps.open_page(served.address, served.port, watching)
+    return live
 
 
 def _hash(scene: Scene) -> str:

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import SceneName, output
-from rhizotwin.scenes import files
+from rhizotwin.arguments import Flag, SceneName, output
+from rhizotwin.scenes import explained, files
 from rhizotwin.scenes.errors import UserError
 
 
-def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, output("FILE")] = None) -> None:
+def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, output("FILE")] = None, keys: Flag = False) -> None:
     """List the scenes and profiles that come with the program, or write a copy of one.
 
     The list has one line each. With a name and -o, write that scene's file instead, with every setting, to be changed and given to the
@@ -19,14 +19,22 @@ def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, out
     name : str, optional
         A scene's name, or a scene file: write a copy of it.
     copy : Path, optional
-        File to write the copy to (TOML); must not exist yet.
+        File to write the copy to (TOML), every key with its unit, range and why; must not exist yet.
+    keys : bool
+        Print the reference of all keys of scene files (Markdown).
 
     Examples
     --------
     rhizotwin scenes
     rhizotwin scenes sphere_20mm -o my_scene.toml
     rhizotwin simulate my_scene.toml -o my_dataset
+    rhizotwin scenes --keys
     """
+    if keys:
+        if name is not None or copy is not None:
+            raise UserError("--keys prints the keys of every scene file; leave the scene and -o out")
+        print(explained.page(), end="")
+        return
     if (name is None) != (copy is None):
         raise UserError("give both a scene and -o FILE to write a copy of a scene's file, or neither to list the library")
     if name is not None and copy is not None:

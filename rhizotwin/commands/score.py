@@ -6,11 +6,16 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rhizotwin import front_door
-from rhizotwin.arguments import DatasetFolder, ResultFolder
+from rhizotwin.arguments import DatasetFolder, Progress, ResultFolder
 
 
 def score(
-    result: ResultFolder, dataset: DatasetFolder, /, *, as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False
+    result: ResultFolder,
+    dataset: DatasetFolder,
+    /,
+    *,
+    as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
+    progress: Progress = Progress(),
 ) -> None:
     """Compare a result with the truth of a simulated dataset.
 
@@ -25,11 +30,14 @@ def score(
         The simulated dataset that the result was made from.
     as_json : bool
         Print every number as JSON instead of a table.
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
     rhizotwin score my_result my_dataset
     rhizotwin score my_result my_dataset --json > score.json
     """
-    found = front_door.score(result, dataset)
+    with progress.bar(score=1.0) as bar, bar.stage("score"):
+        found = front_door.score(result, dataset)
     print(json.dumps(found.to_dict(), indent=1) if as_json else found.table())

@@ -1,10 +1,23 @@
 """`rhizotwin simulate`."""
 
+from dataclasses import dataclass
 from typing import Literal
 
+from cyclopts import Parameter
+
 from rhizotwin import front_door, steps
-from rhizotwin.arguments import Device, OutputDataset, Samples, SceneChanges, SceneName, Seed, SubjectOptions
-from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.arguments import Device, OutputDataset, Progress, Samples, SceneChanges, SceneName, Seed, SubjectOptions
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """How pictures are made."""
+
+    fidelity: Literal["backlit", "path"] = "backlit"
+    """backlit: fast, without noise of its own; path: full path tracing with all reflections, slower."""
+    samples: Samples | None = None
+    """Light paths a pixel: more is slower and smoother; default: as the fidelity needs."""
 
 
 def simulate(
@@ -14,10 +27,10 @@ def simulate(
     output: OutputDataset,
     changes: SceneChanges = SceneChanges(),
     subject: SubjectOptions = SubjectOptions(),
-    fidelity: Literal["backlit", "path"] = "backlit",
-    samples: Samples | None = None,
+    rendering: Rendering = Rendering(),
     seed: Seed = 0,
     device: Device = "auto",
+    progress: Progress = Progress(),
 ) -> None:
     """Render a scene to a dataset, with its truth.
 
@@ -34,14 +47,14 @@ def simulate(
         What is changed in the scene.
     subject : SubjectOptions
         Whose roots they are.
-    fidelity : str
-        backlit: fast, without noise of its own; path: full path tracing with all reflections, slower.
-    samples : int, optional
-        Light paths a pixel: more is slower and smoother; default: as the fidelity needs.
+    rendering : Rendering
+        How the pictures are made.
     seed : int
         Of every error and noise that is drawn: 0, 1, 2, ...
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    progress : Progress
+        How much is told meanwhile.
 
     Examples
     --------
@@ -51,9 +64,9 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
     changed = subject.told(front_door.load_scene(scene, **vars(changes)))
-    steps.start_engine(device)
-    bars = Monitor.on_terminal()
-    dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, fidelity=fidelity, samples=samples, monitor=bars)
+    steps.start_engine(device, quiet=progress.quiet)
+    with progress.bar(render=1.0) as bar:
+        dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, **vars(rendering), monitor=bar)
     from rhizotwin.scenes.truth import load_truth
 
     for note in load_truth(output).drawn["notes"]:

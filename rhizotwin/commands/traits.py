@@ -6,6 +6,7 @@ from typing import Annotated
 
 from rhizotwin.arguments import list_of, named, option, output, read_mass_g
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.said import between_ml
 
 
 def traits(
@@ -52,9 +53,8 @@ def traits(
     found = [result_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
     if table is None:
         for folder, summary, one in zip(results, summaries, found, strict=True):
-            low, high = summary["volume_interval_mm3"]
-            whose = subject.of_summary(summary, str(folder))
-            print(f"{folder} ({str(whose) or summary['scene']}), volume between {low:.1f} and {high:.1f} mm3")
+            whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
+            print(f"{folder} ({whose}), volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence")
             print("\n".join(f"  {line}" for line in trait_table.lines(one)))
             if one.total_length_mm is None:
                 print("  no roots were found as centre lines: what needs them is a dash")

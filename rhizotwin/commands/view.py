@@ -1,11 +1,11 @@
 """`rhizotwin view`."""
 
 import time
-import webbrowser
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, Port, named
+from rhizotwin import steps
+from rhizotwin.arguments import Page, named
 from rhizotwin.scenes.errors import UserError
 
 
@@ -13,9 +13,7 @@ def view(
     paths: Annotated[list[Path], named("RESULT")],
     /,
     *,
-    host: Annotated[str, named("ADDRESS")] = "127.0.0.1",
-    port: Port = 8080,
-    no_browser: Flag = False,
+    page: Page = Page(),
 ) -> None:
     """Look at results in a browser, and correct them.
 
@@ -27,12 +25,8 @@ def view(
     ----------
     paths : list of Path
         Folders made by 'rhizotwin reconstruct'; a dataset among them is where the pictures are, if they have moved.
-    host : str
-        Address to serve at; 127.0.0.1 is this machine alone.
-    port : int
-        Port to serve at, or the next free one.
-    no_browser : bool
-        Print the address, and open no browser.
+    page : Page
+        Where the page is served.
 
     Examples
     --------
@@ -49,14 +43,9 @@ def view(
         raise UserError(f"{len(results)} results and {len(datasets)} datasets given; give one result or more, and at most one dataset")
     from rhizotwin.viewer import app
 
-    viewer = app.start(results, datasets[0] if datasets else None, host=host, port=port)
-    here = viewer.served
-    print(here.address, flush=True)
-    print(
-        f"Ctrl-C ends it. From another computer: ssh -L {here.port}:localhost:{here.port} THIS_COMPUTER, then the same address", flush=True
-    )
-    if not no_browser:
-        webbrowser.open(here.address)
+    viewer = app.start(results, datasets[0] if datasets else None, host=page.host, port=page.port)
+    steps.open_page(viewer.served.address, viewer.served.port, page)
+    print("Ctrl-C ends it", flush=True)
     try:
         while True:
             time.sleep(1.0)

@@ -19,6 +19,7 @@ from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.said import between_ml
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.traits import Traits
 
@@ -104,8 +105,7 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
     summary = json.loads(json.dumps({**kept, **changed}))
     ends = summary["volume_interval_mm3"]
     if summary["volume_trusted"]:
-        between = f"between {ends[0]:.3g} and {ends[1]:.3g} mm3"
-        summary["volume_verdict"] = f"the true volume lies {between} with 90 % confidence, if the corrections are right"
+        summary["volume_verdict"] = f"with 90 % confidence the true volume is {between_ml(*ends)}, if the corrections are right"
     return dict(summary)
 
 

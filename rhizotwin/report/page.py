@@ -21,11 +21,11 @@ from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
 from rhizotwin.recon.results import report_tables, result_files, result_traits
 from rhizotwin.report import rig_figure, solid, words
-from rhizotwin.said import rounded
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.said import rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.simpler import simpler

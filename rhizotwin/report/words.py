@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from rhizotwin.said import ml, rounded
+from rhizotwin.scenes.said import ml, rounded
 from rhizotwin.scenes.trait_table import Definition
 
 Light = Literal["good", "fair", "bad"]

@@ -358,7 +358,7 @@ class Viewer:
                 else:
                     pose = frames.invert(pictures.views[self.standing].cam_from_canister)
                     one.camera.wxyz, one.camera.position = quaternion(pose[:3, :3]), pose[:3, 3]
-                    one.camera.fov = field_of_view(pictures, self.standing)
+                    one.camera.fov = field_of_view(pictures.views[self.standing])
 
     def _draw_picture(self) -> None:
         server, pictures = self.served.server, self.shown.pictures

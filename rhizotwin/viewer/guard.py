@@ -45,6 +45,11 @@ class Served:
         """Return the address to open in a browser."""
         return f"http://{self.host}:{self.port}/?token={self.token}"
 
+    def stop(self) -> None:
+        """End it."""
+        with redirect_stdout(io.StringIO()):  # viser says that it stopped
+            self.server.stop()
+
 
 def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> Served:
     """Start a server; where the port is taken, at the next free one.

@@ -10,6 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.root_mesh import tube
 from rhizotwin.scenes import frames
@@ -65,7 +66,7 @@ class Scene3d:
         for number in lines:
             groups.setdefault(number // CHUNK, []).append(number)
         for gone in set(self._chunks) - set(groups):
-            self._drop(f"/roots/{gone}")
+            self.drop(f"/roots/{gone}")
             del self._chunks[gone]
         for chunk, numbers in groups.items():
             now = [lines[number] for number in numbers]
@@ -85,8 +86,8 @@ class Scene3d:
 
     def show_chosen(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
         """Mark the chosen roots and voxels."""
-        self._drop("/chosen/roots")
-        self._drop("/chosen/voxels")
+        self.drop("/chosen/roots")
+        self.drop("/chosen/voxels")
         if lines:
             mesh = _joined([tube(line.points_mm, 1.25 * line.diameters_mm + 0.05, around=8) for line in lines])
             self._add_mesh("/chosen/roots", np.asarray(mesh.vertices), np.asarray(mesh.faces), _CHOSEN_RGB, opacity=0.75)
@@ -95,14 +96,14 @@ class Scene3d:
 
     def show_voxels(self, centre_mm: Array, share: Array, voxel_mm: float) -> None:
         """Draw voxels as squares, the fuller the darker."""
-        self._drop("/voxels")
+        self.drop("/voxels")
         if len(centre_mm):
             colours = np.asarray(255 - np.clip(share, 0.15, 1.0)[:, None] * (255 - _VOXEL_RGB), np.uint8)
             self._keep("/voxels", self._points("/voxels", centre_mm, colours, voxel_mm))
 
     def show_surface(self, mesh: Mesh | None, *, name: str = "/surface", colours: Bytes | None = None, aside_mm: float = 0.0) -> None:
         """Draw a surface, coarser where it has too many triangles; None takes it away."""
-        self._drop(name)
+        self.drop(name)
         if mesh is None:
             return
         vertices, faces = mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), mesh.faces
@@ -138,33 +139,38 @@ class Scene3d:
     def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
         """Draw the cameras with their pictures; a click stands in one."""
         for place, view in enumerate(pictures.views):
-            width, height = view.camera.image_wh
-            image = pictures.picture(place)[:: max(1, height // 90), :: max(1, height // 90)]
-            pose = frames.invert(view.cam_from_canister)
-            handle = self._server.scene.add_camera_frustum(
-                f"/cameras/{place}",
-                fov=field_of_view(pictures, place),
-                aspect=width / height,
-                scale=_FRUSTUM_MM,
-                thickness=0.5,
-                color=(31, 95, 139),
-                image=image,
-                wxyz=quaternion(pose[:3, :3]),
-                position=pose[:3, 3],
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            self._keep(f"/cameras/{place}", handle)
+            high = view.camera.image_wh[1]
+            handle = self.show_camera(str(place), view, pictures.picture(place)[:: max(1, high // 90), :: max(1, high // 90)])
 
             def on_click(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle], place: int = place) -> None:
                 clicked(place, event.client)
 
             handle.on_click(on_click)
 
+    def show_camera(self, name: str, view: View, image: Bytes) -> viser.CameraFrustumHandle:
+        """Draw a camera with its picture (H, W, 3)."""
+        width, height = view.camera.image_wh
+        pose = frames.invert(view.cam_from_canister)
+        handle = self._server.scene.add_camera_frustum(
+            f"/cameras/{name}",
+            fov=field_of_view(view),
+            aspect=width / height,
+            scale=_FRUSTUM_MM,
+            thickness=0.5,
+            color=(31, 95, 139),
+            image=image,
+            wxyz=quaternion(pose[:3, :3]),
+            position=pose[:3, 3],
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._keep(f"/cameras/{name}", handle)
+        return handle
+
     def show_measure(self, points_mm: Sequence[Array]) -> None:
         """Draw the points that are measured between, and the line."""
-        self._drop("/measure/points")
-        self._drop("/measure/line")
+        self.drop("/measure/points")
+        self.drop("/measure/line")
         if points_mm:
             self._keep("/measure/points", self._points("/measure/points", np.array(points_mm), np.array([220, 30, 30], np.uint8), 0.8))
         if len(points_mm) == 2:
@@ -183,7 +189,7 @@ class Scene3d:
     def clear(self) -> None:
         """Take everything away."""
         for name in list(self._handles):
-            self._drop(name)
+            self.drop(name)
         self._chunks.clear()
 
     def _add_mesh(
@@ -202,16 +208,16 @@ class Scene3d:
     def _keep(self, name: str, handle: viser.SceneNodeHandle) -> None:
         self._handles[name] = handle
 
-    def _drop(self, name: str) -> None:
+    def drop(self, name: str) -> None:
+        """Take something away."""
         handle = self._handles.pop(name, None)
         if handle is not None:
             handle.remove()
 
 
-def field_of_view(pictures: Pictures, place: int) -> float:
+def field_of_view(view: View) -> float:
     """Return a picture's vertical field of view (radians)."""
-    camera = pictures.views[place].camera
-    return 2.0 * float(np.arctan(camera.image_wh[1] / 2.0 / camera.focal_px[1]))
+    return 2.0 * float(np.arctan(view.camera.image_wh[1] / 2.0 / view.camera.focal_px[1]))
 
 
 def quaternion(rotation: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.session import Measured
-from rhizotwin.said import ml
+from rhizotwin.scenes.said import ml
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from tqdm import tqdm
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, Picture, find_board
@@ -20,6 +19,7 @@ from rhizotwin.scenes.board import CharucoBoard, check_board
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
@@ -58,14 +58,14 @@ class Calibration:
     """Angle between the board and the picture's plane, by picture."""
 
 
-def calibrate(paths: Sequence[Path], board: CharucoBoard, *, progress: bool = False) -> Calibration:
+def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | None = None) -> Calibration:
     """Calibrate the camera that took pictures of the board.
 
     Parameters
     ----------
     paths : pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
     board : what was printed; its size is of no matter for the lens, its squares' numbers and markers are.
-    progress : show a bar on stderr.
+    monitor : hears how far it is.
 
     Raises
     ------
@@ -80,19 +80,22 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, progress: bool = Fa
     rejected: dict[str, str] = {}
     common_bits = 0
     depth = 8
-    for path in tqdm(paths, desc="look for the board", unit="picture", disable=not progress, dynamic_ncols=True):
-        try:
-            image: Picture = decode_grey(path.read_bytes(), where=path.name)
-        except UserError as error:
-            rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
-            continue
-        found = find_board(image, board)
-        if isinstance(found, NoBoard):
-            rejected[path.name] = found.reason
-            continue
-        seen[path.name], sizes[path.name] = found, (image.shape[1], image.shape[0])
-        if image.dtype == np.uint16:
-            depth, common_bits = 16, common_bits | int(np.bitwise_or.reduce(image, axis=None))
+    monitor = monitor or Monitor()
+    with monitor.stage("boards"), monitor.steps("boards", len(paths), "picture") as step:
+        for path in paths:
+            step()
+            try:
+                image: Picture = decode_grey(path.read_bytes(), where=path.name)
+            except UserError as error:
+                rejected[path.name] = str(error).removeprefix(f"{path.name}: ")
+                continue
+            found = find_board(image, board)
+            if isinstance(found, NoBoard):
+                rejected[path.name] = found.reason
+                continue
+            seen[path.name], sizes[path.name] = found, (image.shape[1], image.shape[0])
+            if image.dtype == np.uint16:
+                depth, common_bits = 16, common_bits | int(np.bitwise_or.reduce(image, axis=None))
     if not seen:
         raise RigError(_none_usable(rejected, len(paths)))
     image_wh = Counter(sizes.values()).most_common(1)[0][0]

@@ -1,6 +1,6 @@
 """Where the camera stands by the marker strip in one picture. The only place where the rig leans on the reconstruction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,10 @@ class Sighting:
     """(4, 4), OpenCV axes."""
     markers: int
     reprojection_px: float
+    corners_px: Array = field(default_factory=lambda: np.zeros((0, 4, 2)))
+    """(M, 4, 2) of the markers."""
+    blur_px: float | None = None
+    """Median standard deviation of the markers' blur, the pixel's own (0.29) included."""
 
     @property
     def azimuth_deg(self) -> float:
@@ -81,4 +85,10 @@ def _read(image: Grey, scene: Scene) -> Sighting | str:
     reprojection_px = np.inf if pose is None else linearise(seen, pose).rms_px
     if pose is None or not reprojection_px < WORST_PX:
         return f"{count} markers do not fit the scene's strip and lens: check the strip's sizes and the camera in the scene file"
-    return Sighting(cam_from_canister=pose, markers=count, reprojection_px=float(reprojection_px))
+    return Sighting(
+        cam_from_canister=pose,
+        markers=count,
+        reprojection_px=float(reprojection_px),
+        corners_px=markers.corners_px,
+        blur_px=None if markers.blur_px is None else float(np.median(markers.blur_px)),
+    )

@@ -20,6 +20,7 @@ from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.arm_stand import ArmStand
 from rhizotwin.rig.scanning.eye import Eye
 from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.rig.scanning.onlooker import Onlooker
 from rhizotwin.rig.scanning.safety import Say, make_safe
 from rhizotwin.rig.scanning.session import Session, file_of, take_up
 from rhizotwin.rig.scanning.stand import Stand, Tripod
@@ -30,6 +31,7 @@ from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import held
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.plan import View
 
@@ -52,7 +54,8 @@ def scan(
     table_angle_deg: float | None = None,
     ask: Ask | None = None,
     say: Say = tqdm.write,
-    progress: bool = True,
+    onlooker: Onlooker | None = None,
+    monitor: Monitor | None = None,
     begun: Callable[[], object] = lambda: None,
 ) -> Dataset:
     """Take every view of a scene's plan that the folder does not have yet.
@@ -69,7 +72,8 @@ def scan(
     table_angle_deg : the table's present angle as a person says, for a strip that cannot be read at the start.
     ask : puts a question to a person; None when nobody is there.
     say : takes lines for people.
-    progress : show a bar with the time left.
+    onlooker : hears what every picture shows, and may hold the scan.
+    monitor : hears how far the scan is.
     begun : called once it is known that the folder can be used, before anything moves.
 
     Returns
@@ -91,7 +95,17 @@ def scan(
         session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
         try:
             begun()
-            return _Scan(devices, scene, session, table_angle_deg=table_angle_deg, ask=ask, say=say, progress=progress).run(planned)
+            run = _Scan(
+                devices,
+                scene,
+                session,
+                table_angle_deg=table_angle_deg,
+                ask=ask,
+                say=say,
+                onlooker=onlooker or Onlooker(),
+                monitor=monitor or Monitor(),
+            )
+            return run.run(planned)
         finally:
             session.close()
 
@@ -100,17 +114,27 @@ class _Scan:
     """One run of a scan."""
 
     def __init__(
-        self, devices: Devices, scene: Scene, session: Session, *, table_angle_deg: float | None, ask: Ask | None, say: Say, progress: bool
+        self,
+        devices: Devices,
+        scene: Scene,
+        session: Session,
+        *,
+        table_angle_deg: float | None,
+        ask: Ask | None,
+        say: Say,
+        onlooker: Onlooker,
+        monitor: Monitor,
     ) -> None:
         self._devices = devices
         self._scene = scene
         self._session = session
-        self._say = say
-        self._progress = progress
+        self._to_person = say
+        self._onlooker = onlooker
+        self._monitor = monitor
         self._begun_s = devices.clock.now_s()
         self._eye = Eye(devices.camera, devices.clock, scene, note=self._note)
         self._turning = Turning(devices, scene, self._eye, ask=ask, given_deg=table_angle_deg, note=self._note)
-        self._watch = Watch(self._turning, scene)
+        self._watch = Watch(self._turning, scene, onlooker)
         self._stand: Stand = Tripod(scene, self._eye, ask=ask, note=self._note)
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
@@ -130,17 +154,12 @@ class _Scan:
         self._stand.refuse([self._scene.plan.rings[ring] for ring in rings])
         finished = False
         try:
-            self._preflight(len(remaining))
-            with tqdm(
-                total=len(planned),
-                initial=len(planned) - len(remaining),
-                desc="scan",
-                unit="view",
-                disable=not self._progress,
-                dynamic_ncols=True,
-            ) as bar:
+            self._onlooker.planned(len(planned), len(planned) - len(remaining))
+            with self._monitor.stage("devices"):
+                self._preflight(len(remaining))
+            with self._monitor.stage("pictures"), self._monitor.steps("pictures", len(remaining), "view") as step:
                 for ring in rings:
-                    self._take_ring(ring, [view for view in remaining if view.ring == ring], bar)
+                    self._take_ring(ring, [view for view in remaining if view.ring == ring], step)
             self._say_unchecked(len(planned))
             dataset = self._session.save(complete=True)
             finished = True
@@ -178,7 +197,7 @@ class _Scan:
             self._stand.failed = False
         self._report("camera", preflight.check_camera(devices.camera))
 
-    def _take_ring(self, index: int, views: list[View], bar: "tqdm[Any]") -> None:
+    def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         ring = self._scene.plan.rings[index]
         self._turning.camera_moved()
         self._stand.place(ring)
@@ -186,13 +205,19 @@ class _Scan:
         self._placement = self._session.next_placement(index)
         self._watch.begin_ring()
         for view in views:
-            frame, image = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
+            self._wait()
+            frame, image, again = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
             self._refuse_still()
             self._session.record(frame, image)
             self._turning.taken(view.table_deg, self._session.folder / frame.file)
-            self._watch.taken(frame, image)
-            bar.update()
+            self._watch.taken(frame, image, again)
+            step()
         self._refuse_still()
+
+    def _wait(self) -> None:
+        """Wait for as long as the onlooker holds the scan; the arm is watched meanwhile."""
+        while self._onlooker.holds():
+            self._stand.joints()
 
     def _refuse_still(self) -> None:
         """Stop where the picture before does not show that the table turned as it says; that picture is taken out, the others stay."""
@@ -202,6 +227,7 @@ class _Scan:
         file, why = wrong
         if not self._drop_slipped(self._turning.pictures):
             self._session.drop([file])
+            self._onlooker.dropped([file])
         raise RigError(
             f"turntable: {why}, so that the table slipped or stands still, or the camera was pushed or hangs; this picture is taken out: "
             "free the table, look at the camera, then finish the scan with --resume"
@@ -249,8 +275,8 @@ class _Scan:
                     self._turning.lost = True
                     raise
 
-    def _shoot(self, view: View) -> tuple[Frame, Grey]:
-        """Turn, wait, take the picture, and make sure that the table still stands where it went."""
+    def _shoot(self, view: View) -> tuple[Frame, Grey, Grey | None]:
+        """Turn, wait, take the picture, and make sure that the table still stands where it went; again for one who watches motion."""
         clock, part = self._devices.clock, self._devices.rig.turntable
         read_deg = self._turning.turn(view.table_deg)
         moved_s = clock.now_s()
@@ -271,7 +297,8 @@ class _Scan:
             gain=shot.gain,
             time_s=round(self._now_s(), 6),
         )
-        return frame, shot.image
+        again = self._eye.picture().image if self._onlooker.watches_motion else None
+        return frame, shot.image, again
 
     def _lit_picture(self, angle_deg: float) -> Shot:
         """Take a picture, prove that the table still stands, and that the lamps, which cannot be read back, are as bright as they were."""
@@ -296,7 +323,9 @@ class _Scan:
         slipped = self._turning.slipped(pictures)
         if not slipped:
             return ""
-        self._session.drop([f"images/{path.name}" for path in slipped])
+        files = [f"images/{path.name}" for path in slipped]
+        self._session.drop(files)
+        self._onlooker.dropped(files)
         names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
         text = (
             f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
@@ -315,6 +344,10 @@ class _Scan:
             motor = "" if self._turning.lost else "; the table's motor stays on, so that its angle is kept"
             if done:
                 self._say(f"{done} pictures are kept{motor}: finish the scan with --resume")
+
+    def _say(self, text: str) -> None:
+        self._to_person(text)
+        self._onlooker.said(text)
 
     def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
         """Say what happened, and keep it in the dataset's log."""

@@ -4,6 +4,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from rhizotwin.rig.scanning.change import LEAST_SHARE, changed_share
 from rhizotwin.rig.scanning.markers import Sighting, read_strip
+from rhizotwin.rig.scanning.onlooker import Look, Onlooker
+from rhizotwin.rig.scanning.preflight import exposure_of
 from rhizotwin.rig.scanning.turning import Turning
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Scene
@@ -13,9 +15,10 @@ from rhizotwin.scenes.pictures import Grey
 class Watch:
     """Reads the strip in each picture beside the next movement; without a strip it looks whether the picture changed with the turn."""
 
-    def __init__(self, turning: Turning, scene: Scene) -> None:
+    def __init__(self, turning: Turning, scene: Scene, onlooker: Onlooker) -> None:
         self._turning = turning
         self._scene = scene
+        self._onlooker = onlooker
         self._reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="reader")
         self._before: tuple[Frame, Grey] | None = None
         self._pending: tuple[Frame, Future[tuple[Sighting | None, float | None]]] | None = None
@@ -26,10 +29,15 @@ class Watch:
         """Forget the picture before: the camera stands elsewhere now."""
         self._before = self._pending = None
 
-    def taken(self, frame: Frame, image: Grey) -> None:
-        """Begin to look at a picture; what was found of the one before must have been asked for (`wrong`)."""
+    def taken(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
+        """Begin to look at a picture; what was found of the one before must have been asked for (`wrong`).
+
+        Parameters
+        ----------
+        again : (H, W) a second picture at the same stop; None where none was taken.
+        """
         before = None if self._before is None or self._before[0].table_deg == frame.table_deg else self._before[1]
-        self._pending = frame, self._reader.submit(self._look, image, before)
+        self._pending = frame, self._reader.submit(self._look, frame, image, before, again)
         self._before = frame, image
 
     def wrong(self) -> tuple[str, str] | None:
@@ -54,6 +62,8 @@ class Watch:
         """End the reader."""
         self._reader.shutdown(wait=True, cancel_futures=True)
 
-    def _look(self, image: Grey, before: Grey | None) -> tuple[Sighting | None, float | None]:
+    def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:
         seen = read_strip(image, self._scene)
+        motion = None if again is None else changed_share(again, image)
+        self._onlooker.looked(Look(frame=frame, image=image, exposure=exposure_of(image), sighting=seen, motion=motion))
         return seen, None if seen is not None or before is None else changed_share(image, before)

@@ -17,6 +17,7 @@ import pytest
 from rhizotwin import cli, command_line
 from rhizotwin.arguments import SceneChanges
 from rhizotwin.commands import COMMANDS, GROUPS, place
+from rhizotwin.commands.simulate import Rendering
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
 from rhizotwin.scenes.errors import UserError
@@ -83,7 +84,7 @@ def arguments_of(words: str) -> inspect.BoundArguments:
 
 def test_defaults_of_the_options() -> None:
     given = arguments_of("simulate sphere_20mm -o d").arguments
-    assert (given["changes"], given["seed"], given["fidelity"], given["device"]) == (SceneChanges(), 0, "backlit", "auto")
+    assert (given["changes"], given["seed"], given["rendering"], given["device"]) == (SceneChanges(), 0, Rendering(), "auto")
     assert arguments_of("reconstruct d -o r --voxel-mm 0.1").arguments["voxel_mm"] == 0.1
     assert arguments_of("simulate s -o d --image-wh 800X600").arguments["changes"].image_wh == (800, 600)
 
@@ -97,7 +98,6 @@ class Mistake:
 
 
 MISTAKES = [
-    Mistake("", "COMMAND"),
     Mistake("simulat sphere_20mm", "simulat"),
     Mistake("simulate sphere_20mm", "-o"),
     Mistake("simulate sphere_20mm -o d --views 0", "--views"),
@@ -123,6 +123,12 @@ MISTAKES = [
     Mistake("score no_such_result no_such_dataset", "no_such_result"),
     Mistake("scenes sphere_20mm", "-o FILE"),
 ]
+
+
+@pytest.mark.parametrize(("words", "named"), [("", "reconstruct"), ("rig", "jog")])
+def test_a_command_or_group_alone_prints_its_help(words: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words.split()) == 0
+    assert named in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words or "nothing")

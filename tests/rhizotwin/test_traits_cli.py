@@ -19,7 +19,7 @@ def results(ball_result: Callable[..., Path]) -> list[str]:
 def test_one_result_is_printed_with_units(results: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["traits", results[0]]) == 0
     out = capsys.readouterr().out
-    assert "volume between 850.0 and 950.0 mm3" in out
+    assert "volume 0.850 to 0.950 ml" in out
     assert [line.split()[:3] for line in out.splitlines() if line.startswith("  volume ")] == [["volume", "905", "mm3"]]
     assert "no roots were found" in out
 

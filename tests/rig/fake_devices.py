@@ -246,7 +246,7 @@ def devices(world: World) -> Devices:
 
 
 def run(world: World, folder: Path, *, said: list[str] | None = None, **options) -> Dataset:
-    return scan(devices(world), world.scene, folder, say=(said if said is not None else []).append, progress=False, **options)
+    return scan(devices(world), world.scene, folder, say=(said if said is not None else []).append, **options)
 
 
 def angles(dataset: Dataset) -> list[float]:

@@ -50,8 +50,8 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
     rows = {row.quantity: row for row in calibrated.rows(RIG)}
     assert rows["index of the water"].taken
     assert not rows["focal length over the given"].taken
-    assert rows["canister in the strip: tilt x"].found == pytest.approx(0.1)
-    assert rows["canister in the strip: offset y"].sigma == 0.002
+    assert rows["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
+    assert rows["canister relative to the marker strip: offset y"].sigma == 0.002
     text = "\n".join(calibrated.table(RIG))
     assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
     assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (not sure enough: as given)" in text
@@ -60,7 +60,7 @@ def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
 
 def test_a_result_of_an_older_version_has_a_table_too() -> None:
     older = {key: value for key, value in RIG.items() if key not in ("focal_scale_found", "n_water_found", "roots")}
-    assert next(row.quantity for row in calibrated.rows(older)) == "canister in the strip: tilt x"
+    assert next(row.quantity for row in calibrated.rows(older)) == "canister relative to the marker strip: tilt x"
 
 
 def test_cameras_that_were_given_leave_no_table() -> None:
@@ -94,11 +94,11 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     errors = {error.quantity: error for error in compare_rig(RIG, views, truth(focal_error=0.0))}
     assert errors["index of the water"].error == pytest.approx(1e-4)
     assert "0.5 standard deviations" in errors["index of the water"].text
-    assert errors["canister in the strip: offset x"].error == pytest.approx(-0.004)
-    assert "2.0 standard deviations" in errors["canister in the strip: offset x"].text
+    assert errors["canister relative to the marker strip: offset x"].error == pytest.approx(-0.004)
+    assert "2.0 standard deviations" in errors["canister relative to the marker strip: offset x"].text
     assert errors["focal length over the given"].true == 1.0
     assert errors["table angles, rms"].found == pytest.approx(0.01)
-    assert "canister on the table: tilt x" not in errors
+    assert "canister relative to the turntable: tilt x" not in errors
 
 
 def test_what_the_truth_does_not_know_is_not_judged() -> None:

@@ -24,7 +24,7 @@ def test_terms_add_in_quadrature_on_each_side() -> None:
     budget = Budget(volume_mm3=100.0, terms=(term(3.0, 6.0), term(4.0, 8.0)), views=40)
     np.testing.assert_allclose(budget.interval_mm3, (95.0, 110.0))
     assert budget.objections == ()
-    assert "between 95 and 110 mm3" in budget.verdict
+    assert "the true volume is 0.0950 to 0.1100 ml" in budget.verdict
 
 
 def test_the_interval_never_reaches_below_nothing() -> None:

@@ -34,7 +34,7 @@ def viewer(tmp_path: Path) -> Iterator[Viewer]:
     made = plants.make(tmp_path, fibre=True)
     running = app.start([made.result], made.dataset, port=8190)
     yield running
-    running.served.server.stop()
+    running.served.stop()
 
 
 def wait(until: Callable[[], Any], what: str) -> Any:

@@ -299,7 +299,7 @@ def test_one_way_of_tilting_is_warned_of() -> None:
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("twin") / "pictures"
-    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, folder, pictures=10, seed=1, progress=False)
+    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, folder, pictures=10, seed=1)
     return folder
 
 
@@ -325,7 +325,7 @@ def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(
 
 def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
     blurred = replace(load_profile("clean"), aperture_mm=5.0, focus_error_mm=150.0)
-    simulate_board(replace(SMALL, disturbances=blurred), BOARD, tmp_path / "pictures", pictures=3, progress=False)
+    simulate_board(replace(SMALL, disturbances=blurred), BOARD, tmp_path / "pictures", pictures=3)
     camera, poses = true_lens(tmp_path / "pictures")
     for name, pose in poses.items():
         found = find_board(cv2.imread(str(tmp_path / "pictures" / name), cv2.IMREAD_UNCHANGED), BOARD)
@@ -335,15 +335,15 @@ def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
 
 
 def test_picture_k_does_not_depend_on_the_others(twin: Path, tmp_path: Path) -> None:
-    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, tmp_path / "two", pictures=2, seed=1, progress=False)
+    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, tmp_path / "two", pictures=2, seed=1)
     assert (tmp_path / "two" / "board_001.png").read_bytes() == (twin / "board_001.png").read_bytes()
 
 
 def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="too large for the camera at 400 mm"):
-        simulate_board(SMALL, CharucoBoard(square_mm=200.0, marker_mm=140.0), tmp_path / "large", progress=False)
+        simulate_board(SMALL, CharucoBoard(square_mm=200.0, marker_mm=140.0), tmp_path / "large")
     with pytest.raises(UserError, match="px wide at the working distance"):
-        simulate_board(SMALL, CharucoBoard(square_mm=8.0, marker_mm=6.0), tmp_path / "small", progress=False)
+        simulate_board(SMALL, CharucoBoard(square_mm=8.0, marker_mm=6.0), tmp_path / "small")
     assert not list(tmp_path.iterdir())
 
 

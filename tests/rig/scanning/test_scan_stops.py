@@ -304,7 +304,7 @@ def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
         made = replace(devices(world), rig=rig)
         if slips:
             with pytest.raises(RigError, match=r"view_002\.png show \+0\.[67]\d deg beside the commanded 180"):
-                scan_module.scan(made, SCENE, tmp_path / "slips", progress=False)
+                scan_module.scan(made, SCENE, tmp_path / "slips")
             assert len(load_dataset(tmp_path / "slips").frames) == 2
         else:
-            assert scan_module.scan(made, SCENE, tmp_path / "not", progress=False).origin["complete"]
+            assert scan_module.scan(made, SCENE, tmp_path / "not").origin["complete"]

@@ -37,7 +37,7 @@ def opened(twin: Twin) -> Devices:
 def run(twin: Twin, folder: Path, **options) -> Dataset:
     devices = opened(twin)
     try:
-        return scan(devices, twin.calibrated_scene(), folder, say=lambda _: None, progress=False, **options)
+        return scan(devices, twin.calibrated_scene(), folder, say=lambda _: None, **options)
     finally:
         devices.close()
         twin.clock.sleep(1.0)  # the lamps fade
@@ -92,7 +92,7 @@ def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path
         return move(angle_deg)
 
     devices.table.move_to = move_and_reset
-    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", say=lambda _: None, progress=False)
+    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", say=lambda _: None)
     offsets = off_deg(twin, made)
     before = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 0]
     after = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 1]

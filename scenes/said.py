@@ -20,6 +20,12 @@ def ml(mm3: float, *, half_mm3: float) -> str:
     return f"{mm3 / 1000.0:.{decimals(half_mm3 / 1000.0)}f}"
 
 
+def between_ml(low_mm3: float, high_mm3: float) -> str:
+    """Return an interval in ml: ``0.82 to 0.95 ml``."""
+    half = 0.5 * (high_mm3 - low_mm3)
+    return f"{ml(low_mm3, half_mm3=half)} to {ml(high_mm3, half_mm3=half)} ml"
+
+
 def rounded(value: float, digits: int = 3) -> str:
     """Return a number with so many digits that count."""
     if value == 0.0 or not math.isfinite(value):

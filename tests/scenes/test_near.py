@@ -1,0 +1,29 @@
+"""What somebody meant who typed another name."""
+
+import pytest
+
+from rhizotwin.scenes import files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.near import nearest
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "meant"),
+    [
+        ("radish_day5", ["radish_day15a", "radish_day15b", "radish_day05a", "radish_day05b", "radish_day30a"], "radish_day05a"),
+        ("radish_day15", ["radish_day05a", "radish_day15b", "radish_day15a"], "radish_day15b"),
+        ("wall", ["n_wall", "wall_mm", "fall"], "wall_mm"),
+        ("spere_20mm", ["sphere_20mm", "sphere_2mm"], "sphere_20mm"),
+        ("day1", ["day15"], "day15"),
+        ("s", ["sphere", "spere"], None),
+        ("xyz", ["wall_mm"], None),
+        ("", ["wall_mm"], None),
+    ],
+)
+def test_the_name_that_was_meant(word: str, known: list[str], meant: str | None):
+    assert nearest(word, known) == meant
+
+
+def test_a_scene_that_is_not_there_names_the_plant_of_that_day():
+    with pytest.raises(UserError, match='did you mean "radish_day05a"'):
+        files.load_scene("radish_day5")
