@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.uncertainty import picture_checks
+from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.rig.scanning import change, preflight
 from rhizotwin.rig.scanning.onlooker import Look
 from rhizotwin.scenes.pictures import Grey
@@ -19,6 +19,8 @@ from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.live import FRUSTUM_PX, Live, smaller
 from rhizotwin.viewer.scene3d import Scene3d
 
+TRUST = TrustSettings()
+"""The limits of the checks that the reconstruction makes later."""
 PICTURE_PX = 640
 """Wider pictures are made smaller for the page."""
 _MARKER_RGB = (0, 210, 90)
@@ -127,7 +129,7 @@ def meters(look: Look | None, panel: tuple[float, float] | None) -> str:
     rows = []
     if look is not None:
         seen, light = look.sighting, look.exposure
-        good, bad = picture_checks.BLUR_PX
+        good, bad = TRUST.blur_px
         if seen is None:
             rows.append(("Markers", "cannot be read", "the angle is the turntable's word alone", "fair"))
         else:
@@ -140,7 +142,7 @@ def meters(look: Look | None, panel: tuple[float, float] | None) -> str:
         said = f"{100.0 * light.bright:.0f} % of full scale, {100.0 * light.saturated:.1f} % saturated"
         rows.append(("Exposure", said, f"at least {least:.0f} %; at most {most:.0f} % saturated", state))
     if panel is not None and panel[1] > 0.0:
-        good, bad = picture_checks.DIM
+        good, bad = TRUST.dim
         state = "good" if panel[0] >= good else "fair" if panel[0] >= bad else "bad"
         said = f"darkest part {100.0 * panel[0] / panel[1]:.0f} % of the brightest"
         rows.append(
