@@ -10,9 +10,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rhizotwin import engine, said
+from rhizotwin import engine
+from rhizotwin.arguments import Progress
 from rhizotwin.batch import places
 from rhizotwin.batch.jobs import HEADS, Job, Outcome, note
+from rhizotwin.scenes import said
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.provenance import peak_memory_mib
 
@@ -69,7 +71,7 @@ def _reconstruct(job: Job) -> None:
         file = Path(scratch, "settings.toml")
         if settings is not None:
             file.write_text(settings, encoding="utf-8")
-        reconstruct_whole(dataset, output, settings=None if settings is None else file, quiet=True, **options)
+        reconstruct_whole(dataset, output, settings=None if settings is None else file, progress=Progress(quiet=True), **options)
         if places.is_address(job.output):
             places.put(output, job.output, last=HEADS["reconstruct"])
 

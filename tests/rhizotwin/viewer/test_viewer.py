@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin import said
 from rhizotwin.recon.optics import cameras
+from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import app, picking, words
