@@ -57,7 +57,7 @@ def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
     for one in fields(of):
         here = f"{path}.{one.name}" if path else one.name
         parts = _parts(hints[one.name])
-        if not parts:
+        if not parts or get_origin(hints[one.name]) is tuple:  # a list of sections may be empty, and is a key then
             yield Key(here, _default(one), _unit(one.name), _limits(one, hints[one.name]), said.get(one.name, ""))
         for part in parts:
             kind = kind_of(part)
@@ -166,7 +166,8 @@ def _parts(hint: Any) -> list[type]:
 
 
 def _default(one: Field[Any]) -> Any:
-    return one.default if isinstance(one.default, (int, float, str, bool, tuple)) else None
+    plain = not isinstance(one.default, tuple) or not any(is_dataclass(item) for item in one.default)
+    return one.default if plain and isinstance(one.default, (int, float, str, bool, tuple)) else None
 
 
 def _unit(name: str) -> str:
