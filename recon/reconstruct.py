@@ -25,6 +25,7 @@ from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import peak_memory_mib, versions
@@ -71,6 +72,7 @@ def reconstruct(
         After `Monitor.cancel`.
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+    refuse_tank(dataset.scene, "the reconstruction")
     settings, monitor = settings or Settings(), Monitor.of(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)

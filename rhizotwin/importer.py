@@ -11,6 +11,7 @@ from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
@@ -72,6 +73,7 @@ def import_pictures(
         For an unreadable, damaged or differently sized picture, silhouettes without cameras or with greys, or cameras that do not
         fit.
     """
+    refuse_tank(scene, "import")
     if masks and cameras is None:
         raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
     if no_strip:

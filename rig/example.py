@@ -8,6 +8,7 @@ name = "my_rig"
 description = "arm, turntable and lights on a bench"
 
 [turntable]  # a Marlin 2.1 board: motor and lights; its X axis is the table, in degrees
+kind = "marlin"  # marlin: at this port. hat: on this Raspberry Pi's own pins, see [hat]
 port = "/dev/ttyUSB0"  # better a name that stays: ls /dev/serial/by-id
 baud = 115200
 speed_deg_per_s = 30.0
@@ -24,6 +25,19 @@ front_rgb = [255, 255, 255]
 panel_level = 1.0  # 0 to 1, during a scan
 front_level = 1.0
 settle_s = 0.5
+
+[hat]  # only for turntable.kind = "hat": DRV8825 and NeoPixels on a Raspberry Pi, pins numbered as GPIO
+step_pin = 23
+direction_pin = 24
+enable_pin = 25  # low: the motor is on
+fault_pin = 22  # low: the driver is too hot, or a coil is shorted
+microsteps = 32  # as MODE0 to MODE2 are wired
+reverse = false
+acceleration_deg_per_s2 = 60.0  # gently: the water must not slosh
+panel_pin = 18  # 12 or 18
+front_pin = 13  # 13 or 19
+panel_pixels = 300
+front_pixels = 18
 
 [arm]  # leave this section and [[arm.joints]] out for a camera on a tripod
 protocol = "lx"  # lx: servo bus, 115200 Bd. lsc: controller board, 9600 Bd (set baud = 9600)

@@ -71,15 +71,22 @@ class Jog:
                 if words[0] in ("quit", "exit"):
                     break
                 try:
-                    self._do(words)
+                    self.do(words)
                 except UserError as error:
                     if stop_at_mistake:
                         raise
                     self._say(str(error))
         finally:
-            self._leave()
+            self.leave()
 
-    def _do(self, words: list[str]) -> None:
+    def do(self, words: list[str]) -> None:
+        """Do one line, given as its words.
+
+        Raises
+        ------
+        UserError
+            For words that are not understood, and for what is refused or fails.
+        """
         word = self._words.get(words[0])
         if word is None:
             raise UserError(f"there is no command {words[0]!r}; there are {', '.join(self._words)} and quit")
@@ -88,7 +95,8 @@ class Jog:
         except (ValueError, IndexError):
             raise UserError(f"{' '.join(words)!r} is not understood, write: {word.usage}") from None
 
-    def _leave(self) -> None:
+    def leave(self) -> None:
+        """Leave the rig safe: lamps off, the arm parked and let go; the table's motor stays on where its angle is known."""
         table = self._devices.table
         known = False
         try:
@@ -117,7 +125,7 @@ class Jog:
         return arm
 
     def _look(self) -> tuple[Sighting | None, str]:
-        image = self._shot()
+        image = self.shot()
         seen = read_strip(image, self._scene)
         return seen, "" if seen is not None else why_unread(image, self._scene)
 
@@ -220,7 +228,7 @@ class Jog:
             raise UserError(f"{name}: pictures are written as PNG; give a name that ends in .png")
         if path.exists():
             raise UserError(f"{name} exists already; choose another name")
-        image = self._shot()
+        image = self.shot()
         write_bytes(path, encode_png(image))
         found = preflight.exposure_of(image)
         self._say(f"{path}: {100.0 * found.bright:.0f} % of full scale, {100.0 * found.saturated:.1f} % saturated")
@@ -232,7 +240,8 @@ class Jog:
             self._say(f"  {word.usage:<{width}}  {word.does}")
         self._say(f"  {'quit':<{width}}  lights off, arm parked and let go")
 
-    def _shot(self) -> Grey:
+    def shot(self) -> Grey:
+        """Return a picture of the scene's size."""
         camera = self._devices.camera
         if not self._camera_ready:
             self._say(preflight.check_camera(camera))

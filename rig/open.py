@@ -12,6 +12,8 @@ from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.serial_line.port import Port
 from rhizotwin.rig.serial_line.recording import Recorder
+from rhizotwin.rig.table.hat import HatLights, HatTurntable
+from rhizotwin.rig.table.hat_pins import LgpioPins, Ws281xPixels
 from rhizotwin.rig.table.lights import MarlinLights
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.turntable import MarlinTurntable
@@ -79,8 +81,17 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Open the Marlin board that turns the table and switches the lights."""
+    """Open what turns the table and switches the lights: a Marlin board, or this Raspberry Pi's own pins."""
     part = rig.turntable
+    if part.kind == "hat":
+        hat = rig.hat
+        pins = LgpioPins()
+        try:
+            pixels = Ws281xPixels((hat.panel_pin, hat.front_pin), (hat.panel_pixels, hat.front_pixels))
+        except BaseException:
+            pins.close()
+            raise
+        return HatTurntable(pins, hat, part, clock), HatLights(pixels, rig.lights, clock)
     link = MarlinLink(Port(part.port, baud=part.baud, clock=clock, device="turntable", recorder=recorder))
     return MarlinTurntable(link, part, clock), MarlinLights(link, rig.lights, clock)
 

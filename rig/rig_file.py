@@ -14,8 +14,10 @@ LSC_BAUD = 9600
 
 @dataclass(frozen=True, kw_only=True)
 class TurntablePart:
-    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees."""
+    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees; or this Raspberry Pi's own pins."""
 
+    kind: Literal["marlin", "hat"] = "marlin"
+    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``); ``port`` and ``baud`` are not used."""
     port: str = "/dev/ttyUSB0"
     """A serial port, or any URL of pyserial such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
@@ -44,6 +46,30 @@ class LightsPart:
     front_level: float = bounded(1.0, 0.0, 1.0)
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Rest after a change before a picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HatPart:
+    """The thesis's electronics: a DRV8825 and two NeoPixel strips on a Raspberry Pi's pins, numbered as GPIO."""
+
+    step_pin: int = bounded(23, 0, 27)
+    direction_pin: int = bounded(24, 0, 27)
+    enable_pin: int = bounded(25, 0, 27)
+    """Low switches the motor on."""
+    fault_pin: int = bounded(22, 0, 27)
+    """Low: the driver is too hot, or a coil is shorted."""
+    microsteps: int = bounded(32, 1, 32)
+    """As the driver's MODE pins are wired."""
+    reverse: bool = False
+    """Whether the motor's coils are such that the table turns the other way."""
+    acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
+    """Of the table, at the beginning and end of each move."""
+    panel_pin: int = bounded(18, 0, 27)
+    """GPIO 12 or 18: channel 0 of rpi_ws281x."""
+    front_pin: int = bounded(13, 0, 27)
+    """GPIO 13 or 19: channel 1."""
+    panel_pixels: int = bounded(300, 1, 5000)
+    front_pixels: int = bounded(18, 1, 5000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +169,7 @@ class RigFile:
     description: str = ""
     turntable: TurntablePart = TurntablePart()
     lights: LightsPart = LightsPart()
+    hat: HatPart = HatPart()
     arm: ArmPart | None = None
     camera: CameraPart = CameraPart()
     clearance: Clearance = Clearance()
@@ -169,11 +196,25 @@ def check_rig(rig: RigFile, place: Place) -> None:
         raise place.at("lights", "front_strip").error(
             "must differ from panel_strip: each lamp is a strip of its own", rig.lights.front_strip
         )
+    _check_hat(rig.hat, place.at("hat"))
     for i, bar in enumerate(rig.clearance.bars):
         if any(low >= high for low, high in zip(bar.low_mm, bar.high_mm, strict=True)):
             raise place.at("clearance", "bars", i, "high_mm").error("must be above low_mm on every axis", list(bar.high_mm))
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
+
+
+def _check_hat(hat: HatPart, place: Place) -> None:
+    names = ("step_pin", "direction_pin", "enable_pin", "fault_pin", "panel_pin", "front_pin")
+    pins = [getattr(hat, name) for name in names]
+    for i, (name, pin) in enumerate(zip(names, pins, strict=True)):
+        if pin in pins[:i]:
+            raise place.at(name).error(f"is used for {names[pins.index(pin)]} already", pin)
+    for name, allowed in (("panel_pin", (12, 18)), ("front_pin", (13, 19))):
+        if getattr(hat, name) not in allowed:
+            raise place.at(name).error(f"must be {allowed[0]} or {allowed[1]}, which can send pixels", getattr(hat, name))
+    if hat.microsteps & (hat.microsteps - 1):
+        raise place.at("microsteps").error("must be 1, 2, 4, 8, 16 or 32", hat.microsteps)
 
 
 def _check_arm(arm: ArmPart, place: Place) -> None:

@@ -5,6 +5,7 @@ from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
@@ -38,10 +39,33 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     place = Place(where, text)
     check_subject(scene.subject, place.at("subject"))
     _check_canister(scene, place)
+    _check_tank(scene, place)
     _check_strip(scene, place)
     _check_camera(scene.camera, scene, place)
     _check_plan(scene, place)
     _check_specimen(scene, place)
+
+
+def refuse_tank(scene: Scene, what: str) -> None:
+    """Refuse a scene with a tank where light through its flat walls is not reckoned with.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    what
+        Who refuses, as the beginning of a sentence.
+
+    Raises
+    ------
+    UserError
+        Where there is a tank.
+    """
+    if scene.tank is not None:
+        raise UserError(
+            f"{what} knows no tank: scene {scene.name} has a [tank], through whose flat walls light goes another "
+            "way; leave that section out, or use it with 'rhizotwin simulate' alone"
+        )
 
 
 def marker_capacity(dictionary: str) -> int | None:
@@ -98,6 +122,39 @@ def _check_canister(scene: Scene, place: Place) -> None:
     if true_index < 1.0:
         must = f"must keep the water's true index at 1 or above; with n_water {water.n_water:g} it is {true_index:g}"
         raise place.at("disturbances", "n_water_error").error(must, scene.disturbances.n_water_error)
+
+
+def _check_tank(scene: Scene, place: Place) -> None:
+    tank = scene.tank
+    if tank is None:
+        return
+    here, wrong, pot = place.at("tank"), scene.disturbances, scene.net_pot
+    reach_mm = scene.canister.outer_radius_mm + wrong.canister_radius_error_mm + wrong.canister_out_of_round_mm
+    reach_mm += wrong.canister_offset_mm + math.tan(math.radians(wrong.canister_tilt_deg)) * scene.canister.height_mm
+    for name in ("front_mm", "half_width_mm"):
+        if getattr(tank, name) - tank.wall_mm <= reach_mm:
+            raise here.at(name).error(
+                f"must leave the canister room to turn: above {reach_mm + tank.wall_mm:.4g} with its walls", getattr(tank, name)
+            )
+    if tank.level_mm >= pot.skirt_bottom_mm:
+        raise here.at("level_mm").error(
+            f"must lie below the net pot's skirt_bottom_mm, {pot.skirt_bottom_mm:g}: the strip stays dry", tank.level_mm
+        )
+    if tank.level_mm <= scene.canister.floor_z_mm:
+        raise here.at("level_mm").error(f"must lie above the canister's floor at z = {scene.canister.floor_z_mm:g}", tank.level_mm)
+    if tank.front_mm >= scene.lights.backlight_distance_mm:
+        must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}: the panel stands behind the tank"
+        raise here.at("front_mm").error(must, tank.front_mm)
+    for i, ring in enumerate(scene.plan.rings):
+        if ring.distance_mm <= tank.front_mm:
+            must = f"must be above tank.front_mm, {tank.front_mm:g}: the camera stands before the tank"
+            raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
+    if scene.surroundings.n > 1.0 or scene.camera.kind != "pinhole":
+        raise here.at("front_mm").error("stands in air before a pinhole camera: leave surroundings.n at 1 and camera.kind at pinhole")
+    if wrong.seam_opacity or wrong.dust_specks or wrong.scratches or wrong.highlight:
+        raise here.at("front_mm").error(
+            "has no dirty canister: set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
+        )
 
 
 def _check_strip(scene: Scene, place: Place) -> None:

@@ -97,6 +97,25 @@ class Surroundings:
     camera that looks squarely through the tank's flat window: parallel rays pass such a window unbent."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tank:
+    """Rectangular tank of liquid in which the canister turns (T5.3), filled to its rim.
+
+    It stands still in the rig, one wall towards the camera, which sees the roots through it and the marker strip in air above it.
+    """
+
+    front_mm: float = bounded(100.0, 10.0, 2000.0)
+    """Outside of the front wall at x = front_mm, of the back wall at x = -front_mm."""
+    half_width_mm: float = bounded(130.0, 10.0, 2000.0)
+    """Outside of the side walls at y = +-half_width_mm."""
+    wall_mm: float = bounded(5.0, 0.2, 50.0)
+    n_wall: float = bounded(1.49, 1.0, 2.0)
+    n_liquid: float = bounded(1.333, 1.0, 2.0)
+    """Water does; what has the water's own index hides the canister's wall most."""
+    level_mm: float = bounded(-8.0, -2000.0, 0.0)
+    """z of its surface, below the marker strip; so high are its walls."""
+
+
 FAR_MM = 1.5e5
 """Distance of the pinhole that stands for a telecentric camera.
 
@@ -317,6 +336,8 @@ class Scene:
     net_pot: NetPot = NetPot()
     strip: MarkerStrip = MarkerStrip()
     surroundings: Surroundings = Surroundings()
+    tank: Tank | None = None
+    """None: the canister stands in the open."""
     camera: Camera = Camera()
     lights: Lights = Lights()
     turntable: Turntable = Turntable()

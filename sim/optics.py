@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Disturbances, Scene
-from rhizotwin.sim import dirt, lights, strip
+from rhizotwin.sim import dirt, lights, strip, tank
 from rhizotwin.sim.backlit import Room
 from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
@@ -52,6 +52,8 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve
     items: dict[str, Any] = {"type": "scene"}
     items |= _canister(scene, world, water)
     items |= _net_pot(scene, world)
+    if scene.tank is not None:
+        items |= {name: _mesh(name, *shape) for name, shape in tank.meshes(scene, scene.tank).items()}
     if lamps:
         items |= lights.lights(scene, world)
     if wrong.seam_opacity > 0.0 or wrong.dust_specks or wrong.scratches:
@@ -137,6 +139,10 @@ def _canister(scene: Scene, world: World, water: Any) -> dict[str, Any]:
         "rim": _disk(can.outer_radius_mm, 0.0, _diffuse(FELT_REFLECTANCE)),
         "grid": _disk(can.inner_radius_mm, scene.net_pot.grid_z_mm, _diffuse(FELT_REFLECTANCE)),
     }
+    if scene.tank is not None:
+        around = scene.tank
+        parts["outer_wall"] = wall(can.outer_radius_mm, can.floor_z_mm, around.level_mm, _dielectric(can.n_wall, around.n_liquid))
+        parts["outer_dry_wall"] = wall(can.outer_radius_mm, around.level_mm, 0.0, _dielectric(can.n_wall, 1.0))
     if level < 0.0:
         parts["dry_wall"] = wall(can.inner_radius_mm, level, 0.0, _dielectric(1.0, can.n_wall))
     return parts

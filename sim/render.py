@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.sim import lights, optics, sensor
+from rhizotwin.sim import lights, optics, sensor, tank
 from rhizotwin.sim.backlit import Backlit, Way
 from rhizotwin.sim.specimen import SpecimenSolid, sleeve
 from rhizotwin.sim.world import TrueCamera, World
@@ -74,6 +74,7 @@ class Renderer:
     ) -> None:
         self.samples = checked_samples(fidelity, samples)
         self.side = round(self.samples**0.5)
+        self.scene = scene
         self.world = world
         self.fidelity = fidelity
         self.lights = scene.lights
@@ -148,6 +149,8 @@ class Renderer:
         eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
         self.lamps.place(camera)
+        for built in (self.backlit.scene, *([self.lit_scene] if self.fidelity == "path" else [])):
+            tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
         image, coverage, mixed = self._smooth(eye)
         self._refine(eye, image, coverage, mixed | self.is_dusty)  # specks and scratches are finer than pixels
         if self.fidelity == "path":

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.model import Scene
 
 Array = NDArray[np.float64]
@@ -59,7 +60,14 @@ class Optics:
 
     @staticmethod
     def of(scene: Scene) -> "Optics":
-        """Return the optics of a scene as it is described."""
+        """Return the optics of a scene as it is described.
+
+        Raises
+        ------
+        UserError
+            For a scene with a tank, whose lines of sight are those of `recon.optics.tank`.
+        """
+        refuse_tank(scene, "the reconstruction")
         can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,

@@ -24,6 +24,7 @@ COMMANDS = {
     "plan": "Try capture plans on the twin before building or scanning.",
     "demo": "Take all three steps on a small printed root: a few minutes.",
     "markers": "Write the marker strip of a scene for the printer, at true scale.",
+    "parts": "Write the parts of a scene's rig for a 3D printer.",
     "calibrate": "Print a calibration board, and find the camera's lens from pictures of it.",
     "calibrate board": "Write the calibration board for the printer, at true scale.",
     "calibrate camera": "Fit the lens to pictures of the calibration board.",

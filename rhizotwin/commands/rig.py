@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from rhizotwin import rigs
 from rhizotwin.arguments import OutputFile, SceneName, named
@@ -28,11 +28,15 @@ def check(
     *,
     scene: SceneName | None = None,
     record: Annotated[Path | None, named("FILE")] = None,
+    first_day: Annotated[Path | None, named("FOLDER")] = None,
     twin: rigs.TwinErrors = rigs.TwinErrors(),
 ) -> None:
     """Look at every device: one line each, what is well or what is wrong.
 
     Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when anything is wrong.
+
+    With --first-day you are walked on through what only a person can see, and things move: lamps, focus, a mirrored strip, the panel's
+    evenness, the table's direction, each joint's direction, and sizes by calipers. The findings are written to a folder, to be sent back.
 
     Parameters
     ----------
@@ -42,15 +46,21 @@ def check(
         A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
     record : Path, optional
         Append every byte on the wire to this file (JSON lines).
+    first_day : Path, optional
+        Walk on through the list of the first day, and write its report to this folder, which must be new.
     twin : TwinErrors
         What the emulated rig gets wrong.
 
     Examples
     --------
     rhizotwin rig check my_rig.toml --scene my_scene.toml
+    rhizotwin rig check my_rig.toml --scene my_scene.toml --first-day my_first_day
     rhizotwin rig check twin
     """
     from rhizotwin.rig.bench import check as look
+
+    if first_day is not None and first_day.exists():
+        raise UserError(f"{first_day} exists already; choose another folder for the first day's report")
 
     bench = rigs.open_bench(rig, scene, errors=twin)
     with ExitStack() as stack:
@@ -58,8 +68,31 @@ def check(
         wrong = look(
             bench.rig, bench.scene, clock=bench.clock, open_camera=bench.open_camera, say=print, folder=Path.cwd(), recorder=recorder
         )
+        if first_day is not None:
+            wrong = _walk(bench, first_day, recorder, wrong, stack)
     if wrong:
         raise UserError(f"{wrong} {'thing is' if wrong == 1 else 'things are'} wrong with {bench.rig.name}; see the lines above")
+
+
+def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: ExitStack) -> int:
+    """Walk a person through the first day; return how many things are wrong."""
+    from rhizotwin.rig.first_day import FirstDay
+    from rhizotwin.rig.open import open_devices
+
+    stack.enter_context(rigs.hang_up_stops())
+    devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
+    stack.callback(devices.close)
+    findings = FirstDay(devices, bench.scene, ask=_answer, say=print, folder=folder).walk(wrong_devices=wrong)
+    print(f"wrote {folder}/first_day.md and first_day.json; send the folder back with what you saw")
+    return sum(one.verdict == "wrong" for one in findings)
+
+
+def _answer(question: str) -> str:
+    """Put a question to whoever types, or to a pipe."""
+    try:
+        return input(question)
+    except EOFError:
+        raise UserError("the question was not answered; run it again and answer") from None
 
 
 def jog(

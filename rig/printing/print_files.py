@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Text
+from rhizotwin.rig.printing.print_page import Fill, Line, Page, Shape, Strokes, Text
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
@@ -64,6 +64,11 @@ def figure_of(page: Page) -> "Figure":
             outline = Outline.make_compound_path(*(Outline(np.vstack([o, o[:1]]) * stretch, closed=True) for o in outlines))
             # one path, so that no viewer shows seams between neighbours; no snapping to pixels, which would move edges
             axes.add_artist(PathPatch(outline, facecolor=str(part.grey), linewidth=0.0, snap=False))
+        elif isinstance(part, Strokes):
+            if part.lines_mm:
+                strokes = Outline.make_compound_path(*(Outline(line * stretch) for line in part.lines_mm))
+                width = part.width_mm * POINTS_PER_MM
+                axes.add_artist(PathPatch(strokes, fill=False, linewidth=width, edgecolor=str(part.grey), joinstyle="round", snap=False))
         elif isinstance(part, Line):
             (x0, y0), (x1, y1) = np.array([part.from_mm, part.to_mm]) * stretch
             width = part.width_mm * POINTS_PER_MM

@@ -51,6 +51,15 @@ class Line:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Strokes:
+    """Lines (N, 2) each through its points, all of one width."""
+
+    lines_mm: tuple[Array, ...]
+    width_mm: float = LINE_MM
+    grey: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Text:
     """One line of text; ``at_mm`` is on its baseline."""
 
@@ -63,7 +72,7 @@ class Text:
     """Read from below upwards."""
 
 
-Part: TypeAlias = Fill | Shape | Line | Text
+Part: TypeAlias = Fill | Shape | Line | Strokes | Text
 
 
 @dataclass(frozen=True, kw_only=True)

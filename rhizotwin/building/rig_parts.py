@@ -1,0 +1,142 @@
+"""All parts of a scene's rig, what is bought beside them, and how they stand together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from rhizotwin.building import mounts, pot, table
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.part import Part
+from rhizotwin.building.shapes import circle, joined, raised, rectangle, union
+from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.checks import refuse_tank
+from rhizotwin.scenes.model import Scene
+
+BAR_END_MM = 20.0
+"""Between the panel and the end of the frame's two bars under the table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bought:
+    """Something that is bought, for pictures and for checking that printed parts do not run into it."""
+
+    name: str
+    solid: Manifold
+    """In the rig's frame."""
+    apart_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """As of a `Part`."""
+
+
+def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBoard) -> list[Part]:
+    """Return every printed part of a scene's rig.
+
+    Parameters
+    ----------
+    scene : Scene
+        Canister, net pot, strip, panel and first ring.
+    rig : RigFile
+        Where the arm and the floor are; a rig without an arm has neither bracket nor mount of one.
+    measures : Measures
+        What is bought.
+    board : CharucoBoard
+        What the stand holds.
+
+    Raises
+    ------
+    UserError
+        Where the scene leaves no room for a part.
+    """
+    refuse_tank(scene, "parts")
+    floor_mm = rig.clearance.floor_z_mm
+    parts = [
+        pot.net_pot(scene, measures),
+        pot.net_pot_grid(scene, measures),
+        pot.canister_ring(scene, measures),
+        table.table_plate(scene, measures),
+        table.pinion(scene, measures),
+        table.table_base(scene, measures),
+        table.table_foot(scene, measures, floor_mm),
+        mounts.lightbox_clip(scene, measures),
+        mounts.panel_holder(scene, measures),
+        mounts.board_stand(scene, board, measures, floor_mm),
+    ]
+    if rig.arm is not None:
+        parts += [mounts.camera_bracket(scene, rig.arm, measures), mounts.arm_mount(rig.arm, measures, floor_mm)]
+    return parts
+
+
+def thesis_rig() -> RigFile:
+    """Return the rig file's defaults with an arm."""
+    return RigFile(arm=ArmPart())
+
+
+def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
+    """Return canister, motor, frame bars, LED board and diffuser, where they stand."""
+    can, floor_mm = scene.canister, rig.clearance.floor_z_mm
+    drive = table.drive_of(scene, measures)
+    cup = raised(circle(can.outer_radius_mm), -can.height_mm, 0.0) - raised(circle(can.inner_radius_mm), can.floor_z_mm, 1.0)
+    face = table.base_top_mm(scene) - table.BASE_MM
+    half = measures.motor_face_mm / 2.0
+    body = raised(rectangle((-half, -half), (half, half)), face - measures.motor_length_mm, face)
+    shaft = raised(_shaft(measures), face, face + measures.shaft_length_mm)
+    motor = joined([body, shaft.rotate((0.0, 0.0, table.pinion_turn_deg(drive)))]).translate((0.0, -drive.centres_mm, 0.0))
+    things = [
+        Bought(name="canister", solid=cup, apart_mm=(0.0, 0.0, 0.0)),
+        Bought(name="motor", solid=motor, apart_mm=(0.0, -60.0, -170.0)),
+        *(
+            Bought(
+                name="bar",
+                solid=_bar(
+                    measures, 2.0 * (scene.lights.backlight_distance_mm - BAR_END_MM), (0.0, y, floor_mm - measures.profile_mm / 2.0)
+                ),
+                apart_mm=(0.0, 0.0, -190.0),
+            )
+            for y in sorted({y for _, y in table.foot_places_mm(drive)})
+        ),
+    ]
+    wide, high = scene.lights.backlight_wh_mm
+    bright = -scene.lights.backlight_distance_mm
+    z = scene.lights.backlight_z_mm
+    back = bright - measures.diffuser_mm - measures.diffuser_gap_mm - measures.fit_mm
+    for name, front, thick in (("diffuser", bright, measures.diffuser_mm), ("LED board", back, measures.panel_board_mm)):
+        sheet = Manifold.cube((thick, wide, high)).translate((front - thick, -wide / 2.0, z - high / 2.0))
+        things.append(Bought(name=name, solid=sheet))
+    return things
+
+
+def _shaft(measures: Measures) -> CrossSection:
+    radius = measures.shaft_mm / 2.0
+    return circle(radius, sides=48) ^ rectangle((-radius, -radius), (measures.shaft_flat_mm - radius, radius))
+
+
+def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) -> Manifold:
+    """Return a profile along x: a square with a slot in the middle of each side, as deep as the widening begins."""
+    side, slot, deep = measures.profile_mm, measures.slot_mm, 3.0 * measures.slot_lip_mm
+    slots = union(
+        CrossSection.square((slot, 2.0 * deep), center=True).translate((0.0, side / 2.0)).rotate(turn) for turn in (0.0, 90.0, 180.0, 270.0)
+    )
+    outline = CrossSection.square((side, side), center=True) - slots
+    along_x = np.array([[0.0, 0.0, 1.0, -long_mm / 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    return outline.extrude(long_mm).transform(along_x).translate(at_mm)
+
+
+def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
+    """Return the pairs of things that fill the same room on the rig, and how much of it, mm3; parts that touch do not."""
+    things = [(part.name, solid) for part in parts for solid in part.placed()] + [(one.name, one.solid) for one in bought]
+    found = []
+    for i, (name, solid) in enumerate(things):
+        for other, another in things[i + 1 :]:
+            if _apart(solid, another):
+                continue
+            shared = (solid ^ another).volume()
+            if shared > least_mm3:
+                found.append((name, other, shared))
+    return found
+
+
+def _apart(a: Manifold, b: Manifold) -> bool:
+    box_a, box_b = a.bounding_box(), b.bounding_box()
+    return any(box_a[k] >= box_b[k + 3] or box_b[k] >= box_a[k + 3] for k in range(3))

@@ -1,0 +1,253 @@
+"""The turntable: a plate with a ring gear on loose balls, its base, its feet on the frame, and the motor's pinion.
+
+The plate's top is the canister's underside. A bolt through the plate's middle runs in a ball bearing in the base and keeps it centred; the
+balls carry the weight. The motor hangs below the base, beside the plate, out of the camera's sight.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import CrossSection
+
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
+from rhizotwin.building.pot import ring_outer_radius_mm, ring_screws_mm
+from rhizotwin.building.shapes import circle, gear, hole, joined, polygon, raised, rectangle, rounded, slot, teardrop, turned, union
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+
+MODULE_MM = 1.0
+"""Of the gears: the smallest that a 0.4 mm nozzle prints with clean flanks."""
+PINION_TEETH = 18
+"""The least round number that is not undercut at 20 degrees (17)."""
+BACKLASH_MM = 0.15
+"""By which every tooth is thinner; the scan always arrives from the same side."""
+PLATE_MM, BASE_MM = 8.0, 8.0
+PLATE_GAP_MM = 2.0
+"""Between plate and base: neither touches when the balls' grooves are 0.5 mm off."""
+TAP_M3_MM, TAP_M4_MM = 2.6, 3.4
+"""Holes in plastic that the screw cuts its own thread into."""
+M4_MM = 4.5
+"""Clearance holes (ISO 273, medium)."""
+COUNTERSINK_M4_MM = 9.4
+"""Of a countersunk M4 head (ISO 10642: 8.96 at most): the plate turns 2 mm above it."""
+HEX_M8_MM, HEX_M8_HIGH_MM = 13.3, 5.6
+"""Pocket for the head of an M8 bolt (ISO 4017: 13 wide, 5.3 high)."""
+SLIDE_MM = 1.5
+"""How far the motor can be moved each way, to set the gears' play."""
+FOOT_MM = 24.0
+HUB_MM = 6.0
+"""Height of the pinion's hub, for a grub screw."""
+TONGUE_MM = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """How the table is laid out."""
+
+    teeth: int
+    """Of the ring gear."""
+    race_radius_mm: float
+    """Of the balls' track."""
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the motor for one of the table."""
+        return self.teeth / PINION_TEETH
+
+    @property
+    def centres_mm(self) -> float:
+        """From the table's axis to the motor's."""
+        return MODULE_MM * (self.teeth + PINION_TEETH) / 2.0
+
+    @property
+    def tip_radius_mm(self) -> float:
+        """Of the ring gear."""
+        return MODULE_MM * (self.teeth / 2.0 + 1.0)
+
+
+def drive_of(scene: Scene, measures: Measures) -> Drive:
+    """Return the smallest whole gear ratio whose plate carries the canister's ring."""
+    needed = 2.0 * (ring_outer_radius_mm(scene, measures) + 1.0 + 1.25 * MODULE_MM) / MODULE_MM
+    teeth = PINION_TEETH * int(np.ceil(needed / PINION_TEETH))
+    return Drive(teeth=teeth, race_radius_mm=round(0.7 * scene.canister.outer_radius_mm))
+
+
+def top_mm(scene: Scene) -> float:
+    """Return the height of the plate's top in the rig's frame."""
+    return -scene.canister.height_mm
+
+
+def base_top_mm(scene: Scene) -> float:
+    """Return the height of the base's top."""
+    return top_mm(scene) - PLATE_MM - PLATE_GAP_MM
+
+
+def foot_places_mm(drive: Drive) -> list[tuple[float, float]]:
+    """Return where the feet stand: in two rows along x, on one bar of the frame each."""
+    reach = round(drive.race_radius_mm * 0.83)
+    return [(x, y) for x in (-reach, reach) for y in (-reach, reach)]
+
+
+def _groove(drive: Drive, measures: Measures, z: float, into: float) -> list[tuple[float, float]]:
+    """Return the corners of the balls' V-shaped groove in a face at ``z``; ``into`` is -1 for a face that looks up."""
+    deep = measures.ball_mm / np.sqrt(2.0) - PLATE_GAP_MM / 2.0
+    r, past = drive.race_radius_mm, 0.5
+    return [(r - deep - past, z - into * past), (r, z + into * deep), (r + deep + past, z - into * past)]
+
+
+def table_plate(scene: Scene, measures: Measures) -> Part:
+    """Return the plate with its ring gear; its top at z = 0."""
+    drive = drive_of(scene, measures)
+    if measures.ball_mm / np.sqrt(2.0) <= PLATE_GAP_MM / 2.0 + 0.5:
+        raise UserError(f"ball_mm {measures.ball_mm:g} is too small for the {PLATE_GAP_MM:g} mm between plate and base")
+    outline = gear(drive.teeth, MODULE_MM, backlash_mm=BACKLASH_MM) - union(hole(TAP_M3_MM, at) for at in ring_screws_mm(scene, measures))
+    body = raised(outline - hole(measures.bearing_mm[0] + 0.4), -PLATE_MM, 0.0)
+    head = CrossSection.circle(HEX_M8_MM / np.sqrt(3.0), 6)
+    solid = body - turned(_groove(drive, measures, -PLATE_MM, 1.0)) - raised(head, -HEX_M8_HIGH_MM, 1.0)
+    tip = drive.tip_radius_mm
+    step_deg = 1.8 / drive.ratio
+    return Part(
+        name="table_plate",
+        about="Carries the canister; its ring gear is driven by the motor's pinion, loose balls run under it.",
+        solid=solid,
+        rig_from_part=(moved(0.0, 0.0, top_mm(scene)),),
+        apart_mm=(0.0, 0.0, -80.0),
+        dimensions=(
+            Dimension(name="over the teeth", from_mm=(-tip, 0.0, 0.0), to_mm=(tip, 0.0, 0.0)),
+            Dimension(name="balls' track", from_mm=(-drive.race_radius_mm, 0.0, -PLATE_MM), to_mm=(drive.race_radius_mm, 0.0, -PLATE_MM)),
+        ),
+        numbers=(
+            ("module_mm", MODULE_MM, "ISO 53, 20 degrees"),
+            ("ring_teeth", drive.teeth, "the least multiple of the pinion's that carries the canister's ring"),
+            ("pinion_teeth", PINION_TEETH, ""),
+            ("full_step_deg", step_deg, "1.8 / (ring_teeth / pinion_teeth); turntable.full_step_deg of the rig file"),
+            ("steps_per_deg", 32.0 / step_deg, "at 1/32 microsteps; the board's DEFAULT_AXIS_STEPS_PER_UNIT"),
+            ("race_radius_mm", drive.race_radius_mm, "0.7 canister.outer_radius_mm"),
+            ("balls", float(int(2.0 * np.pi * drive.race_radius_mm / (3.0 * measures.ball_mm))), "one every three diameters"),
+        ),
+    )
+
+
+def pinion(scene: Scene, measures: Measures) -> Part:
+    """Return the motor's pinion, teeth below and hub above; the teeth begin at z = 0."""
+    shaft = circle(measures.shaft_mm / 2.0 + 0.1, sides=48) ^ rectangle(
+        (-measures.shaft_mm, -measures.shaft_mm), (measures.shaft_flat_mm - measures.shaft_mm / 2.0 + 0.1, measures.shaft_mm)
+    )
+    teeth = raised(gear(PINION_TEETH, MODULE_MM, backlash_mm=BACKLASH_MM), 0.0, PLATE_MM)
+    hub_radius = MODULE_MM * (PINION_TEETH / 2.0 - 1.25)
+    hub = raised(circle(hub_radius, sides=96), 0.0, PLATE_MM + HUB_MM)
+    screw = (
+        teardrop(TAP_M3_MM).extrude(2.0 * hub_radius).transform(np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, 1, 0, PLATE_MM + HUB_MM / 2]]))
+    )
+    drive = drive_of(scene, measures)
+    centre = drive.centres_mm
+    place = moved(0.0, -centre, top_mm(scene) - PLATE_MM, turn_deg=pinion_turn_deg(drive))
+    return Part(
+        name="pinion",
+        about="On the motor's shaft; an M3 grub screw in its hub presses on the shaft's flat.",
+        solid=joined([teeth, hub]) - raised(shaft, -1.0, PLATE_MM + HUB_MM + 1.0) - screw,
+        rig_from_part=(place,),
+        apart_mm=(0.0, -60.0, -80.0),
+        dimensions=(
+            Dimension(
+                name="over the teeth",
+                from_mm=(-MODULE_MM * (PINION_TEETH / 2.0 + 1.0), 0.0, 0.0),
+                to_mm=(MODULE_MM * (PINION_TEETH / 2.0 + 1.0), 0.0, 0.0),
+            ),
+        ),
+        numbers=(("centres_mm", centre, "module_mm (ring_teeth + pinion_teeth) / 2"), ("height_mm", PLATE_MM + HUB_MM, "")),
+    )
+
+
+def pinion_turn_deg(drive: Drive) -> float:
+    """Return how the pinion at -y is turned so that a gap of it faces a tooth of the ring, or the other way round."""
+    pitch_ring, pitch = 360.0 / drive.teeth, 360.0 / PINION_TEETH
+    ring_phase = (-90.0 / pitch_ring) % 1.0  # of the ring's teeth at -y, from a tooth
+    return 90.0 + pitch * (0.5 + ring_phase)
+
+
+def table_base(scene: Scene, measures: Measures) -> Part:
+    """Return the base under the plate; its top at z = 0."""
+    drive = drive_of(scene, measures)
+    centre, bearing = drive.centres_mm, measures.bearing_mm
+    disc = circle(drive.race_radius_mm + measures.ball_mm + 8.0)
+    seat = rounded(measures.motor_face_mm + 2.0 * SLIDE_MM + 4.0, measures.motor_face_mm + 2.0 * SLIDE_MM + 4.0, 4.0).translate(
+        (0.0, -centre)
+    )
+    half = measures.motor_holes_mm / 2.0
+    slots = [slot(3.4, (x, -centre + y - SLIDE_MM), (x, -centre + y + SLIDE_MM)) for x in (-half, half) for y in (-half, half)]
+    boss = slot(measures.motor_boss_mm + 1.0, (0.0, -centre - SLIDE_MM), (0.0, -centre + SLIDE_MM))
+    outline = CrossSection.batch_hull([disc, seat]) - union(
+        [*slots, boss, hole(bearing[1] - 4.0), *(hole(M4_MM, at) for at in foot_places_mm(drive))]
+    )
+    if bearing[2] > BASE_MM - 1.0:
+        raise UserError(f"bearing_mm: a bearing of {bearing[2]:g} mm is wider than the base's {BASE_MM:g} mm allow; use a 608")
+    pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0)
+    sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
+    head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48)
+    heads = joined(head.translate((x, y, 0.0)) for x, y in foot_places_mm(drive))
+    solid = raised(outline, -BASE_MM, 0.0) - pocket - heads - turned(_groove(drive, measures, 0.0, -1.0))
+    return Part(
+        name="table_base",
+        about="Carries the balls, the bearing and, hanging below it, the motor, whose slots set the gears' play.",
+        solid=solid,
+        rig_from_part=(moved(0.0, 0.0, base_top_mm(scene)),),
+        apart_mm=(0.0, 0.0, -110.0),
+        dimensions=(
+            Dimension(name="axis to motor", from_mm=(0.0, 0.0, 0.0), to_mm=(0.0, -centre, 0.0)),
+            Dimension(name="bearing", from_mm=(-bearing[1] / 2.0, 0.0, 0.0), to_mm=(bearing[1] / 2.0, 0.0, 0.0)),
+        ),
+        numbers=(
+            ("thickness_mm", BASE_MM, ""),
+            ("bearing_pocket_mm", bearing[1] + 0.1, "bearing_mm"),
+            ("motor_slide_mm", SLIDE_MM, "each way"),
+        ),
+    )
+
+
+def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
+    """Return a foot; its top at z = 0, its tongue in the groove of the frame below.
+
+    Raises
+    ------
+    UserError
+        Where the floor is too near for the table, or the motor reaches through the frame.
+    """
+    drive = drive_of(scene, measures)
+    high = base_top_mm(scene) - BASE_MM - floor_mm
+    if high < 10.0:
+        raise UserError(
+            f"clearance.floor_z_mm {floor_mm:g} leaves the table's feet {high:.1f} mm, but they need 10: give the rig a floor at "
+            f"{base_top_mm(scene) - BASE_MM - 10.0:.0f} or lower"
+        )
+    if measures.motor_length_mm > high + measures.profile_mm:
+        raise UserError(
+            f"a motor of {measures.motor_length_mm:g} mm reaches below the frame: feet and profile leave "
+            f"{high + measures.profile_mm:.0f} mm; "
+            "use a shorter one (motor_length_mm), or a lower clearance.floor_z_mm"
+        )
+    wide = measures.slot_mm - 2.0 * 0.15
+    tongue = [
+        (-wide / 2.0, -high + 1.0),
+        (wide / 2.0, -high + 1.0),
+        (wide / 2.0, -high),
+        (wide / 2.0 - 0.6, -high - TONGUE_MM),
+        (-wide / 2.0 + 0.6, -high - TONGUE_MM),
+        (-wide / 2.0, -high),
+    ]
+    along_x = np.array([[0.0, 0.0, 1.0, -FOOT_MM / 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    tap, deep = TAP_M4_MM / 2.0, min(high - 5.0, 20.0)
+    screw = turned([(0.0, 1.0), (tap, 1.0), (tap, -deep), (0.0, -deep - tap)], sides=48)
+    body = raised(rounded(FOOT_MM, measures.profile_mm, 2.0), -high, 0.0)
+    solid = joined([body, polygon(tongue).extrude(FOOT_MM).transform(along_x)]) - screw
+    return Part(
+        name="table_foot",
+        about="Four of them carry the base on two bars of the frame; an M4 screw from above holds each.",
+        solid=solid,
+        bed_from_part=FLIPPED,
+        rig_from_part=tuple(moved(x, y, base_top_mm(scene) - BASE_MM) for x, y in foot_places_mm(drive)),
+        apart_mm=(0.0, 0.0, -140.0),
+        dimensions=(Dimension(name="height", from_mm=(0.0, 0.0, -high), to_mm=(0.0, 0.0, 0.0)),),
+        numbers=(("height_mm", high, "from the base to clearance.floor_z_mm"), ("tongue_mm", wide, "slot_mm - 0.3")),
+    )

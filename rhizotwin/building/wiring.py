@@ -1,0 +1,201 @@
+"""How the electronics are wired: a table of connections for each of the two ways, and its drawing.
+
+Supplies are drawn as labels at a pin, as circuit diagrams do; every other connection is a line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rhizotwin.rig.printing.print_page import Line, Page, Strokes, Text
+from rhizotwin.rig.printing.print_page import Part as Ink
+from rhizotwin.rig.rig_file import HatPart
+
+PAGE_WIDE_MM = 297.0
+PIN_MM = 5.4
+"""Between the pins of a box."""
+LETTER_MM = 1.8
+BOX_WIDE_MM = 62.0
+COLUMNS_MM = (14.0, 168.0)
+"""Left edges of the two columns of boxes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wire:
+    """A connection from a pin of the controller's side to a pin of what it drives, or of a supply's label to a pin."""
+
+    start: tuple[str, str]
+    """Box and pin; the box of a supply is ``""`` and its pin the label."""
+    end: tuple[str, str]
+    note: str = ""
+    """A part in the line, or what to mind."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagram:
+    """One way to wire a rig."""
+
+    title: str
+    left: tuple[str, ...]
+    """Boxes of the left column, from above."""
+    right: tuple[str, ...]
+    wires: tuple[Wire, ...]
+    notes: tuple[str, ...]
+
+
+SHIFTER, PANEL, FRONT_LAMP, MOTOR = "74AHCT125 level shifter", "panel, WS2812B", "front lamp, WS2812B", "stepper, NEMA 17"
+SUPPLIES = ("+5 V LED", "GND", "+12 V", "+3.3 V", "+7.5 V arm")
+
+
+def marlin_diagram() -> Diagram:
+    """Return the wiring of a Marlin board."""
+    board, computer, adapter, arm = "Marlin board", "computer", "LX bus adapter", "arm, LX servos"
+    return Diagram(
+        title="Marlin board, arm on its own bus adapter",
+        left=(computer, board, adapter),
+        right=(MOTOR, SHIFTER, PANEL, FRONT_LAMP, arm),
+        wires=(
+            Wire(start=(computer, "USB 1"), end=(board, "USB")),
+            Wire(start=(computer, "USB 2"), end=(adapter, "USB")),
+            *(
+                Wire(start=(board, f"X {coil}"), end=(MOTOR, coil), note="coil" if coil == "A+" else "")
+                for coil in ("A+", "A-", "B+", "B-")
+            ),
+            Wire(start=(board, "NEOPIXEL_PIN"), end=(SHIFTER, "1A")),
+            Wire(start=(board, "NEOPIXEL2_PIN"), end=(SHIFTER, "2A")),
+            *_lamps(),
+            Wire(start=("", "+12 V"), end=(board, "motor supply +")),
+            Wire(start=("", "GND"), end=(board, "GND")),
+            Wire(start=(adapter, "bus signal"), end=(arm, "signal")),
+            Wire(start=("", "+7.5 V arm"), end=(arm, "V+")),
+            Wire(start=("", "GND"), end=(arm, "GND")),
+            Wire(start=("", "GND"), end=(adapter, "GND")),
+        ),
+        notes=(
+            "One ground for all: LED supply, motor supply, arm supply and board.",
+            "Panel: 5 V at both ends and every metre, 1000 uF across it, 20 A for 300 LEDs.",
+            "Motor driver about 1 A; less makes microsteps uneven. Never plug the motor while it is powered.",
+            "The arm has a supply of its own: a stalled servo pulls the LEDs' down.",
+        ),
+    )
+
+
+def hat_diagram(part: HatPart) -> Diagram:
+    """Return the wiring of the thesis's hat (section 3.4): a Raspberry Pi, a DRV8825 and NeoPixels on its pins."""
+    pi, driver, adapter, arm = "Raspberry Pi", "DRV8825", "LX bus adapter", "arm, LX servos"
+    return Diagram(
+        title="Raspberry Pi with the thesis's hat: DRV8825 and NeoPixels on GPIO",
+        left=(pi, adapter),
+        right=(driver, MOTOR, SHIFTER, PANEL, FRONT_LAMP, arm),
+        wires=(
+            Wire(start=(pi, f"GPIO{part.step_pin}"), end=(driver, "STEP")),
+            Wire(start=(pi, f"GPIO{part.direction_pin}"), end=(driver, "DIR")),
+            Wire(start=(pi, f"GPIO{part.enable_pin}"), end=(driver, "nENABLE"), note="10 k to 3.3 V: off at start"),
+            Wire(start=(pi, f"GPIO{part.fault_pin}"), end=(driver, "nFAULT"), note="10 k to 3.3 V"),
+            *(Wire(start=("", "+3.3 V"), end=(driver, pin)) for pin in ("nSLEEP, nRESET", "MODE0, MODE2")),
+            Wire(start=("", "+12 V"), end=(driver, "VMOT"), note="100 uF at the pin"),
+            Wire(start=("", "GND"), end=(driver, "GND")),
+            *(Wire(start=(driver, one), end=(MOTOR, coil)) for one, coil in (("A1", "A+"), ("A2", "A-"), ("B1", "B+"), ("B2", "B-"))),
+            Wire(start=(pi, f"GPIO{part.panel_pin}"), end=(SHIFTER, "1A")),
+            Wire(start=(pi, f"GPIO{part.front_pin}"), end=(SHIFTER, "2A")),
+            *_lamps(),
+            Wire(start=(pi, "USB"), end=(adapter, "USB")),
+            Wire(start=("", "GND"), end=(pi, "GND")),
+            Wire(start=("", "GND"), end=(adapter, "GND")),
+            Wire(start=(adapter, "bus signal"), end=(arm, "signal")),
+            Wire(start=("", "+7.5 V arm"), end=(arm, "V+")),
+            Wire(start=("", "GND"), end=(arm, "GND")),
+        ),
+        notes=(
+            "MODE0 and MODE2 high, MODE1 open: 1/32 step (DRV8825 data sheet, table 1).",
+            "Vref sets the current: 0.5 V for 1 A with 0.1 ohm sense resistors.",
+            "GPIO18 and GPIO13 are the two PWM channels of rpi_ws281x: switch the sound off (dtparam=audio=off).",
+            "The thesis's figure 3.4 does not name its pins: these are this program's, [hat] of the rig file.",
+        ),
+    )
+
+
+def _lamps() -> tuple[Wire, ...]:
+    return (
+        Wire(start=(SHIFTER, "1Y"), end=(PANEL, "DIN"), note="330 ohm"),
+        Wire(start=(SHIFTER, "2Y"), end=(FRONT_LAMP, "DIN"), note="330 ohm"),
+        Wire(start=("", "+5 V LED"), end=(SHIFTER, "VCC")),
+        Wire(start=("", "GND"), end=(SHIFTER, "GND, 1OE, 2OE")),
+        *(Wire(start=("", label), end=(lamp, pin)) for lamp in (PANEL, FRONT_LAMP) for label, pin in (("+5 V LED", "5 V"), ("GND", "GND"))),
+    )
+
+
+def wiring_pages() -> dict[str, Page]:
+    """Return the drawings by the name of their board: ``marlin`` and ``hat``."""
+    return {"marlin": page_of(marlin_diagram()), "hat": page_of(hat_diagram(HatPart()))}
+
+
+def page_of(diagram: Diagram) -> Page:
+    """Draw a diagram: boxes in two columns, a line for each connection, a label for each supply."""
+    pins = {name: _pins(diagram, name) for name in (*diagram.left, *diagram.right)}
+    ink: list[Ink] = [Text(at_mm=(14.0, 12.0), text=diagram.title, height_mm=2.8)]
+    places: dict[tuple[str, str], tuple[float, float]] = {}
+    outer: dict[tuple[str, str], float] = {}
+    low = 0.0
+    for column, names in enumerate((diagram.left, diagram.right)):
+        x, y = COLUMNS_MM[column], 20.0
+        for name in names:
+            high = PIN_MM * (len(pins[name]) + 1.2)
+            corners = np.array([[x, y], [x + BOX_WIDE_MM, y], [x + BOX_WIDE_MM, y + high], [x, y + high], [x, y]])
+            ink += [
+                Strokes(lines_mm=(corners,), width_mm=0.3),
+                Text(at_mm=(x + BOX_WIDE_MM / 2.0, y + 3.6), text=name, height_mm=2.1, align="center"),
+            ]
+            for row, pin in enumerate(pins[name]):
+                at = y + PIN_MM * (row + 1.5)
+                inner = x + BOX_WIDE_MM if column == 0 else x
+                places[name, pin] = inner, at
+                outer[name, pin] = x if column == 0 else x + BOX_WIDE_MM
+                align: Literal["left", "right"] = "right" if column == 0 else "left"
+                ink.append(Text(at_mm=(inner + (-1.5 if column == 0 else 1.5), at + 0.8), text=pin, height_mm=LETTER_MM, align=align))
+            y += high + 5.0
+        low = max(low, y + 4.0)
+    ink += _lines(diagram.wires, places, outer)
+    ink += [Text(at_mm=(14.0, low + 4.0 * k), text=note, height_mm=1.9) for k, note in enumerate(diagram.notes)]
+    return Page(size_mm=(PAGE_WIDE_MM, low + 4.0 * len(diagram.notes) + 4.0), parts=tuple(ink))
+
+
+def _pins(diagram: Diagram, name: str) -> list[str]:
+    """Return a box's pins in the order of the table."""
+    ends = [end for wire in diagram.wires for end in (wire.start, wire.end) if end[0] == name]
+    return list(dict.fromkeys(pin for _, pin in ends))
+
+
+def _lines(wires: Sequence[Wire], places: dict[tuple[str, str], tuple[float, float]], outer: dict[tuple[str, str], float]) -> list[Ink]:
+    ink: list[Ink] = []
+    drawn = [wire for wire in wires if wire.start[0]]
+    gap = (COLUMNS_MM[0] + BOX_WIDE_MM, COLUMNS_MM[1])
+    across = [wire for wire in drawn if places[wire.start][0] != places[wire.end][0]]
+    for wire in drawn:
+        (x0, y0), (x1, y1) = places[wire.start], places[wire.end]
+        if wire in across:
+            lane = gap[0] + 26.0 + (gap[1] - gap[0] - 52.0) * (across.index(wire) + 0.5) / len(across)
+            path, note = [[x0, y0], [lane, y0], [lane, y1], [x1, y1]], (lane + 1.0, y1 - 0.8)
+        else:  # both in one column: round its outer side
+            edge = outer[wire.start]
+            side = -1.0 if edge < x0 else 1.0
+            lane = edge + side * (3.0 + 1.6 * [w for w in drawn if w not in across].index(wire))
+            path, note = [[edge, y0], [lane, y0], [lane, y1], [edge, y1]], (edge + (1.0 if side > 0.0 else -9.0), y1 - 0.8)
+        ink.append(Strokes(lines_mm=(np.array(path),), width_mm=0.2))
+        if wire.note:
+            ink.append(Text(at_mm=note, text=wire.note, height_mm=1.5, grey=0.3))
+    for wire in wires:
+        if not wire.start[0]:
+            ink += _supply(wire, places[wire.end], left=outer[wire.end] < places[wire.end][0])
+    return ink
+
+
+def _supply(wire: Wire, at: tuple[float, float], *, left: bool) -> list[Ink]:
+    """Return a supply's label at a pin."""
+    way = 1.0 if left else -1.0
+    end = at[0] + way * 4.0
+    text = f"{wire.start[1]}  ({wire.note})" if wire.note else wire.start[1]
+    label = Text(at_mm=(end + way * 0.8, at[1] + 0.7), text=text, height_mm=1.6, align="left" if left else "right", grey=0.25)
+    return [Line(from_mm=at, to_mm=(end, at[1]), width_mm=0.2), label]

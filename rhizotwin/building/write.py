@@ -1,0 +1,148 @@
+"""Write the printed parts of a scene's rig: solids, drawings, pictures and the table of their numbers."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from manifold3d import Manifold
+from tqdm import tqdm
+
+from rhizotwin.building.drawings import exploded, exploded_page, part_page, rig_page
+from rhizotwin.building.line_drawing import CORNER
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.part import Part, check_bed, surface
+from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
+from rhizotwin.building.wiring import wiring_pages
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.shading import rasterise, shade
+from rhizotwin.rig.printing.print_files import write_pages
+from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.scenes.atomic import write_bytes, write_image, write_json, write_text
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.model import Scene
+
+PICTURE_PX = 1100
+"""Longer side of the pictures, before they are made half as large for smooth edges."""
+COLOURS = {
+    "canister": (0.75, 0.85, 0.95),
+    "motor": (0.35, 0.35, 0.38),
+    "bar": (0.7, 0.7, 0.72),
+    "diffuser": (0.95, 0.95, 0.9),
+    "LED board": (0.8, 0.8, 0.75),
+}
+PRINTED = (0.95, 0.62, 0.25)
+
+
+def write_parts(
+    scene: Scene, folder: Path, *, rig: RigFile, measures: Measures, board: CharucoBoard, bed_mm: tuple[float, float, float]
+) -> list[Part]:
+    """Write a folder with all that is needed to print the parts and put them together.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the parts have to fit.
+    folder : Path
+        New or empty.
+    rig : RigFile
+        Where the arm and the floor are.
+    measures : Measures
+        Of what is bought.
+    board : CharucoBoard
+        What the stand holds.
+    bed_mm : tuple of float
+        Width, depth and height of what the printer can print.
+
+    Raises
+    ------
+    UserError
+        For a part that cannot be, does not fit the bed, or stands in another's way, and for a folder that is not empty.
+    """
+    parts = parts_of(scene, rig=rig, measures=measures, board=board)
+    for part in parts:
+        check_bed(part, bed_mm)
+    bought = bought_of(scene, rig=rig, measures=measures)
+    for one, other, mm3 in collisions(parts, bought):
+        raise UserError(f"{one} and {other} would fill the same {mm3:.1f} mm3 of the rig: change the scene, the rig file or the measures")
+    with new_folder(folder) as inside:
+        for part in tqdm(parts, desc="parts", unit="part", leave=False):
+            write_bytes(inside / f"{part.name}.stl", stl_bytes(part.printed))
+            write_pages([part_page(part, title=scene.name)], inside / "drawings" / f"{part.name}.svg", title=f"{part.name} of {scene.name}")
+        write_pages([rig_page(parts, bought, title=scene.name)], inside / "drawings" / "rig.svg", title=f"rig of {scene.name}")
+        write_pages([exploded_page(parts, bought, title=scene.name)], inside / "drawings" / "exploded.svg", title=f"parts of {scene.name}")
+        for name, page in wiring_pages().items():
+            write_pages([page], inside / "drawings" / f"wiring_{name}.svg", title=f"wiring, {name}")
+        write_image(inside / "exploded.png", exploded_picture(parts, bought))
+        write_text(inside / "parameters.csv", _csv(parts))
+        write_json(inside / "parameters.json", _json(scene, parts, measures))
+    return parts
+
+
+def stl_bytes(solid: Manifold) -> bytes:
+    """Return a solid as a binary STL, mm."""
+    vertices, faces = surface(solid)
+    return bytes(trimesh.Trimesh(vertices=vertices, faces=faces, process=False).export(file_type="stl"))
+
+
+def _csv(parts: Sequence[Part]) -> str:
+    lines = io.StringIO()
+    table = csv.writer(lines, lineterminator="\n")
+    table.writerow(["part", "pieces", "parameter", "value", "from"])
+    for part in parts:
+        for name, value, source in _numbers(part):
+            table.writerow([part.name, part.pieces, name, f"{value:.6g}", source])
+    return lines.getvalue()
+
+
+def _json(scene: Scene, parts: Sequence[Part], measures: Measures) -> dict[str, object]:
+    return {
+        "scene": scene.name,
+        "measures": {f.name: getattr(measures, f.name) for f in fields(measures)},
+        "parts": [
+            {
+                "name": part.name,
+                "pieces": part.pieces,
+                "about": part.about,
+                "support": part.support,
+                "parameters": {name: {"value": value, "from": source} for name, value, source in _numbers(part)},
+            }
+            for part in parts
+        ],
+    }
+
+
+def _numbers(part: Part) -> list[tuple[str, float, str]]:
+    sizes = zip(("bed_width_mm", "bed_depth_mm", "bed_height_mm"), part.size_mm, strict=True)
+    return [*part.numbers, *((name, size, "as it is printed") for name, size in sizes), ("volume_mm3", part.solid.volume(), "of plastic")]
+
+
+def exploded_picture(parts: Sequence[Part], bought: Sequence[Bought]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """Return the rig's parts moved apart as a shaded picture (H, W, 3): printed parts orange."""
+    things = [(COLOURS.get(name, PRINTED), surface(solid)) for name, solids in exploded(parts, bought) for solid in solids]
+    view = np.concatenate([vertices @ CORNER.axes.T for _, (vertices, _) in things])
+    low, high = view.min(axis=0)[:2] - 10.0, view.max(axis=0)[:2] + 10.0
+    px_mm = float((high - low).max()) / PICTURE_PX
+    box = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    picture = nearest = None
+    for colour, (vertices, faces) in things:
+        # a corner for each triangle: edges stay sharp
+        mesh = Mesh(vertices_mm=vertices[faces].reshape(-1, 3), faces=np.arange(3 * len(faces)).reshape(-1, 3))
+        raster = rasterise(mesh, CORNER, box_mm=box, px_mm=px_mm)
+        rgba = shade(raster, colour, px_mm=px_mm, flat=False)
+        depth = np.where(raster.hit, raster.depth_mm, -np.inf)
+        if picture is None or nearest is None:
+            picture, nearest = np.ones((*raster.hit.shape, 3)), np.full(raster.hit.shape, -np.inf)
+        front = depth > nearest
+        picture[front] = rgba[front][:, :3]
+        nearest[front] = depth[front]
+    if picture is None:
+        raise UserError("there are no parts to be shown")
+    half = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+    half = half.reshape(half.shape[0] // 2, 2, half.shape[1] // 2, 2, 3).mean(axis=(1, 3))
+    return np.asarray(np.rint(255.0 * half), dtype=np.uint8)

@@ -1,0 +1,176 @@
+"""The thesis's electronics: a DRV8825 and NeoPixels on a Raspberry Pi's pins, as turntable and lights.
+
+Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor loses its current, and
+never by a program that has just started; then the markers tell it.
+"""
+
+import numpy as np
+
+from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.errors import LostError, RigError, UnsafeError
+from rhizotwin.rig.rig_file import HatPart, LightsPart, TurntablePart
+from rhizotwin.rig.table.hat_pins import Pins, Pixels
+from rhizotwin.rig.table.ramp import step_times_s
+
+SETUP_S = 1e-3
+"""Between a change of direction or current and the first step; the DRV8825 wants 650 ns, and 1.7 ms after sleep."""
+WAKE_S = 0.05
+"""After the current is switched on the rotor jumps to its place."""
+LATE_S = 2.0
+"""So much longer than computed a move may take: the pulses are timed by a thread of a busy computer."""
+POLL_S = 0.01
+
+
+class HatTurntable:
+    """A `rig.devices.Turntable`."""
+
+    def __init__(self, pins: Pins, hat: HatPart, part: TurntablePart, clock: Clock) -> None:
+        self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
+        self._step_deg = part.full_step_deg / hat.microsteps
+        self._steps: int | None = None  # where the table stands, from angle 0, in microsteps; None: not known
+        self._on = False
+        self._seated = False  # whether the last move arrived from the side that all moves arrive from
+
+    def describe(self) -> str:
+        """Say what drives the table, and where it stands."""
+        where = "table angle not known" if self._steps is None else f"table at {self.position_deg():.3f} deg"
+        return f"DRV8825 on GPIO {self._hat.step_pin}, {1.0 / self._step_deg:.3f} microsteps a degree, {where}"
+
+    def prepare(self) -> None:
+        """Switch the motor's current on; the rotor may jump, so that the angle is not known any more.
+
+        Raises
+        ------
+        RigError
+            When the driver reports a fault.
+        """
+        self._steps, self._seated = None, False
+        self._pins.output(self._hat.step_pin, 0)
+        self._pins.output(self._hat.direction_pin, 0)
+        self._pins.output(self._hat.enable_pin, 0)
+        self._on = True
+        self._clock.sleep(WAKE_S)
+        self._check_fault()
+
+    def position_deg(self) -> float:
+        """Return the angle by the steps that were sent; below any angle that can be declared when it is not known."""
+        return 10.0 * LEAST_DEG if self._steps is None else round(self._steps * self._step_deg, 6)
+
+    def declare(self, angle_deg: float) -> None:
+        """Say that the table stands at this angle now, to the nearest microstep.
+
+        Raises
+        ------
+        UnsafeError
+            For an angle outside -90 to 720.
+        """
+        _check_angle(angle_deg)
+        if not self._on:
+            raise LostError("turntable: its motor is off, so that its angle cannot be kept; connect it first")
+        self._steps, self._seated = round(angle_deg / self._step_deg), False
+
+    def knows_zero(self) -> bool:
+        """Whether an angle was declared since the motor was switched on."""
+        return self._on and self._steps is not None
+
+    def move_to(self, angle_deg: float) -> float:
+        """Turn by an even ramp, always arriving from below; return the angle of the nearest microstep.
+
+        Raises
+        ------
+        LostError
+            When the angle is not known, or the driver reports a fault during the move.
+        UnsafeError
+            For an angle outside -90 to 720.
+        """
+        _check_angle(angle_deg)
+        if self._steps is None or not self._on:
+            raise LostError("turntable: does not know the table's angle; find it by the markers, or declare it")
+        goal, room = round(angle_deg / self._step_deg), round(self._part.approach_deg / self._step_deg)
+        here = self._steps
+        if room and goal < (here if self._seated else here + room):
+            here = self._run(here, goal - room)
+        self._run(here, goal)
+        self._seated = True
+        return self.position_deg()
+
+    def release(self) -> None:
+        """Switch the motor off; the angle is forgotten."""
+        self._steps, self._seated, self._on = None, False, False
+        self._pins.output(self._hat.enable_pin, 1)
+
+    def close(self) -> None:
+        """Give the pins back: the motor loses its current."""
+        self._steps, self._on = None, False
+        self._pins.close()
+
+    def _run(self, here: int, goal: int) -> int:
+        """Send the steps of one way and wait for their end; whatever breaks it off leaves an angle that is not known."""
+        count = abs(goal - here)
+        if not count:
+            return goal
+        self._check_fault()
+        forward = (goal > here) != self._hat.reverse
+        self._pins.output(self._hat.direction_pin, int(forward))
+        self._clock.sleep(SETUP_S)
+        speed, acceleration = (x / self._step_deg for x in (self._part.speed_deg_per_s, self._hat.acceleration_deg_per_s2))
+        due_s = step_times_s(count, speed=speed, acceleration=acceleration)
+        self._steps = None
+        until_s = self._clock.now_s() + float(due_s[-1]) + LATE_S
+        try:
+            self._pins.steps(self._hat.step_pin, np.diff(due_s, prepend=0.0).tolist())
+            while self._pins.busy(self._hat.step_pin):
+                if self._clock.now_s() > until_s:
+                    raise LostError(
+                        f"turntable: {count} steps were not sent within {LATE_S:g} s of their time; is the computer overloaded?"
+                    )
+                self._clock.sleep(POLL_S)
+        except BaseException:
+            self.release()  # the pulses that are still under way must not turn the table
+            raise
+        self._check_fault()
+        self._steps = goal
+        return goal
+
+    def _check_fault(self) -> None:
+        if self._pins.read(self._hat.fault_pin) == 0:
+            self.release()
+            raise LostError("turntable: the DRV8825 reports a fault (too hot, or too much current); check its cooling, current and wires")
+
+
+class HatLights:
+    """A `rig.devices.Lights`."""
+
+    def __init__(self, pixels: Pixels, part: LightsPart, clock: Clock) -> None:
+        self._pixels, self._part, self._clock = pixels, part, clock
+
+    def set(self, *, panel: float, front: float) -> None:
+        """Set both lamps, as fractions 0 to 1 of the rig file's colours, and wait until they burn steadily."""
+        for name, level in (("panel", panel), ("front", front)):
+            if not 0.0 <= level <= 1.0:
+                raise ValueError(f"{name}={level} but expected 0 to 1")
+        self._fill(panel, front)
+        self._clock.sleep(self._part.settle_s)
+
+    def off(self) -> None:
+        """Switch both off."""
+        self._fill(0.0, 0.0)
+
+    def _fill(self, panel: float, front: float) -> None:
+        for strip, level, colour in (
+            (self._part.panel_strip, panel, self._part.panel_rgb),
+            (self._part.front_strip, front, self._part.front_rgb),
+        ):
+            red, green, blue = (round(level * part) for part in colour)
+            try:
+                self._pixels.fill(strip, (red, green, blue))
+            except OSError as error:
+                raise RigError(f"lights: the NeoPixels cannot be set ({error}); check their pins and supply") from None
+
+
+def _check_angle(angle_deg: float) -> None:
+    if not LEAST_DEG <= angle_deg <= MOST_DEG:
+        raise UnsafeError(
+            f"turntable: {angle_deg:g} deg is outside {LEAST_DEG:g} to {MOST_DEG:g} deg; choose an angle that many turns nearer"
+        )

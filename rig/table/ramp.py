@@ -1,0 +1,37 @@
+"""When a stepper's steps are due: speed up evenly, go on, slow down evenly."""
+
+import numpy as np
+
+from rhizotwin.scenes.frames import Array
+
+
+def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
+    """Return when each step of a move is due, after its beginning.
+
+    Parameters
+    ----------
+    steps : int
+        How many, 0 or more.
+    speed : float
+        Highest speed, steps per second.
+    acceleration : float
+        Steps per second squared, at the beginning and at the end.
+
+    Returns
+    -------
+    (steps,) float64
+        Seconds; they rise. A move too short for the highest speed turns from speeding up to slowing down in its middle.
+
+    Notes
+    -----
+    From s = a t^2 / 2, step s of the first ramp is due at sqrt(2 s / a), and the last ramp is the first one's mirror image.
+    """
+    s = np.arange(1, steps + 1, dtype=np.float64)
+    ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)
+    top = np.sqrt(2.0 * acceleration * ramp)
+    ramp_s = top / acceleration
+    whole_s = 2.0 * ramp_s + (steps - 2.0 * ramp) / max(top, 1e-12)
+    up = np.sqrt(2.0 * np.minimum(s, ramp) / acceleration)
+    down = whole_s - np.sqrt(2.0 * np.clip(steps - s, 0.0, ramp) / acceleration)
+    level = ramp_s + (s - ramp) / max(top, 1e-12)
+    return np.asarray(np.where(s <= ramp, up, np.where(s >= steps - ramp, down, level)))

@@ -1,0 +1,98 @@
+"""The tank of liquid about the canister: four meshes that stand still in the rig while the canister, whose frame the scene has, turns."""
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene, Tank
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+OUTSIDE, INSIDE, SURFACE, OPAQUE = "tank_outside", "tank_inside", "tank_surface", "tank_opaque"
+HOLE_SIDES = 720
+"""Corners of the hole that the canister makes in the liquid's surface: 1 um inside a circle of 76 mm."""
+
+
+def _walls(tank: Tank, inset_mm: float, low_mm: float) -> tuple[Array, Faces]:
+    """Return the four upright faces of a box, normals outward."""
+    x, y = tank.front_mm - inset_mm, tank.half_width_mm - inset_mm
+    ring = np.array([[x, -y], [x, y], [-x, y], [-x, -y]])
+    vertices = np.concatenate([np.column_stack([ring, np.full(4, z)]) for z in (low_mm, tank.level_mm)])
+    faces = [[k, (k + 1) % 4, (k + 1) % 4 + 4] for k in range(4)] + [[k, (k + 1) % 4 + 4, k + 4] for k in range(4)]
+    return vertices, np.array(faces)
+
+
+def _opaque(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
+    """Return the walls' upper edges and the tank's bottom."""
+    outer, inner = _walls(tank, 0.0, low_mm)[0], _walls(tank, tank.wall_mm, low_mm)[0]
+    vertices = np.concatenate([outer[4:], inner[4:], outer[:4]])
+    rim = [[k, (k + 1) % 4, (k + 1) % 4 + 4] for k in range(4)] + [[k, (k + 1) % 4 + 4, k + 4] for k in range(4)]
+    return vertices, np.array([*rim, [8, 9, 10], [8, 10, 11]])
+
+
+def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
+    """Return the liquid's surface round the canister, whose outline on it is ``hole`` (N, 2), counter-clockwise from above."""
+    x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
+    out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # straight out from the axis to the walls
+    corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
+    count = len(hole)
+    vertices = np.column_stack([np.concatenate([hole, out, corners]), np.full(2 * count + 4, tank.level_mm)])
+    k = np.arange(count)
+    after = (k + 1) % count
+    faces = [np.stack([k, k + count, after + count], axis=1), np.stack([k, after + count, after], axis=1)]
+    on_x = np.abs(np.abs(out[:, 0]) - x) < 1e-9
+    turns = np.flatnonzero(on_x != on_x[after])  # between these two a corner is left over
+    for number in turns:
+        corner = int(np.argmin(np.linalg.norm(corners - out[number], axis=1)))
+        faces.append(np.array([[number + count, 2 * count + corner, after[number] + count]]))
+    return vertices, np.concatenate(faces)
+
+
+def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, Any]]]:
+    """Return the tank's meshes by name: vertices (V, 3) in the rig's frame, mm, faces (F, 3), material."""
+    low = -scene.canister.height_mm
+    turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
+    hole = scene.canister.outer_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
+    glass = {"type": "dielectric", "int_ior": tank.n_wall, "ext_ior": 1.0}
+    wet = {"type": "dielectric", "int_ior": tank.n_liquid, "ext_ior": tank.n_wall}
+    level = {"type": "dielectric", "int_ior": tank.n_liquid, "ext_ior": 1.0}
+    return {
+        OUTSIDE: (*_walls(tank, 0.0, low), glass),
+        INSIDE: (*_walls(tank, tank.wall_mm, low), wet),
+        SURFACE: (*_surface(tank, hole), level),
+        OPAQUE: (*_opaque(tank, low), {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.02}}),
+    }
+
+
+def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm: float) -> None:
+    """Put the tank where it stands as seen from the canister of a view; the hole in its surface goes with the canister.
+
+    Parameters
+    ----------
+    built : mitsuba.Scene
+        Made with this scene's tank.
+    scene : Scene
+        The rig.
+    rig_from_canister : (4, 4) float64
+        Of the view.
+    radius_mm : float
+        Outer radius of the true canister.
+    """
+    if scene.tank is None:
+        return
+    canister_from_rig = frames.invert(rig_from_canister)
+    turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
+    # where the canister's wall passes the surface: along its axis, which may lean
+    circle = np.column_stack([radius_mm * np.cos(turn), radius_mm * np.sin(turn), np.full(HOLE_SIDES, scene.tank.level_mm)])
+    axis = rig_from_canister[:3, 2]
+    here = frames.apply(rig_from_canister, circle)
+    hole = here + ((scene.tank.level_mm - here[:, 2]) / axis[2])[:, None] * axis
+    parameters = mi.traverse(built)
+    for name, (vertices, _, _) in meshes(scene, scene.tank).items():
+        moved = _surface(scene.tank, hole[:, :2])[0] if name == SURFACE else vertices
+        parameters[f"{name}.vertex_positions"] = np.ascontiguousarray(frames.apply(canister_from_rig, moved), dtype=np.float32).ravel()
+    parameters.update()

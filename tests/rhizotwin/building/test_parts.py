@@ -1,0 +1,140 @@
+"""The printed parts are closed, can be printed, fit what they hold, and do not run into each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from manifold3d import Error
+
+from rhizotwin.building import table
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.part import Part, check_bed, overhang_mm2, surface
+from rhizotwin.building.pot import net_pot, strip_seat_radius_mm
+from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis_rig
+from rhizotwin.building.shapes import gear, raised, rectangle
+from rhizotwin.rig.printing.print_strip import FlatStrip
+from rhizotwin.rig.rig_file import Clearance
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene
+
+MEASURES = Measures()
+SMALL = Scene(
+    name="small",
+    canister=Canister(outer_radius_mm=45.0, wall_mm=2.0, height_mm=120.0, base_mm=4.0),
+    net_pot=NetPot(outer_radius_mm=48.0, grid_z_mm=-10.0),
+    strip=MarkerStrip(columns=18),
+)
+RIG = thesis_rig()
+SCENES = [Scene(), SMALL]
+
+
+def made(scene: Scene) -> list[Part]:
+    low = replace(RIG, clearance=Clearance(floor_z_mm=-(scene.canister.height_mm + 42.6)))
+    return parts_of(scene, rig=low, measures=MEASURES, board=CharucoBoard())
+
+
+PARTS = {scene.name: made(scene) for scene in SCENES}
+EACH = [pytest.param(part, id=f"{name}-{part.name}") for name, parts in PARTS.items() for part in parts]
+
+
+@pytest.mark.parametrize("part", EACH)
+def test_solid_is_closed_and_in_one_piece(part: Part) -> None:
+    assert part.solid.status() is Error.NoError
+    assert part.solid.volume() > 0.0
+    assert len(part.solid.decompose()) == 1
+    _, faces = surface(part.solid)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    there, back = {tuple(edge) for edge in edges.tolist()}, {tuple(edge) for edge in edges[:, ::-1].tolist()}
+    assert len(there) == len(edges)
+    assert there == back  # every edge has one face on each side, turned alike
+
+
+@pytest.mark.parametrize("part", EACH)
+def test_part_needs_no_support_or_says_where(part: Part) -> None:
+    assert (overhang_mm2(part) > 0.0) == bool(part.support)
+
+
+@pytest.mark.parametrize("part", EACH)
+def test_part_fits_a_common_bed(part: Part) -> None:
+    check_bed(part, (220.0, 220.0, 250.0))
+
+
+def test_an_overhang_is_seen() -> None:
+    table_top = raised(rectangle((-20.0, -20.0), (20.0, 20.0)), 10.0, 12.0) + raised(rectangle((-2.0, -2.0), (2.0, 2.0)), 0.0, 11.0)
+    assert overhang_mm2(Part(name="t", about="", solid=table_top)) == pytest.approx(40.0**2 - 4.0**2)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_nothing_runs_into_anything(scene: Scene) -> None:
+    rig = replace(RIG, clearance=Clearance(floor_z_mm=-(scene.canister.height_mm + 42.6)))
+    assert collisions(PARTS[scene.name], bought_of(scene, rig=rig, measures=MEASURES)) == []
+
+
+def test_a_collision_is_seen() -> None:
+    wide = replace(Scene(), canister=Canister(outer_radius_mm=76.8))
+    bought = bought_of(wide, rig=RIG, measures=MEASURES)
+    assert ("net_pot", "canister") in [pair[:2] for pair in collisions(PARTS["scene"], bought)]
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_pot_keeps_its_gap_to_the_canister(scene: Scene) -> None:
+    pot, ring = PARTS[scene.name][0].placed()[0], PARTS[scene.name][2].placed()[0]
+    cup = bought_of(scene, rig=RIG, measures=MEASURES)[0].solid
+    lifted = pot.translate((0.0, 0.0, 1.0))  # it stands on the rim: what is left is the gap round it
+    # the polygons of 240 sides that stand for circles come nearer to each other by r (1 - cos(pi / 240))
+    facet = scene.canister.outer_radius_mm * (1.0 - np.cos(np.pi / 240.0))
+    assert lifted.min_gap(cup, 5.0) == pytest.approx(MEASURES.fit_mm, abs=2.0 * facet)
+    assert ring.min_gap(cup, 5.0) == pytest.approx(MEASURES.fit_mm, abs=2.0 * facet)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_strip_goes_round_the_seat_once(scene: Scene) -> None:
+    vertices, _ = surface(PARTS[scene.name][0].solid)
+    low = vertices[np.isclose(vertices[:, 2], scene.net_pot.skirt_bottom_mm)]
+    outer = low[np.hypot(low[:, 0], low[:, 1]) > scene.canister.outer_radius_mm + 1.0]
+    outer = outer[np.argsort(np.arctan2(outer[:, 1], outer[:, 0]))]
+    seat = float(np.linalg.norm(outer - np.roll(outer, 1, axis=0), axis=1).sum())
+    flat = FlatStrip(strip=scene.strip, net_pot=scene.net_pot, paper_mm=MEASURES.paper_mm)
+    # half the paper's thickness lies between the seat and the middle of the paper, which keeps its length
+    assert seat + np.pi * MEASURES.paper_mm == pytest.approx(flat.length_mm, abs=1e-3)
+    assert strip_seat_radius_mm(scene, MEASURES) + MEASURES.paper_mm == scene.net_pot.outer_radius_mm
+
+
+@pytest.mark.parametrize("teeth", [72, 180])
+def test_gears_mesh_with_their_play(teeth: int) -> None:
+    ring = gear(teeth, table.MODULE_MM, backlash_mm=table.BACKLASH_MM)
+    wheel = gear(table.PINION_TEETH, table.MODULE_MM, backlash_mm=table.BACKLASH_MM)
+    centres = table.MODULE_MM * (teeth + table.PINION_TEETH) / 2.0
+    pitch_deg = 360.0 / table.PINION_TEETH
+
+    def shared(turn: float, play_deg: float) -> float:
+        """Return the area that both cover when the pinion has turned by a share of its pitch, and then by some play."""
+        pinion = wheel.rotate(180.0 + pitch_deg * (0.5 + turn) + play_deg).translate((centres, 0.0))
+        return (ring.rotate(-turn * 360.0 / teeth) ^ pinion).area()
+
+    play_deg = float(np.rad2deg(table.BACKLASH_MM / (table.PINION_TEETH / 2.0)))
+    for turn in np.linspace(0.0, 1.0, 9):
+        assert shared(float(turn), 0.0) < 1e-4
+        assert shared(float(turn), 0.8 * play_deg) < 2e-3  # both teeth are thinner by the backlash
+        assert shared(float(turn), 1.6 * play_deg) > 1e-2
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        (replace(Scene(), net_pot=NetPot(outer_radius_mm=77.0)), "skirt would be"),
+        (replace(Scene(), net_pot=NetPot(grid_z_mm=-1.0)), "cannot be printed"),
+    ],
+    ids=["thin skirt", "shallow grid"],
+)
+def test_what_cannot_be_printed_is_refused(scene: Scene, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        net_pot(scene, MEASURES)
+
+
+def test_low_floor_and_small_bed_are_refused() -> None:
+    with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
+        table.table_foot(Scene(), MEASURES, -165.0)
+    with pytest.raises(UserError, match="does not fit a bed of 150 x 150"):
+        check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))

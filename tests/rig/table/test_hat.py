@@ -1,0 +1,250 @@
+"""The thesis's hat, driven through libraries of the same names that emulate a DRV8825 and two strips."""
+
+import sys
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhizotwin.rig.errors import LostError, RigError, UnsafeError
+from rhizotwin.rig.open import open_board
+from rhizotwin.rig.rig_file import HatPart, RigFile, TurntablePart
+from rhizotwin.rig.table.hat import HatLights, HatTurntable
+from rhizotwin.rig.table.ramp import step_times_s
+from rhizotwin.rig.twin.clock import VirtualClock
+
+HAT = HatPart()
+RIG = RigFile(turntable=TurntablePart(kind="hat", full_step_deg=0.18), hat=HAT)
+
+
+class RefusedError(Exception):
+    """What lgpio raises."""
+
+
+@dataclass
+class Driver:  # its methods are lgpio's
+    """A DRV8825 behind lgpio: it steps on rising edges while it is enabled."""
+
+    clock: VirtualClock
+    level: dict[int, int] = field(default_factory=dict)
+    motor: int = 0
+    fault_after: int = 10**9
+    ends_s: float = 0.0
+    taken: frozenset[int] = frozenset()
+    slow: float = 1.0
+
+    error = RefusedError
+    SET_PULL_UP, TX_WAVE = 32, 1
+
+    def gpiochip_open(self, number: int) -> int:
+        """As the library does."""
+        return number
+
+    def gpiochip_close(self, _: int) -> None:
+        """As the library does."""
+        self.level.clear()
+
+    def gpio_claim_output(self, _: int, pin: int, level: int) -> None:
+        """As the library does."""
+        if pin in self.taken:
+            raise RefusedError("GPIO busy")
+        self.level[pin] = level
+
+    def gpio_write(self, _: int, pin: int, level: int) -> None:
+        """As the library does."""
+        self.level[pin] = level
+
+    def gpio_claim_input(self, _: int, pin: int, flags: int) -> None:
+        """As the library does."""
+        assert flags == self.SET_PULL_UP
+        self.level[pin] = 1
+
+    def gpio_read(self, _: int, pin: int) -> int:
+        """As the library does."""
+        return int(self.level[pin])
+
+    def pulse(self, bits: int, mask: int, us: int) -> SimpleNamespace:
+        """As the library does."""
+        return SimpleNamespace(bits=bits, mask=mask, us=us)
+
+    def tx_wave(self, _: int, pin: int, wave: list[Any]) -> None:
+        """As the library does."""
+        rising = sum(pulse.bits for pulse in wave)
+        assert min(pulse.us for pulse in wave) >= 2  # the data sheet's least pulse
+        if self.level[HAT.enable_pin] == 0:
+            self.motor += rising * (1 if self.level[HAT.direction_pin] else -1)
+        if rising >= self.fault_after:
+            self.level[HAT.fault_pin] = 0
+        self.ends_s = self.clock.now_s() + self.slow * sum(pulse.us for pulse in wave) * 1e-6
+        assert pin == HAT.step_pin
+
+    def tx_busy(self, _: int, pin: int, kind: int) -> int:
+        """As the library does."""
+        assert (pin, kind) == (HAT.step_pin, self.TX_WAVE)
+        return int(self.clock.now_s() < self.ends_s)
+
+
+@dataclass
+class Strip:
+    """A strip of rpi_ws281x."""
+
+    count: int
+    pin: int
+    hz: int
+    dma: int
+    channel: int
+    next: dict[int, Any] = field(default_factory=dict)
+    shown: dict[int, Any] = field(default_factory=dict)
+
+    def begin(self) -> None:
+        """As the library does."""
+
+    def numPixels(self) -> int:  # noqa: N802 - the library's name
+        """As the library does."""
+        return self.count
+
+    def setPixelColor(self, pixel: int, colour: Any) -> None:  # noqa: N802 - the library's name
+        """As the library does."""
+        self.next[pixel] = colour
+
+    def show(self) -> None:
+        """As the library does."""
+        self.shown = dict(self.next)
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> tuple[HatTurntable, HatLights, Driver, list[Strip]]:
+    driver, strips = Driver(VirtualClock()), list[Strip]()
+
+    def strip(*given: Any, **named: Any) -> Strip:
+        strips.append(Strip(*given, **named))
+        return strips[-1]
+
+    monkeypatch.setitem(sys.modules, "lgpio", driver)
+    monkeypatch.setitem(sys.modules, "rpi_ws281x", SimpleNamespace(PixelStrip=strip, Color=lambda *rgb: rgb))
+    table, lights = open_board(RIG, clock=driver.clock)
+    assert isinstance(table, HatTurntable)
+    assert isinstance(lights, HatLights)
+    return table, lights, driver, strips
+
+
+def test_the_motor_stands_where_the_table_says(bench: Any) -> None:
+    table, _, driver, _ = bench
+    table.prepare()
+    assert not table.knows_zero()
+    table.declare(0.0)
+    start = driver.motor
+    for angle_deg in (9.0, 18.0, 4.5, -9.0, 351.0):
+        assert table.move_to(angle_deg) == pytest.approx(angle_deg, abs=0.18 / 32 / 2)
+        assert (driver.motor - start) * 0.18 / 32 == pytest.approx(table.position_deg())
+    assert table.knows_zero()
+
+
+def test_every_move_arrives_from_below(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, _, driver, _ = bench
+    last: list[int] = []
+    wave = driver.tx_wave
+    monkeypatch.setattr(driver, "tx_wave", lambda *given: (wave(*given), last.append(driver.level[HAT.direction_pin])))
+    table.prepare()
+    table.declare(90.0)
+    for angle_deg in (80.0, 85.0, 20.0):
+        table.move_to(angle_deg)
+        assert last[-1] == 1
+
+
+def test_a_fault_loses_the_angle(bench: Any) -> None:
+    table, _, driver, _ = bench
+    table.prepare()
+    table.declare(0.0)
+    driver.fault_after = 1000
+    with pytest.raises(LostError, match="DRV8825 reports a fault"):
+        table.move_to(90.0)
+    assert not table.knows_zero()
+    assert driver.level[HAT.enable_pin] == 1
+    with pytest.raises(LostError, match="motor is off"):
+        table.declare(0.0)
+
+
+def test_a_move_that_is_stopped_loses_the_angle(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, _, driver, _ = bench
+    table.prepare()
+    table.declare(0.0)
+
+    def stop(*_: Any) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(driver, "tx_busy", stop)
+    with pytest.raises(KeyboardInterrupt):
+        table.move_to(90.0)
+    assert not table.knows_zero()
+    assert driver.level[HAT.enable_pin] == 1  # the pulses under way turn nothing
+
+
+def test_a_computer_that_is_too_slow_is_told(bench: Any) -> None:
+    table, _, driver, _ = bench
+    table.prepare()
+    table.declare(0.0)
+    driver.slow = 10.0
+    with pytest.raises(LostError, match="not sent within"):
+        table.move_to(90.0)
+
+
+def test_angles_outside_the_cables_are_refused(bench: Any) -> None:
+    table = bench[0]
+    table.prepare()
+    table.declare(0.0)
+    with pytest.raises(UnsafeError, match="outside -90 to 720"):
+        table.move_to(721.0)
+
+
+def test_lamps(bench: Any) -> None:
+    _, lights, _, strips = bench
+    lights.set(panel=0.5, front=1.0)
+    panel, front = strips
+    assert (panel.pin, panel.channel, front.pin, front.channel) == (18, 0, 13, 1)
+    assert panel.shown == dict.fromkeys(range(300), (128, 128, 128))
+    assert front.shown == dict.fromkeys(range(18), (255, 255, 255))
+    lights.off()
+    assert set(panel.shown.values()) | set(front.shown.values()) == {(0, 0, 0)}
+
+
+def test_a_pin_in_use_is_told(monkeypatch: pytest.MonkeyPatch, bench: Any) -> None:
+    table, _, driver, _ = bench
+    monkeypatch.setattr(driver, "taken", frozenset({HAT.step_pin}))
+    with pytest.raises(RigError, match="gpio_claim_output of GPIO 23 failed"):
+        table.prepare()
+
+
+def test_a_library_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "lgpio", None)
+    with pytest.raises(RigError, match="the library lgpio is not there"):
+        open_board(RIG, clock=VirtualClock())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7, 40, 300])
+def test_ramp_is_that_of_a_body_that_is_pushed_evenly(steps: int) -> None:
+    speed, acceleration = 300.0, 900.0
+    due_s = step_times_s(steps, speed=speed, acceleration=acceleration)
+    dt = 1e-5
+    at, v, t, found = 0.0, 0.0, 0.0, []
+    while len(found) < steps and t < 60.0:  # brute force: push, go on, brake when the rest is the braking way
+        braking = v * v / (2.0 * acceleration) >= steps - at
+        v = max(v - acceleration * dt, 1e-3) if braking else min(v + acceleration * dt, speed)
+        at, t = at + v * dt, t + dt
+        if at >= len(found) + 1:
+            found.append(t)
+    assert np.all(np.diff(due_s) > 0.0)
+    assert due_s[: len(found)] == pytest.approx(found, abs=0.02)
+    assert len(found) >= steps - 1
+
+
+def test_pins_that_clash_are_refused(tmp_path: Any) -> None:
+    from rhizotwin.rig.rig_file import load_rig
+
+    path = tmp_path / "rig.toml"
+    path.write_text("[hat]\nstep_pin = 24\n")
+    with pytest.raises(RigError.__mro__[1], match="is used for step_pin already"):
+        load_rig(path)
+    assert replace(HAT, reverse=True).reverse

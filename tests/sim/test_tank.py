@@ -1,0 +1,107 @@
+"""The twin's tank: Mitsuba's own dielectrics and the reconstruction's closed form see a ball in the same place."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.optics import tank
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.reconstruct import reconstruct
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import scene_from_dict
+from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene, Tank
+from rhizotwin.sim.render import Renderer
+from rhizotwin.sim.world import draw_world
+from tests.sim.test_optics import ball, centroid, magnify
+
+CLEAN = Disturbances()
+
+
+@dataclass(frozen=True)
+class Case:
+    """A ball, and what is wrong with the rig."""
+
+    name: str
+    centre_mm: tuple[float, float, float]
+    view: int = 0
+    liquid: float = 1.333
+    wrong: Disturbances = CLEAN
+
+
+CASES = (
+    Case("near the axis", (3.0, 2.0, -60.0)),
+    Case("beside, where the round canister alone is blind", (0.0, 66.0, -80.0)),
+    Case("another liquid", (-30.0, 40.0, -100.0), liquid=1.38),
+    Case(
+        "everything misplaced",
+        (20.0, -60.0, -70.0),
+        view=2,
+        wrong=Disturbances(arm_deg=0.3, arm_mm=1.0, table_deg=0.1, canister_offset_mm=1.0, canister_tilt_deg=0.5),
+    ),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_ball_is_seen_where_the_closed_form_says(case: Case) -> None:
+    scene = Scene(plan=CapturePlan(rings=(Ring(views=5),)), tank=Tank(n_liquid=case.liquid), disturbances=case.wrong)
+    camera = draw_world(scene, seed=4).cameras[case.view]
+    at = tank.TankView.of(
+        scene, View(camera=scene.camera, cam_from_canister=camera.cam_from_canister), frames.invert(camera.rig_from_canister)
+    )
+    expected, seen, _ = tank.project(at, np.array([case.centre_mm]))
+    assert seen.all()
+    part = magnify(scene, expected[0], 100.0, 160)
+    _, coverage = Renderer(part, draw_world(part, seed=4), ball(case.centre_mm, 0.1), samples=4).view(case.view)
+    assert coverage.max() == 1.0
+    assert not coverage[0].any()
+    np.testing.assert_allclose((centroid(coverage) - 79.5) / 100.0, 0.0, atol=2e-3)
+
+
+def test_the_empty_tank_lets_the_panel_through_and_keeps_the_strip_dry() -> None:
+    scene = replace(Scene(tank=Tank(), plan=CapturePlan(rings=(Ring(views=1),))), camera=Scene().camera.resized((100, 75)))
+    light, coverage = Renderer(scene, draw_world(scene, seed=0), None, samples=4).view(0)
+    open_air = replace(scene, tank=None)
+    bare, _ = Renderer(open_air, draw_world(open_air, seed=0), None, samples=4).view(0)
+    assert not coverage.any()
+    glass, wet = (1.0 - ((1.49 - n) / (1.49 + n)) ** 2 for n in (1.0, 1.333))  # Fresnel, normal incidence
+    # through two walls of the tank, air and liquid, and twice through the canister's, liquid and water
+    assert light[37, 49:51].mean() == pytest.approx(scene.lights.backlight_level * glass**2 * wet**6, rel=2e-3)
+    assert np.abs(light[:16] - bare[:16]).max() < 1e-3  # above the liquid nothing is changed
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"front_mm": 70.0}, "room to turn"),
+        ({"level_mm": -2.0}, "below the net pot's skirt_bottom_mm"),
+        ({"front_mm": 300.0}, "below lights.backlight_distance_mm"),
+        ({"colour": "blue"}, "unknown"),
+    ],
+)
+def test_a_tank_that_cannot_be_is_refused(change: dict[str, object], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        scene_from_dict({"tank": change}, where="a scene")
+
+
+def test_what_cannot_see_through_a_tank_says_so() -> None:
+    from rhizotwin.building.measures import Measures
+    from rhizotwin.building.rig_parts import parts_of, thesis_rig
+    from rhizotwin.recon.optics.refraction import Optics
+    from rhizotwin.scenes.board import CharucoBoard
+
+    scene = Scene(tank=Tank())
+    with pytest.raises(UserError, match=r"the reconstruction knows no tank"):
+        reconstruct(_dataset(scene))
+    with pytest.raises(UserError, match="knows no tank"):
+        Optics.of(scene)
+    with pytest.raises(UserError, match="parts knows no tank"):
+        parts_of(scene, rig=thesis_rig(), measures=Measures(), board=CharucoBoard())
+
+
+def _dataset(scene: Scene) -> Dataset:
+    fields = dict.fromkeys(Dataset.__dataclass_fields__)
+    made: Dataset = Dataset(**(fields | {"scene": scene}))  # type: ignore[arg-type]
+    return made
