@@ -163,7 +163,7 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
         if not (size > _CLOSE_MM).any():
             break
         slopes = _slopes(miss, q)
-        good = np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(f).all(axis=1)
+        good = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(f).all(axis=1))
         good[good] &= np.abs(np.linalg.det(slopes[good])) > 1e-9
         step = np.zeros_like(q)
         step[good] = np.linalg.solve(slopes[good], f[good][..., None])[..., 0]

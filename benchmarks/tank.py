@@ -1,0 +1,68 @@
+"""How much of the water views see: through the canister's round wall alone, and through a tank's flat one (T5.3).
+
+``python -m benchmarks.tank -o FIGURE.png`` draws the share by radius and prints the shares of the whole water.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.projection import images_swept
+from rhizotwin.recon.optics import tank
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
+
+Array = NDArray[np.float64]
+HEIGHT_MM = -60.0
+AZIMUTHS, RADII = 180, 72
+
+
+def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]]:
+    """Return radii (R,) in mm, and by name the share (R,) of directions from which a point of that radius is seen exactly once.
+
+    Points lie in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the canister brings
+    every azimuth before the camera, so that the share of azimuths is the share of views.
+    """
+    optics = Optics.of(scene)
+    radius = (np.arange(RADII) + 0.5) / RADII * optics.inner_radius_mm
+    azimuth = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS * 2.0 * np.pi
+    r, a = (grid.ravel() for grid in np.meshgrid(radius, azimuth, indexing="ij"))
+    points = np.column_stack([r * np.cos(a), r * np.sin(a), np.full(len(r), HEIGHT_MM)])
+    view = View(camera=Camera(), cam_from_canister=frames.level_camera(distance_mm=distance_mm, height_mm=HEIGHT_MM, tilt_deg=0.0))
+    through = {"round": images_swept(view, optics, points, rays=8001)}
+    at = tank.TankView(view=view, canister_from_rig=np.eye(4), tank=Tank(n_liquid=scene.water.n_water), optics=optics)
+    through["tank of water"] = tank.images_at_height(at, points, rays=8001)
+    return radius, {name: (count.reshape(RADII, AZIMUTHS) == 1).mean(axis=1) for name, count in through.items()}
+
+
+def main() -> None:
+    """Draw the figure and print the shares."""
+    from io import BytesIO
+
+    from matplotlib.figure import Figure
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    output: Path = parser.parse_args().output
+    radius, by_name = shares(Scene(), distance_mm=Ring().distance_mm)
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.add_subplot(xlabel="distance from the axis (mm)", ylabel="share of views that see it once", ylim=(0.0, 1.02))
+    outer = radius > 0.95 * radius[-1]
+    for name, share in by_name.items():
+        whole = float(np.average(share, weights=radius))
+        print(f"{name:<16} {100.0 * whole:5.1f} % of the water, {100.0 * share[outer].mean():5.1f} % of its outermost twentieth")
+        axes.plot(radius, share, label=f"{name}: {100.0 * whole:.1f} % of the water")
+    axes.legend(loc="lower left")
+    axes.set_xlim(0.0, None)
+    picture = BytesIO()
+    figure.savefig(picture, format="png", dpi=110)
+    write_bytes(output, picture.getvalue())
+
+
+if __name__ == "__main__":
+    main()
