@@ -4,6 +4,7 @@
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,9 @@ def main() -> None:
     outer = radius > 0.95 * radius[-1]
     for name, share in by_name.items():
         whole = float(np.average(share, weights=radius))
-        print(f"{name:<16} {100.0 * whole:5.1f} % of the water, {100.0 * share[outer].mean():5.1f} % of its outermost twentieth")
+        sys.stdout.write(
+            f"{name:<16} {100.0 * whole:5.1f} % of the water, {100.0 * share[outer].mean():5.1f} % of its outermost twentieth\n"
+        )
         axes.plot(radius, share, label=f"{name}: {100.0 * whole:.1f} % of the water")
     axes.legend(loc="lower left")
     axes.set_xlim(0.0, None)
