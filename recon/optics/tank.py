@@ -1,13 +1,15 @@
-"""Lines of sight through the flat front of a tank of liquid about the canister, and through its round wall (float64 reference).
+"""Lines of sight through the flat front of a tank about the canister, and its round wall (float64 reference).
 
-A flat wall conserves the components of the optical direction ``p = n d`` along it, here ``(q_y, q_z)`` in the tank's frame (that of the
-rig, the front's normal +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)`` a ray that crosses the thickness t of medium i goes aside by
-``t q / a_i``. So a camera ray, named by (q_y, q_z), is a known straight line in the liquid. In the canister's frame, which may be turned,
-lean and stand aside, its ``p_z`` and its angular momentum ``L = x p_y - y p_x`` are conserved by the round walls (see
-`recon.optics.refraction`), and the line in the water follows in closed form. Nothing depends on where the camera stands or looks.
+A flat wall conserves the components of the optical direction ``p = n d`` along it, here ``(q_y, q_z)`` in the tank's
+frame (that of the rig, the front's normal +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)`` a ray that crosses the
+thickness t of medium i goes aside by ``t q / a_i``. So a camera ray, named by (q_y, q_z), is a known straight line in
+the liquid. In the canister's frame, which may be turned, lean and stand aside, its ``p_z`` and its angular momentum
+``L = x p_y - y p_x`` are conserved by the round walls (see `recon.optics.refraction`), and the line in the water follows in
+closed form. Nothing depends on where the camera stands or looks.
 
-The point P lies on the line when ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``: two equations for (q_y, q_z), solved by Newton's
-method. A point that has a second image next to the wall, where the shell bends most, gets the one nearer to its straight line.
+The point P lies on the line when ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``: two equations for (q_y, q_z),
+solved by Newton's method. A point that has a second image next to the wall, where the shell bends most, gets the one
+nearer to its straight line.
 """
 
 from collections.abc import Callable
@@ -142,8 +144,8 @@ def find_rays(at: TankView, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]
 
     Notes
     -----
-    The start is the straight line of the same apparent depth behind the front, all media taken for the liquid. A step that would lead to a
-    ray that misses the water, or farther from the point, is halved.
+    The start is the straight line of the same apparent depth behind the front, all media taken for the liquid. A step
+    that would lead to a ray that misses the water, or farther from the point, is halved.
     """
     in_tank = frames.apply(frames.invert(at.canister_from_rig), points_mm)
     x, y, z = at.centre_mm
@@ -239,7 +241,7 @@ def water_lines(at: TankView, px: Array) -> tuple[WaterLine, NDArray[np.bool_]]:
 
 
 def images_at_height(at: TankView, points_mm: Array, *, rays: int = 4001) -> NDArray[np.int64]:
-    """Count the images (N,) of points in the camera's own horizontal plane, the canister upright, by a sweep of level rays.
+    """Count the images (N,) of points in a level camera's own plane, the canister upright, by a sweep of rays.
 
     A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
     """
