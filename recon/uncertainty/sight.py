@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon import device
+from rhizotwin.recon.device import UInt32
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import DistanceMaps, Leaves, Water
 from rhizotwin.recon.hull.surface import to_voxels
@@ -106,11 +107,13 @@ def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bo
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
     """Return how many views see points (N, 3)."""
-    votes = np.zeros(len(points_mm), np.int64)
     if not len(points_mm):
-        return votes
+        return np.zeros(0, np.int64)
     point = device.points(points_mm)
-    for view in range(bank.count):
-        _, _, seen = carve.look(bank, maps, dr.opaque(mi.UInt32, view, len(points_mm)), point, mi.Bool(True))
-        votes += np.array(seen, np.int64)
-    return votes
+
+    def body(view: UInt32, votes: UInt32) -> tuple[UInt32, UInt32]:
+        _, _, seen = carve.look(bank, maps, view, point, mi.Bool(True))
+        return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+    state = (mi.UInt32(0), dr.zeros(mi.UInt32, len(points_mm)))
+    return np.array(dr.while_loop(state, lambda view, _: view < bank.end, body)[1], np.int64)

@@ -10,6 +10,7 @@ from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.hull import carve, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import projection, refraction
+from rhizotwin.recon.uncertainty import sight
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
 
@@ -87,6 +88,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     z = np.arange(-50.0, -40.0, 0.05)
     point = mi.Point3f(0.2, 0.2, mi.Float(z))
     votes = sum(np.array(carve.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
+    np.testing.assert_array_equal(sight._votes(bank, half, np.stack([np.full_like(z, 0.2), np.full_like(z, 0.2), z], axis=1)), votes)
     on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
     column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)
     top = leaves.grid.origin_mm[2] + 0.4 * (leaves.index[:, 2] + leaves.size)[column].max()
