@@ -109,7 +109,9 @@ class Tank:
     half_width_mm: float = bounded(130.0, 10.0, 2000.0)
     """Outside of the side walls at y = +-half_width_mm."""
     wall_mm: float = bounded(5.0, 0.2, 50.0)
+    """Thickness of its walls."""
     n_wall: float = bounded(1.49, 1.0, 2.0)
+    """Index of its walls."""
     n_liquid: float = bounded(1.333, 1.0, 2.0)
     """Water does; what has the water's own index hides the canister's wall most."""
     level_mm: float = bounded(-8.0, -2000.0, 0.0)

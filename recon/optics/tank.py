@@ -4,8 +4,8 @@ A flat wall conserves the components of the optical direction ``p = n d`` along 
 frame (that of the rig, the front's normal +x): with ``a_i = sqrt(n_i^2 - q_y^2 - q_z^2)`` a ray that crosses the
 thickness t of medium i goes aside by ``t q / a_i``. So a camera ray, named by (q_y, q_z), is a known straight line in
 the liquid. In the canister's frame, which may be turned, lean and stand aside, its ``p_z`` and its angular momentum
-``L = x p_y - y p_x`` are conserved by the round walls (see `recon.optics.refraction`), and the line in the water follows in
-closed form. Nothing depends on where the camera stands or looks.
+``L = x p_y - y p_x`` are conserved by the round walls (see `recon.optics.refraction`), and the line in the water
+follows in closed form. Nothing depends on where the camera stands or looks.
 
 The point P lies on the line when ``f1 = P . nu - b_w = 0`` and ``f2 = z(P) - P_z = 0``: two equations for (q_y, q_z),
 solved by Newton's method. A point that has a second image next to the wall, where the shell bends most, gets the one
