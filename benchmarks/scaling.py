@@ -48,9 +48,9 @@ AXES: dict[str, tuple[Step, ...]] = {
 }
 """Views 20 to 160, 0.25 to 6 million pixels, the roots of 5 to 30 days, voxels of 0.4 to 0.05 mm."""
 QUICK: dict[str, tuple[Step, ...]] = {
-    "views": tuple(_step("printed_8ml", n, views=n, wide=200) for n in (10, 40)),
-    "megapixels": tuple(_step("printed_8ml", 0.75e-6 * n**2, views=10, wide=n) for n in (200, 800)),
-    "1/voxel_mm": tuple(_step("printed_8ml", 1.0 / mm, views=10, wide=200, voxel_mm=mm) for mm in (0.4, 0.1)),
+    "views": tuple(_step("sphere_20mm", n, views=n, wide=200) for n in (12, 48)),
+    "megapixels": tuple(_step("sphere_20mm", 0.75e-6 * n**2, views=12, wide=n) for n in (200, 800)),
+    "1/voxel_mm": tuple(_step("sphere_20mm", 1.0 / mm, views=12, wide=200, voxel_mm=mm) for mm in (0.4, 0.1)),
 }
 """The same in little."""
 
