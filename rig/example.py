@@ -16,6 +16,7 @@ full_step_deg = 1.8  # table angle of one full step of the motor: 1.8 / gear rat
 approach_deg = 3.6  # moves backwards go this far beyond and come back, so that play is always taken up on one side
 tolerance_deg = 0.02  # between the angle commanded and the one read back
 settle_s = 0.5  # rest after a move: the water must be still
+rest = "given"  # measured: the scan watches how long the picture moves after a turn, and rests so long (12 s more)
 
 [lights]  # two NeoPixel strips on the same board
 panel_strip = 0  # the backlight

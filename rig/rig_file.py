@@ -30,6 +30,8 @@ class TurntablePart:
     """Largest difference between the commanded angle and the one read back."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Rest after a move before a picture: the water must be still."""
+    rest: Literal["given", "measured"] = "given"
+    """measured: a scan turns once before its first picture, watches how long the picture moves, rests so long, ``settle_s`` at least."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ connected again and its angle found anew by the markers; a camera that fails is 
 What was taken stays, and a later run takes only what is missing.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.onlooker import Onlooker
 from rhizotwin.rig.scanning.safety import Say, make_safe
 from rhizotwin.rig.scanning.session import Session, file_of, take_up
+from rhizotwin.rig.scanning.settling import MARGIN, WATCH_S, settling, watch
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
 from rhizotwin.rig.scanning.watch import Watch
@@ -140,6 +141,8 @@ class _Scan:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
         self._board_used = self._arm_used = self._homed = False
         self._placement = 0
+        self._rest_s = devices.rig.turntable.settle_s
+        self._rest_known = devices.rig.turntable.rest == "given"
         self._bright = 0.0
         """How bright the ring's pictures are."""
 
@@ -202,6 +205,7 @@ class _Scan:
         self._turning.camera_moved()
         self._stand.place(ring)
         self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
+        self._cured(lambda: self._measure_rest(views), near_deg=views[0].table_deg)
         self._placement = self._session.next_placement(index)
         self._watch.begin_ring()
         for view in views:
@@ -232,6 +236,22 @@ class _Scan:
             f"turntable: {why}, so that the table slipped or stands still, or the camera was pushed or hangs; this picture is taken out: "
             "free the table, look at the camera, then finish the scan with --resume"
         )
+
+    def _measure_rest(self, views: Sequence[View]) -> None:
+        """Turn as far as from one view to the next, watch how long the picture still moves, and rest so long from now on."""
+        if self._rest_known:
+            return
+        self._turning.turn(views[0].table_deg)
+        self._turning.turn(views[min(1, len(views) - 1)].table_deg)
+        found = settling(*watch(lambda: self._devices.camera.capture().image, self._devices.clock))
+        if found.rest_s is None:
+            self._rest_s = max(self._rest_s, WATCH_S)
+            text = f"the picture still moves {WATCH_S:g} s after a turn: a gentler acceleration or a slower speed_deg_per_s is needed"
+        else:
+            self._rest_s = max(self._rest_s, MARGIN * found.rest_s)
+            text = f"the picture moves for {found.rest_s:.2f} s after a turn"
+        self._rest_known = True
+        self._note("rest", f"turntable: {text}; each picture waits {self._rest_s:.2f} s")
 
     def _say_unchecked(self, planned: int) -> None:
         """Say of what nobody knows that it is right."""
@@ -277,11 +297,11 @@ class _Scan:
 
     def _shoot(self, view: View) -> tuple[Frame, Grey, Grey | None]:
         """Turn, wait, take the picture, and make sure that the table still stands where it went; again for one who watches motion."""
-        clock, part = self._devices.clock, self._devices.rig.turntable
+        clock = self._devices.clock
         read_deg = self._turning.turn(view.table_deg)
         moved_s = clock.now_s()
         joints_deg, joints_read_deg = self._stand.joints()  # while the water comes to rest
-        clock.sleep(part.settle_s - (clock.now_s() - moved_s))
+        clock.sleep(self._rest_s - (clock.now_s() - moved_s))
         shot = self._lit_picture(view.table_deg)
         frame = Frame(
             file=file_of(view),
