@@ -5,7 +5,8 @@ from __future__ import annotations
 import viser
 
 from rhizotwin.viewer import colours, words
-from rhizotwin.viewer.app import CLICKS, LAYERS, TRUTH, Viewer, ray_of, screen_of
+from rhizotwin.viewer.app import Viewer, ray_of, screen_of
+from rhizotwin.viewer.drawing import CLICKS, LAYERS, TRUTH
 
 _FIRST = {
     "roots": "Roots",

@@ -12,7 +12,8 @@ from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import app, picking, words
-from rhizotwin.viewer.app import CLICKS, Viewer
+from rhizotwin.viewer.app import Viewer
+from rhizotwin.viewer.drawing import CLICKS
 from tests.rhizotwin import plant as plants
 
 

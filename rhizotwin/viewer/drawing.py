@@ -1,0 +1,219 @@
+"""What browsers see of a result: layers, colours, clipping, what is chosen, and the picture that they stand in."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from rhizotwin.corrections.lines import Line
+from rhizotwin.scenes import frames
+from rhizotwin.viewer import colours
+from rhizotwin.viewer.guard import Served
+from rhizotwin.viewer.scene3d import Scene3d, field_of_view, quaternion
+from rhizotwin.viewer.shown import Shown
+
+Array = NDArray[np.float64]
+
+LAYERS = ("roots", "surface", "voxels", "canister", "cameras", "truth")
+CLICKS = ("choose a root", "choose a voxel", "measure", "cut here", "end it here", "plant begins here")
+TRUTH = ("over", "beside", "distance colours")
+_ASIDE_MM = 60.0
+
+
+@dataclass
+class Look:
+    """How the result is shown."""
+
+    layers: set[str] = field(default_factory=lambda: {"roots", "canister", "cameras"})
+    colour: str = "order"
+    truth: str = TRUTH[0]
+    low_mm: float = -1e9
+    high_mm: float = 1e9
+    click: str = CLICKS[0]
+
+
+class Drawing:
+    """Results drawn for browsers, as the state says."""
+
+    def __init__(self, served: Served, folders: Sequence[Path], dataset: Path | None = None) -> None:
+        self.served, self.look = served, Look()
+        self.scene = Scene3d(served.server)
+        self._folders, self._dataset = list(folders), dataset
+        self._loaded: dict[int, Shown] = {}
+        self._place = 0
+        self.lock = threading.RLock()
+        self.roots: list[int] = []
+        """Chosen, in the order of the clicks."""
+        self.voxels: set[int] = set()
+        self.measured: list[Array] = []
+        self.standing: int | None = None
+        """The picture that browsers stand in."""
+        self.on_change: list[Callable[[], None]] = []
+        """Called when what the panels say may have changed."""
+        self.told = ""
+        """The last sentence to the user."""
+        self.load(0)
+
+    @property
+    def shown(self) -> Shown:
+        """Return the result that is shown."""
+        return self._loaded[self._place]
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names of all results."""
+        return [folder.name or str(folder) for folder in self._folders]
+
+    def load(self, place: int) -> None:
+        """Show another result."""
+        with self.lock:
+            if place not in self._loaded:
+                self._loaded[place] = Shown(self._folders[place], self._dataset)
+            self._place = place
+            self.roots, self.voxels, self.measured = [], set(), []
+            self.scene.clear()
+            self.standing = None
+            self.served.server.scene.set_background_image(None)
+            shown = self.shown
+            points = np.concatenate([line.points_mm for line in shown.session.state.lines.values()] or [shown.session.solid.centre_mm])
+            self.scene.look_at(points, rim_mm=60.0)
+            if not shown.session.state.lines:
+                self.look.layers |= {"surface"}
+            self.refresh()
+
+    def changed(self) -> None:
+        """Let the panels follow."""
+        for follow in self.on_change:
+            follow()
+
+    def say(self, text: str) -> None:
+        """Tell the user something."""
+        self.told = text
+        self.changed()
+
+    def unsaved(self) -> int:
+        """Return how many corrections are in no log."""
+        return sum(shown.session.unsaved for shown in self._loaded.values())
+
+    # what is drawn
+
+    def refresh(self) -> None:
+        """Draw what has changed."""
+        with self.lock, self.served.server.atomic():
+            session, look, shown = self.shown.session, self.look, self.shown
+            lines = self._clipped(session.state.lines)
+            if "roots" in look.layers and self.standing is None:
+                shade, _ = colours.colouring(look.colour, session.state.lines)
+                key = f"{look.colour} {look.low_mm} {look.high_mm}"
+                if look.colour != "end seen or not":
+                    key += f" {len(session.log.edits)}"
+                self.scene.show_roots(lines, shade, key=key)
+            self._draw_surface()
+            self._draw_voxels()
+            if "canister" in look.layers and shown.dataset is not None and "/rig/canister" not in self.scene:
+                self.scene.show_canister(shown.dataset.scene)
+            if "cameras" in look.layers and shown.pictures is not None and "/cameras/0" not in self.scene:
+                self.scene.show_cameras(shown.pictures, self.stand)
+            here = self.standing is None
+            for layer, prefix in (("roots", "/roots"), ("canister", "/rig"), ("cameras", "/cameras")):
+                self.scene.set_visible(prefix, visible=here and layer in look.layers)
+            self._draw_chosen()
+        self.changed()
+
+    def _clipped(self, lines: Any) -> dict[int, Line]:
+        """Return the parts of roots between two heights."""
+        look = self.look
+        if look.low_mm < -1e8 and look.high_mm > 1e8:
+            return dict(lines)
+        found = {}
+        for number, line in lines.items():
+            inside = np.flatnonzero((line.points_mm[:, 2] >= look.low_mm) & (line.points_mm[:, 2] <= look.high_mm))
+            if len(inside) == len(line.points_mm):
+                found[number] = line
+            elif len(inside) > 1:
+                way = line.way_mm
+                found[number] = line.between(float(way[inside[0]]), float(way[inside[-1]]))
+        return found
+
+    def _draw_surface(self) -> None:
+        look, shown = self.look, self.shown
+        wanted = "surface" in look.layers and self.standing is None
+        compared = "truth" in look.layers and self.standing is None and shown.truth is not None
+        coloured = compared and look.truth == TRUTH[2]
+        key = (wanted or coloured, coloured, len(shown.session.log.edits), id(shown))
+        if key != getattr(self, "_surface_key", None):
+            self._surface_key = key
+            mesh = shown.surface_now() if wanted or coloured else None
+            self.scene.show_surface(mesh, colours=shown.distance_colours(mesh) if mesh is not None and coloured else None)
+        truth_key = (compared and not coloured, look.truth, id(shown))
+        if truth_key != getattr(self, "_truth_key", None):
+            self._truth_key = truth_key
+            aside = _ASIDE_MM if look.truth == TRUTH[1] else 0.0
+            self.scene.show_surface(shown.truth if truth_key[0] else None, name="/truth", aside_mm=aside)
+
+    def _draw_voxels(self) -> None:
+        session, look = self.shown.session, self.look
+        wanted = "voxels" in look.layers and self.standing is None
+        key = (wanted, look.low_mm, look.high_mm, len(session.log.edits), id(session))
+        if key == getattr(self, "_voxel_key", None):
+            return
+        self._voxel_key = key
+        rows = self._voxel_rows() if wanted else np.zeros(0, np.int64)
+        solid, volumes = session.solid, session.measure().volumes_mm3
+        room = (solid.size[rows] * solid.voxel_mm) ** 3
+        self.scene.show_voxels(solid.centre_mm[rows], volumes[rows] / room, solid.voxel_mm)
+
+    def _voxel_rows(self) -> NDArray[np.int64]:
+        """Return the voxels that are there and inside the clipping heights."""
+        session, look = self.shown.session, self.look
+        height = session.solid.centre_mm[:, 2]
+        return np.flatnonzero((session.measure().volumes_mm3 > 1e-9) & (height >= look.low_mm) & (height <= look.high_mm))
+
+    def _draw_chosen(self) -> None:
+        session = self.shown.session
+        self.roots = [number for number in self.roots if number in session.state.lines]
+        solid = session.solid
+        rows = np.array(sorted(self.voxels), np.int64)
+        here = self.standing is None
+        self.scene.show_chosen([session.state.lines[k] for k in self.roots] if here else [], solid.centre_mm[rows], solid.voxel_mm)
+        self.scene.show_measure(self.measured if here else [])
+
+    # pictures
+
+    def stand(self, place: int | None, client: viser.ClientHandle | None = None) -> None:
+        """Stand in a picture, with the reconstruction drawn over it through the water; None goes back to 3D."""
+        pictures, server = self.shown.pictures, self.served.server
+        with self.lock:
+            if pictures is None or (place is None and self.standing is None):
+                return
+            self.standing = None if place is None else place % len(pictures.views)
+            self._draw_picture()
+            self.refresh()
+        clients = server.get_clients().values() if client is None else [client]
+        for one in clients:
+            with one.atomic():
+                if self.standing is None:
+                    start = server.initial_camera
+                    one.camera.position, one.camera.look_at, one.camera.fov = start.position, start.look_at, start.fov
+                else:
+                    pose = frames.invert(pictures.views[self.standing].cam_from_canister)
+                    one.camera.wxyz, one.camera.position = quaternion(pose[:3, :3]), pose[:3, 3]
+                    one.camera.fov = field_of_view(pictures.views[self.standing])
+
+    def _draw_picture(self) -> None:
+        server, pictures = self.served.server, self.shown.pictures
+        if self.standing is None or pictures is None:
+            server.scene.set_background_image(None)
+            return
+        lines = self.shown.session.state.lines if "roots" in self.look.layers else {}
+        orders = colours.order_of(lines)
+        shades = {number: colours.ORDERS[min(orders[number], len(colours.ORDERS) - 1)] for number in lines}
+        shades |= dict.fromkeys([number for number in self.roots if number in lines], (255, 170, 0))
+        server.scene.set_background_image(pictures.drawn(self.standing, lines, shades), format="jpeg", jpeg_quality=90)
