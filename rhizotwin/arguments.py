@@ -24,6 +24,7 @@ SHIFT_LIMITS_MM = (-1e6, 1e6)
 SCALE_LIMITS = (1e-6, 1e6)
 MASS_LIMITS_G = (1e-6, 1e6)
 DAY_LIMITS = (0.0, 36500.0)
+VOLUME_LIMITS_ML = (1e-6, 1e6)
 PIXEL_LIMITS = (16, 20000)
 MAX_VIEWS = 10000
 MAX_SAMPLES = 1 << 16
@@ -120,7 +121,7 @@ def read_image_wh(text: str) -> tuple[int, int]:
 Device: TypeAlias = Literal["auto", "cpu", "cuda"]
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 SceneName: TypeAlias = Annotated[str, named("SCENE")]
-Profile: TypeAlias = Annotated[str, named("clean|bench|harsh")]
+Profile: TypeAlias = Annotated[str, named("clean|bench|camera|harsh|real")]
 ResultFolder: TypeAlias = Annotated[Path, named("RESULT")]
 DatasetFolder: TypeAlias = Annotated[Path, named("DATASET")]
 OutputDataset: TypeAlias = Annotated[Path, output("DATASET")]
@@ -134,6 +135,7 @@ Seed: TypeAlias = Annotated[int, option(lambda text: whole(text, 0, 2**63 - 1, "
 Port: TypeAlias = Annotated[int, option(lambda text: whole(text, 1, 65535, "give 1 to 65535"), "N")]
 VoxelMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, VOXEL_LIMITS_MM), "MM")]
 DiameterMm: TypeAlias = Annotated[float, option(lambda text: millimetres(text, DIAMETER_LIMITS_MM), "D")]
+VolumeMl: TypeAlias = Annotated[float, option(lambda text: between(text, VOLUME_LIMITS_ML, "ml", "millilitres"), "ML")]
 MassG: TypeAlias = Annotated[float, option(read_mass_g, "G")]
 
 
@@ -241,7 +243,8 @@ class SceneChanges:
     """What the command line changes in a scene."""
 
     profile: Profile | None = None
-    """What the rig gets wrong: clean (nothing), bench (a good rig), harsh (a bad day), or a file; default: the scene's own."""
+    """What the rig gets wrong: clean (nothing), bench (a good rig), camera (and an ordinary camera), harsh (a bad day), \
+real (a first scan of a plant), or a file; default: the scene's own."""
     specimen: Annotated[Path | None, named("FILE")] = None
     """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) in millimetres, or traced roots (RSML), in the canister frame: \
 origin on the axis in the plane of the rim, z up, roots below 0; for files in a frame of their own see --place."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rhizotwin import engine, scene_changes
 from rhizotwin.scenes import files
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.schema import Place, from_plain
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.scoring.score import Score
+    from rhizotwin.recon.scoring.score_solid import SolidScore, VolumeScore
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
 
@@ -177,24 +179,57 @@ def reconstruct(
     return find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor)
 
 
-def score(result: Result | str | Path, dataset: Dataset | str | Path) -> Score:
-    """Compare a result with the truth of the simulated dataset that it was made from.
+def score(
+    result: Result | str | Path,
+    dataset: Dataset | str | Path | None = None,
+    *,
+    truth: str | Path | None = None,
+    volume_ml: float | None = None,
+) -> Score | SolidScore | VolumeScore:
+    """Compare a result with what is known of the specimen: give one of the three.
 
     Parameters
     ----------
     result : Result or path
         As `reconstruct` or `load_result` gives it, or its folder.
-    dataset : Dataset or path
-        As `simulate` or `load_dataset` gives it, or its folder.
+    dataset : Dataset or path, optional
+        The simulated dataset that the result was made from, as `simulate` or `load_dataset` gives it, or its folder.
+    truth : path, optional
+        A closed mesh (PLY, STL, OBJ) of the part that was scanned, in mm, anywhere and turned anyhow: it is laid onto the result.
+    volume_ml : float, optional
+        The specimen's volume, as it was measured by displacement or weight.
+
+    Returns
+    -------
+    Score, SolidScore or VolumeScore
+        Of dataset, mesh or volume: each has ``table()`` and ``to_dict()``.
 
     Raises
     ------
     UserError
-        If the dataset has no truth, the result is of another dataset, or a file is missing or damaged.
+        If none or several of the three are given, the dataset has no truth, the result is of another dataset, or a file is missing or
+        damaged.
     """
-    from rhizotwin.recon.scoring.score import score as compare
+    if (dataset is not None) + (truth is not None) + (volume_ml is not None) != 1:
+        raise UserError(
+            "give one thing to score against: a simulated dataset, the solid that was scanned (--truth) or its volume (--volume-ml)"
+        )
+    if dataset is not None:
+        from rhizotwin.recon.scoring.score import score as compare
 
-    return compare(result, dataset)
+        return compare(result, dataset)
+    from rhizotwin.recon.scoring import score_solid
+
+    if volume_ml is not None:
+        return score_solid.score_volume(result, 1000.0 * volume_ml)
+    from rhizotwin.recon.results.result_files import Mesh
+    from rhizotwin.sim import meshes, solids
+
+    solid, notes = meshes.load_solid(Path(str(truth)))
+    for note in notes:
+        log.info(note)
+    vertices, faces = solids.surface_of(solid)
+    return score_solid.score_solid(result, Mesh(vertices_mm=vertices, faces=faces.astype("int64")), volume_mm3=float(solid.volume()))
 
 
 def _choose(device: Device) -> None:

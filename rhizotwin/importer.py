@@ -7,8 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from rhizotwin import raw_pictures
 from rhizotwin.nerfstudio import GivenCameras, read_cameras
-from rhizotwin.picture_files import list_pictures
+from rhizotwin.picture_files import SUFFIXES, list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.checks import refuse_tank
@@ -17,7 +18,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
-from rhizotwin.scenes.pictures import Grey, decode_grey
+from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
 
 MOST_CLIPPED = 0.05
@@ -52,7 +53,7 @@ def import_pictures(
     Parameters
     ----------
     folder : Path
-        PNG, JPG or TIFF pictures of 8 or 16 bits, taken in the natural order of their names (view_2 before view_10).
+        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw ones (DNG), taken in the natural order of their names (view_2 before view_10).
     scene : Scene
         The rig that they were taken on. Its camera must have the pictures' size, unless ``cameras`` brings one.
     out : Path
@@ -80,7 +81,11 @@ def import_pictures(
         if cameras is not None:
             raise UserError("--no-strip finds the cameras in the pictures, and --cameras gives them; leave one of the two out")
         scene = replace(scene, strip=replace(scene.strip, rows=0))
-    paths = list_pictures(folder)
+    paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
+    raw = [path for path in paths if raw_pictures.is_raw(path)]
+    if raw and len(raw) < len(paths):
+        other = next(path for path in paths if path not in raw)
+        raise UserError(f"{folder} holds raw pictures ({raw[0].name}) beside others ({other.name}); put one kind into a folder of its own")
     given = None if cameras is None else read_cameras(cameras, scene.camera)
     notes: list[str] = []
     if given is not None and cameras is not None:
@@ -90,15 +95,22 @@ def import_pictures(
         paths = _with_cameras(paths, given, cameras, notes)
     table = _table_angles(scene, len(paths), given, notes)
     white = _white_level(paths, scene) if masks else None
-    if white is None:
+    if raw:
+        notes.append("raw pictures: blocks of their pixels became one grey pixel each, with the first one's white balance; they are light")
+    elif white is None:
         notes.append(_curve_note(paths, scene))
+    gains: tuple[float, float] | None = None
     clipped: dict[str, float] = {}
     monitor = monitor or Monitor()
     with new_folder(out) as building, monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
         found = []
         for path, (ring, table_deg) in zip(paths, table, strict=True):
-            data = _data_of(path, scene, white=white)
-            name = f"images/{path.stem}{path.suffix.lower() if white is None else '.png'}"
+            if raw:
+                light, gains = raw_pictures.read_raw(path, image_wh=scene.camera.image_wh, gains=gains)
+                data = encode_light_png(light)
+            else:
+                data = _data_of(path, scene, white=white)
+            name = f"images/{path.stem}{'.png' if raw or white is not None else path.suffix.lower()}"
             write_bytes(building / name, data)
             if white is None and (share := _clipped(data, path)) > MOST_CLIPPED:
                 clipped[name] = round(share, 4)

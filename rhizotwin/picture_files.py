@@ -14,8 +14,8 @@ def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(part), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)
 
 
-def list_pictures(folder: Path) -> list[Path]:
-    """Return the pictures of a folder (not of its subfolders) in natural order.
+def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
+    """Return the pictures of a folder (not of its subfolders), by their suffixes, in natural order.
 
     Raises
     ------
@@ -25,11 +25,11 @@ def list_pictures(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise UserError(f"{folder} is no folder; give the folder that holds the pictures")
     paths = sorted(
-        (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()),
+        (path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file()),
         key=natural_key,
     )
     if not paths:
-        raise UserError(f"{folder} holds no picture ({', '.join(SUFFIXES)}); give the folder that holds them")
+        raise UserError(f"{folder} holds no picture ({', '.join(suffixes)}); give the folder that holds them")
     for path in paths:
         if not path.name.isprintable():  # bytes that are no UTF-8 are not, either
             raise UserError(f"{folder} holds {path.name!a}, whose name is no UTF-8 text that can be shown; rename it")

@@ -1,5 +1,8 @@
 """Pictures from bytes, refusing what OpenCV would silently repair: a truncated file comes back padded, not as an error."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,13 @@ def encode_png(image: Grey) -> bytes:
     if not encoded:
         raise ValueError(f"OpenCV cannot encode {image.shape=} {image.dtype=} as PNG")
     return data.tobytes()
+
+
+def encode_light_png(light: Grey) -> bytes:
+    """Encode light as a PNG whose own word is that its numbers are light: a gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2)."""
+    data, name = encode_png(light), b"gAMA" + struct.pack(">I", 100000)
+    first = 8 + 25  # the signature, and IHDR, which comes first
+    return data[:first] + struct.pack(">I", 4) + name + struct.pack(">I", zlib.crc32(name)) + data[first:]
 
 
 def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = None) -> Grey:

@@ -14,6 +14,13 @@ _SMALL_CLASS = 0.02
 
 def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> Floats:
     """Return ``count`` points (count, 3) in mm, evenly distributed over the area of a mesh (V, 3), (F, 3)."""
+    return sample_faces(vertices_mm, faces, count=count, rng=rng)[0]
+
+
+def sample_faces(
+    vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the same points, and the face (count,) that each lies on."""
     a, b, c = (np.asarray(vertices_mm, np.float64)[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if not len(faces) or not area.sum() > 0.0:
@@ -24,7 +31,7 @@ def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: in
     u, v = rng.random((2, count))
     outside = u + v > 1.0
     u, v = np.where(outside, 1.0 - u, u)[:, None], np.where(outside, 1.0 - v, v)[:, None]
-    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen])
+    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]), chosen
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:

@@ -18,6 +18,17 @@ from rhizotwin.recon.scoring import score_traits
 from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
 from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
 from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from rhizotwin.recon.scoring.score_solid import (
+    Triple,
+    VolumeScore,
+    extent_rows,
+    percent,
+    surface_rows,
+    table_of,
+    triple,
+    volume_fields,
+    volume_rows,
+)
 from rhizotwin.recon.scoring.score_traits import TraitScore, compare_traits
 from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 from rhizotwin.scenes import rsml
@@ -27,27 +38,15 @@ from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
 
-Triple = tuple[float, float, float]
-
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class Score(VolumeScore):
     """How well a result agrees with the truth, as a whole and stage by stage.
 
     Errors are signed fractions: found / true - 1.
     """
 
-    scene: str
     voxel_mm: float
-    volume_mm3: float
-    volume_true_mm3: float
-    volume_error: float
-    volume_interval_mm3: tuple[float, float]
-    """The result's 90 % interval."""
-    interval_holds_truth: bool
-    volume_trusted: bool
-    """Whether the result says that the scan gives a volume."""
-    volume_verdict: str
     extents_mm: Triple
     """Size of the bounding box along x, y, z of the canister frame."""
     extents_true_mm: Triple
@@ -83,42 +82,25 @@ class Score:
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""
         rows = [*self._shape_rows(), ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
-        width = max(len(row[0]) for row in rows) + 2
         title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
-        lines = [title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)]
-        lines += [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+        return "\n".join([table_of(title, rows), *(f"warning: {warning}" for warning in self.warnings)])
 
     def _shape_rows(self) -> list[tuple[str, str]]:
-        low, high = self.volume_interval_mm3
-        found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (self.volume_mm3, self.volume_true_mm3))
-        verdict = "holds" if self.interval_holds_truth else "misses"
-        rows = [
-            (
-                "volume",
-                f"{found_ml} ml, true {true_ml} ml: {_percent(self.volume_error)}",
-            ),
-            ("  90 % interval", f"{between_ml(low, high)}, {verdict} the truth"),
-            ("  trusted", "yes" if self.volume_trusted else f"no, {self.volume_verdict}"),
-        ]
-        for axis, found, true, error in zip("xyz", self.extents_mm, self.extents_true_mm, self.extents_error, strict=True):
-            rows.append((f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {_percent(error)}"))
-        v, s = self.voxels, self.surface
+        rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error)]
+        v = self.voxels
         if self.roots is not None:
             r = self.roots
             rows += [
-                ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {_percent(r.length_error)}"),
+                ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {percent(r.length_error)}"),
                 ("  centre lines", f"recall {r.recall:.4f}, precision {r.precision:.4f}, median distance {r.distance_median_mm:.3f} mm"),
-                ("  radii", f"median {_percent(r.radius_error_median)}"),
+                ("  radii", f"median {percent(r.radius_error_median)}"),
                 ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
             ]
         return [
             *rows,
             ("voxels", f"recall {v.recall:.4f}, precision {v.precision:.4f}, IoU {v.iou:.4f}"),
             ("  by volume", f"recall {v.recall_weighted:.4f}, precision {v.precision_weighted:.4f}, IoU {v.iou_weighted:.4f}"),
-            ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
-            ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),
-            ("  truth to result", f"median {s.truth_to_result_median_mm:.3f} mm, 95 % {s.truth_to_result_p95_mm:.3f} mm"),
+            *surface_rows(self.surface),
         ]
 
     def _stage_rows(self) -> list[tuple[str, str]]:
@@ -135,24 +117,20 @@ class Score:
         if self.masks is not None:
             m = self.masks
             rows += [
-                ("  silhouettes", f"area {_percent(m.area_error)}, IoU {m.iou:.4f}, mean error {100.0 * m.mean_abs:.2f} % of the area"),
+                ("  silhouettes", f"area {percent(m.area_error)}, IoU {m.iou:.4f}, mean error {100.0 * m.mean_abs:.2f} % of the area"),
                 ("  unseen", f"{100.0 * m.unseen:.2f} % of the true area is where the pictures say nothing"),
             ]
         h = self.hull
         rows += [
-            ("  hull", f"{h.volume_mm3:.1f} mm3: {_percent(h.volume_error)}; holds {100.0 * h.recall:.2f} % of the truth"),
+            ("  hull", f"{h.volume_mm3:.1f} mm3: {percent(h.volume_error)}; holds {100.0 * h.recall:.2f} % of the truth"),
             ("  trimmed", f"holds {100.0 * h.kept_recall:.2f} % of the truth"),
-            ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {_percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
+            ("  counting voxels", f"{h.leaf_count_volume_mm3:.1f} mm3: {percent(h.leaf_count_volume_mm3 / self.volume_true_mm3 - 1.0)}"),
             ("  blind", f"{self.blind_mm3:.1f} mm3 of the water"),
             ("  time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in self.timings_s.items())),
         ]
         if self.peak_memory_mib is not None:
             rows.append(("  memory", f"{self.peak_memory_mib:.0f} MiB at most"))
         return rows
-
-
-def _percent(fraction: float) -> str:
-    return f"{100.0 * fraction:+.2f} %"
 
 
 def _plain(value: Any) -> Any:
@@ -164,11 +142,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
-
-
-def _triple(values: Any) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 def truth_mesh_path(dataset_folder: Path) -> Path:
@@ -208,23 +181,15 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         voxels, hull = compare_voxels(solid.voxels, solid.hull, true_solid)
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
-    low, high = found.interval_mm3
     true_roots = mesh_path.parent / "skeleton.rsml"
     both = found.roots and true_roots.is_file()
     surface = result_files.Mesh(vertices_mm=np.asarray(solid.mesh.vertices, np.float64), faces=np.asarray(solid.mesh.faces, np.int64))
     return Score(
-        scene=found.scene,
+        **volume_fields(found, truth.volume_mm3),
         voxel_mm=solid.voxel_mm,
-        volume_mm3=found.volume_mm3,
-        volume_true_mm3=truth.volume_mm3,
-        volume_error=found.volume_mm3 / truth.volume_mm3 - 1.0,
-        volume_interval_mm3=(low, high),
-        interval_holds_truth=low <= truth.volume_mm3 <= high,
-        volume_trusted=found.trusted,
-        volume_verdict=found.verdict,
-        extents_mm=_triple(extents_mm),
-        extents_true_mm=_triple(extents_true_mm),
-        extents_error=_triple(extents_error),
+        extents_mm=triple(extents_mm),
+        extents_true_mm=triple(extents_true_mm),
+        extents_error=triple(extents_error),
         extents_error_max=float(np.abs(extents_error).max()),
         voxels=voxels,
         surface=compare_surfaces(surface, true_solid),

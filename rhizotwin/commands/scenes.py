@@ -3,16 +3,23 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import Flag, SceneName, output
+from rhizotwin.arguments import Flag, SceneName, named, output
 from rhizotwin.scenes import explained, files
 from rhizotwin.scenes.errors import UserError
 
 
-def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, output("FILE")] = None, keys: Flag = False) -> None:
-    """List the scenes and profiles that come with the program, or write a copy of one.
+def scenes(
+    name: SceneName | None = None,
+    /,
+    *,
+    copy: Annotated[Path | None, output("FILE")] = None,
+    specimen_stl: Annotated[Path | None, named("FILE")] = None,
+    keys: Flag = False,
+) -> None:
+    """List the scenes and profiles that come with the program, write a copy of one, or its specimen to be printed.
 
     The list has one line each. With a name and -o, write that scene's file instead, with every setting, to be changed and given to the
-    other commands as a scene of your own.
+    other commands as a scene of your own. With a name and --specimen-stl, write its root as a closed surface.
 
     Parameters
     ----------
@@ -20,6 +27,8 @@ def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, out
         A scene's name, or a scene file: write a copy of it.
     copy : Path, optional
         File to write the copy to (TOML), every key with its unit, range and why; must not exist yet.
+    specimen_stl : Path, optional
+        File to write the scene's specimen to (STL, mm, canister frame), for a 3D printer; must not exist yet.
     keys : bool
         Print the reference of all keys of scene files (Markdown).
 
@@ -29,19 +38,27 @@ def scenes(name: SceneName | None = None, /, *, copy: Annotated[Path | None, out
     rhizotwin scenes sphere_20mm -o my_scene.toml
     rhizotwin simulate my_scene.toml -o my_dataset
     rhizotwin scenes --keys
+    rhizotwin scenes printed_8ml --specimen-stl my_part.stl
     """
     if keys:
-        if name is not None or copy is not None:
-            raise UserError("--keys prints the keys of every scene file; leave the scene and -o out")
+        if name is not None or copy is not None or specimen_stl is not None:
+            raise UserError("--keys prints the keys of every scene file; leave the scene, -o and --specimen-stl out")
         print(explained.page(), end="")
         return
-    if (name is None) != (copy is None):
-        raise UserError("give both a scene and -o FILE to write a copy of a scene's file, or neither to list the library")
+    if (name is None) != (copy is None and specimen_stl is None):
+        raise UserError("give a scene with -o FILE or --specimen-stl FILE to write it or its specimen, or none of them to list the library")
+    for path in (copy, specimen_stl):
+        if path is not None and path.exists():
+            raise UserError(f"{path} exists already; choose another name")
+    if name is not None and specimen_stl is not None:
+        from rhizotwin.printable import write_specimen_stl
+
+        for line in write_specimen_stl(name, specimen_stl):
+            print(line)
     if name is not None and copy is not None:
-        if copy.exists():
-            raise UserError(f"{copy} exists already; choose another name")
         files.save_scene(files.load_scene(name), copy, new=True)
         print(f"wrote {copy}; change it, then try: rhizotwin simulate {copy} -o my_dataset")
+    if name is not None:
         return
     for title, rows in (("scenes", files.library()), ("profiles (simulate --profile)", files.profiles())):
         width = max((len(row[0]) for row in rows), default=0)

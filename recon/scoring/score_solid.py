@@ -1,0 +1,164 @@
+"""Score a result against what is known of the specimen from elsewhere: a solid's file, or a volume that was measured."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result_files import Json, Mesh
+from rhizotwin.recon.scoring.registration import register
+from rhizotwin.recon.scoring.score_shape import SurfaceScore, compare_surfaces
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.said import between_ml, ml
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeScore:
+    """A result's volume against the true one. Errors are signed fractions: found / true - 1."""
+
+    scene: str
+    volume_mm3: float
+    volume_true_mm3: float
+    volume_error: float
+    volume_interval_mm3: tuple[float, float]
+    """The result's 90 % interval."""
+    interval_holds_truth: bool
+    volume_trusted: bool
+    volume_verdict: str
+
+    def to_dict(self) -> Json:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """Return the score as lines of text for the terminal."""
+        return table_of(f"{self.scene}, against a volume that was given", volume_rows(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolidScore(VolumeScore):
+    """A result against the solid that was scanned, laid onto it."""
+
+    extents_mm: Triple
+    """Size of the bounding box along x, y, z of the canister frame."""
+    extents_true_mm: Triple
+    """The solid's, where it was laid."""
+    extents_error: Triple
+    surface: SurfaceScore
+    result_from_solid: tuple[tuple[float, ...], ...]
+    """(4, 4) rigid: where the solid was laid."""
+
+    def table(self) -> str:
+        """Return the score as lines of text for the terminal."""
+        rows = [*volume_rows(self), *extent_rows(self.extents_mm, self.extents_true_mm, self.extents_error), *surface_rows(self.surface)]
+        return table_of(f"{self.scene}, against a solid that was laid onto it", rows)
+
+
+def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
+    """Score a result against a volume that was measured, by displacement or weight.
+
+    Raises
+    ------
+    UserError
+        If the volume is not positive, or the result's folder cannot be read.
+    """
+    if not (np.isfinite(volume_mm3) and volume_mm3 > 0.0):
+        raise UserError(f"a volume of {volume_mm3:g} mm3 cannot be compared with; give one above 0")
+    found = result if isinstance(result, Result) else load_result(result)
+    return VolumeScore(**volume_fields(found, volume_mm3))
+
+
+def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) -> SolidScore:
+    """Score a result against the solid that was scanned, wherever the solid's file has it: it is laid onto the result first.
+
+    Parameters
+    ----------
+    result : Result or path
+        As it was reconstructed, or its folder.
+    solid : Mesh
+        Closed, mm, anywhere and turned anyhow.
+    volume_mm3 : float
+        Of the solid.
+
+    Raises
+    ------
+    UserError
+        If the result's folder cannot be read.
+    """
+    found = result if isinstance(result, Result) else load_result(result)
+    shape = Mesh(vertices_mm=np.asarray(found.solid.mesh.vertices, np.float64), faces=np.asarray(found.solid.mesh.faces, np.int64))
+    laid = register(solid, shape)
+    extents_mm = np.subtract(found.solid.extents_max_mm, found.solid.extents_min_mm)
+    true_mm = np.ptp(laid.moved.vertices_mm, axis=0)
+    return SolidScore(
+        **volume_fields(found, volume_mm3),
+        extents_mm=triple(extents_mm),
+        extents_true_mm=triple(true_mm),
+        extents_error=triple(extents_mm / true_mm - 1.0),
+        surface=compare_surfaces(shape, laid.moved),
+        result_from_solid=tuple(tuple(float(value) for value in row) for row in laid.to_from_solid),
+    )
+
+
+def volume_fields(found: Result, volume_mm3: float) -> Json:
+    """Return the fields of a `VolumeScore`."""
+    low, high = found.interval_mm3
+    return {
+        "scene": found.scene,
+        "volume_mm3": found.volume_mm3,
+        "volume_true_mm3": volume_mm3,
+        "volume_error": found.volume_mm3 / volume_mm3 - 1.0,
+        "volume_interval_mm3": (low, high),
+        "interval_holds_truth": bool(low <= volume_mm3 <= high),
+        "volume_trusted": found.trusted,
+        "volume_verdict": found.verdict,
+    }
+
+
+def volume_rows(score: "VolumeScore") -> list[tuple[str, str]]:
+    """Return the lines of a table that tell of the volume."""
+    low, high = score.volume_interval_mm3
+    verdict = "holds" if score.interval_holds_truth else "misses"
+    found_ml, true_ml = (ml(value, half_mm3=0.5 * (high - low)) for value in (score.volume_mm3, score.volume_true_mm3))
+    return [
+        ("volume", f"{found_ml} ml, true {true_ml} ml: {percent(score.volume_error)}"),
+        ("  90 % interval", f"{between_ml(low, high)}, {verdict} the truth"),
+        ("  trusted", "yes" if score.volume_trusted else f"no, {score.volume_verdict}"),
+    ]
+
+
+def extent_rows(found_mm: Triple, true_mm: Triple, errors: Triple) -> list[tuple[str, str]]:
+    """Return the lines of a table that tell of the bounding box."""
+    each = zip("xyz", found_mm, true_mm, errors, strict=True)
+    return [(f"extent {axis}", f"{found:.2f} mm, true {true:.2f} mm: {percent(error)}") for axis, found, true, error in each]
+
+
+def surface_rows(s: SurfaceScore) -> list[tuple[str, str]]:
+    """Return the lines of a table that tell of the surfaces."""
+    return [
+        ("surface distance", f"median {s.median_mm:.3f} mm, 95 % {s.p95_mm:.3f} mm"),
+        ("  result to truth", f"median {s.result_to_truth_median_mm:.3f} mm, 95 % {s.result_to_truth_p95_mm:.3f} mm"),
+        ("  truth to result", f"median {s.truth_to_result_median_mm:.3f} mm, 95 % {s.truth_to_result_p95_mm:.3f} mm"),
+    ]
+
+
+def table_of(title: str, rows: Sequence[tuple[str, str]]) -> str:
+    """Return rows of names and texts under a title."""
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join([title, "=" * len(title), *(f"{name:<{width}}{text}".rstrip() for name, text in rows)])
+
+
+def percent(fraction: float) -> str:
+    """Return a signed percentage."""
+    return f"{100.0 * fraction:+.2f} %"
+
+
+def triple(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Triple:
+    """Return three numbers as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,89 @@
+"""Raw pictures: a DNG of known light, written by tifffile, comes back as that light, and an import of it says that it is light."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from rhizotwin import raw_pictures
+from rhizotwin.importer import import_pictures
+from rhizotwin.raw_pictures import read_raw
+from rhizotwin.scenes import transfer
+from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Scene
+
+WH = (96, 64)
+BLACK, WHITE = 256, 4095
+GAINS = 2.0, 1.5
+
+
+def light() -> np.ndarray:
+    """Return a ramp with a dark bar, as blocks of 2x2 raw pixels see it."""
+    ramp = np.tile(np.linspace(0.1, 0.45, WH[0] // 2), (WH[1] // 2, 1))
+    ramp[:, 20:24] = 0.02
+    return ramp
+
+
+def write_dng(path: Path, *, pattern: bytes = bytes([2, 1, 1, 0]), wh: tuple[int, int] = WH, **more: object) -> None:
+    """Write a 12-bit DNG of the ramp, of a sensor whose red and blue are weak by the gains (TIFF/EP and DNG 1.4 tags)."""
+    colour = {0: 1.0 / GAINS[0], 1: 1.0, 2: 1.0 / GAINS[1]}
+    shares = light()[: wh[1] // 2, : wh[0] // 2]
+    raw = np.zeros((wh[1], wh[0]), np.uint16)
+    for place, kind in enumerate(pattern):
+        raw[place // 2 :: 2, place % 2 :: 2] = np.rint(BLACK + shares * colour[kind] * (WHITE - BLACK))
+    neutral = [10000 * number // 10000 for number in (5000, 10000, 10000, 10000, 6667, 10000)]
+    tags = [
+        (33421, 3, 2, (2, 2), True),  # CFARepeatPatternDim
+        (33422, 1, 4, pattern, True),  # CFAPattern
+        (50706, 1, 4, (1, 4, 0, 0), True),  # DNGVersion
+        (50708, 2, 0, "test", True),  # UniqueCameraModel
+        (50714, 4, 1, BLACK, True),  # BlackLevel
+        (50717, 4, 1, WHITE, True),  # WhiteLevel
+        (50721, 10, 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),  # ColorMatrix1: the identity
+        (50728, 5, 3, neutral, True),  # AsShotNeutral
+        (50778, 3, 1, 21, True),  # CalibrationIlluminant1: D65
+    ]
+    tifffile.imwrite(path, raw, photometric=32803, extratags=tags, metadata=None, **more)
+
+
+def test_a_raw_picture_is_the_light_that_made_it(tmp_path: Path) -> None:
+    write_dng(tmp_path / "a.dng")
+    found, gains = read_raw(tmp_path / "a.dng", image_wh=(WH[0] // 2, WH[1] // 2))
+    assert gains == pytest.approx(GAINS, rel=1e-3)
+    assert found / 65535.0 == pytest.approx(light(), abs=4e-4)
+
+
+def test_an_import_stores_light_whatever_the_scene_states(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("a.dng", "b.dng"):
+        write_dng(tmp_path / "in" / name)
+    scene = Scene(camera=replace(Camera().resized((WH[0] // 2, WH[1] // 2)), transfer="srgb"))
+    made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
+    dataset = load_dataset(made.dataset.folder)
+    stored = (dataset.folder / dataset.frames[0].file).read_bytes()
+    assert transfer.stated_in(stored) == transfer.LINEAR
+    assert read_image(dataset, dataset.frames[0]) / 65535.0 == pytest.approx(light(), abs=4e-4)
+    assert any("they are light" in note for note in made.notes)
+
+
+def test_what_is_no_raw_picture_for_the_scene_is_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_dng(tmp_path / "a.dng")
+    with pytest.raises(UserError, match="make no whole blocks"):
+        read_raw(tmp_path / "a.dng", image_wh=WH)
+    (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:400])
+    with pytest.raises(UserError, match="cannot be read as a raw picture"):
+        read_raw(tmp_path / "b.dng", image_wh=(WH[0] // 2, WH[1] // 2))
+    monkeypatch.setattr(raw_pictures, "find_spec", lambda _: None)
+    with pytest.raises(UserError, match="pip install"):
+        read_raw(tmp_path / "a.dng", image_wh=(WH[0] // 2, WH[1] // 2))
+
+
+def test_raw_and_other_pictures_are_not_mixed(tmp_path: Path) -> None:
+    write_dng(tmp_path / "a.dng")
+    cv2.imwrite(str(tmp_path / "b.png"), np.zeros((WH[1] // 2, WH[0] // 2), np.uint8))
+    with pytest.raises(UserError, match="one kind"):
+        import_pictures(tmp_path, Scene(camera=Camera().resized((WH[0] // 2, WH[1] // 2))), tmp_path / "out")
