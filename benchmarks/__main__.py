@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cases, gate, scatter
+from benchmarks import cases, gate, mixtures, scatter
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
@@ -95,6 +95,11 @@ def parser() -> argparse.ArgumentParser:
     compared.add_argument("--quick", action="store_true", help="small jobs, under two minutes a pair")
     compared.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     compared.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the ratios as JSON, too")
+    mixed = what.add_parser("mixtures", help=_MIXTURES, description=_MIXTURES)
+    mixed.add_argument("--count", type=int, default=mixtures.COUNT, metavar="N", help="default: %(default)s")
+    mixed.add_argument("--first", type=int, default=0, metavar="K", help="begin with this one (default: %(default)s)")
+    mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
@@ -113,6 +118,7 @@ def _add_scaling(one: argparse.ArgumentParser) -> None:
     one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every point as JSON, too")
 
 
+_MIXTURES = "small drawn plants with drawn troubles: how often the interval of trusted scans holds; a stopped run goes on where it stopped"
 _SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
 
 
@@ -205,6 +211,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _scatter(given)
         if given.what == "scaling":
             return _scaling(given)
+        if given.what == "mixtures":
+            return _mixtures(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -212,6 +220,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
+
+
+def _mixtures(given: argparse.Namespace) -> int:
+    if given.count < 1 or given.first < 0:
+        raise UserError("--count must be 1 or more, and --first 0 or more")
+    records = mixtures.measure(range(given.first, given.first + given.count), device=given.device, say=say)
+    say("\n" + mixtures.table(records))
+    output = given.output or _results() / "mixtures.json"
+    stored = {"about": about(argparse.Namespace(what="mixtures", quick=False, device=given.device)), "records": records}
+    atomic.write_json(output, stored | {"summary": mixtures.summary(records)})
+    atomic.write_text(output.with_suffix(".md"), mixtures.table(records))
+    say(f"every number: {output}")
+    return 1 if any("crashed" in record for record in records) else 0
 
 
 def _compare(given: argparse.Namespace) -> int:

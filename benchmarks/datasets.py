@@ -6,15 +6,15 @@ known into the truth (`TRUTH_ONLY`) are not in the key: where they changed, the 
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from benchmarks import cache
-from benchmarks.cases import Pictures
 from rhizotwin import sources
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import load_truth, save_truth
 
@@ -25,6 +25,21 @@ TRUTH = ("rhizotwin.sim.truth",)
 
 SAME_VOLUME = 1e-9
 """Relative difference of two volumes of one solid: its sums may be taken in another order."""
+
+
+class Pictures(Protocol):
+    """A dataset to render: `benchmarks.cases.Pictures`, `benchmarks.mixtures.Mixture`."""
+
+    @property
+    def profile(self) -> str:
+        """Where the disturbances come from."""
+
+    @property
+    def seed(self) -> int:
+        """Of all that the renderer draws."""
+
+    def scene_to_render(self) -> Scene:
+        """Return the scene."""
 
 
 def settings(pictures: Pictures) -> dict[str, Any]:

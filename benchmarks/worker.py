@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.cases import METHODS, Pictures
+from benchmarks.mixtures import Mixture
 
 ROOT = Path(__file__).resolve().parent.parent
 LAST_WORDS = 4000
@@ -48,9 +49,11 @@ def pictures_as_text(pictures: Pictures) -> str:
     return json.dumps(asdict(pictures))
 
 
-def pictures_of(text: str) -> Pictures:
+def pictures_of(text: str) -> Pictures | Mixture:
     """Return the pictures that an argument describes."""
     plain = json.loads(text)
+    if "mixture" in plain:
+        return Mixture(number=plain["mixture"])
     return Pictures(**{**plain, "image_wh": tuple(plain["image_wh"])})
 
 
@@ -79,7 +82,7 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
     return {"stages": read_summary(working / "result")["timings_s"]}
 
 
-def dataset(pictures: Pictures) -> dict[str, Any]:
+def dataset(pictures: Pictures | Mixture) -> dict[str, Any]:
     """Put a dataset into the cache."""
     from benchmarks import datasets
 
@@ -96,6 +99,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from benchmarks import perturb
     from benchmarks.thesis import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
+    from rhizotwin.recon.results.result_files import read_summary
     from rhizotwin.recon.scoring import score as scoring
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.provenance import peak_memory_mib
@@ -120,7 +124,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     found = scoring.score(working / "result", dataset_folder).to_dict()
     if found["masks"]:
         del found["masks"]["per_view"]
-    return {**taken, "score": found}
+    return {**taken, "score": found, "checks": read_summary(working / "result").get("checks", [])}
 
 
 def projection() -> dict[str, Any]:

@@ -96,6 +96,13 @@ def outer_opacity(
     return np.asarray(np.maximum(turns, seam[None, :]), np.float32)
 
 
+def near(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
+    """Return 1 where something is painted within a square that reaches so many texels to each side, round the wall's turn, else 0."""
+    side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
+    painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
+    return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
+
+
 def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
     """Draw the algae films: 2 to 8 mm in radius, half to all of the profile's opacity, anywhere on the wetted wall."""
     wrong = scene.disturbances

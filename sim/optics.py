@@ -21,20 +21,29 @@ from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import World
 
-SPECIMEN, HAIRS = "specimen", "hairs"
+SPECIMEN, HAIRS, OUTER_DIRT = "specimen", "hairs", "outer_dirt"
 STRIP = "strip"
 ROOT_REFLECTANCE = 0.35
 FELT_REFLECTANCE = 0.02
 FLOOR_REFLECTANCE = 0.10
 ALGAE_GAP_MM = 0.05
 OUTER_GAP_MM = 0.05
+DIRT_TEXEL_MM = 0.1
 OVAL_SIDES = 1440
 """Sides of an oval wall: the facets lie within 0.2 um of it, and its normals are the oval's own."""
 TURBID_ALBEDO = 0.7
 TURBID_FORWARD = 0.9
 
 
-def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, lamps: bool = True) -> mi.Scene:
+def build(
+    scene: Scene,
+    world: World,
+    solid: SpecimenSolid | None,
+    hairs: Sleeve | None = None,
+    *,
+    lamps: bool = True,
+    dirt_reach_mm: float | None = None,
+) -> mi.Scene:
     """Return the Mitsuba scene of a world, without a sensor.
 
     Parameters
@@ -47,6 +56,8 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve
         What the specimen's hairs reach.
     lamps : bool
         With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for all views.
+    dirt_reach_mm : float or None
+        The outside is opaque this far about all dirt, so that rays at this distance from each other cannot miss any; None: dirt as it is.
     """
     water, wrong = _water_medium(scene), scene.disturbances
     items: dict[str, Any] = {"type": "scene"}
@@ -57,7 +68,7 @@ def build(scene: Scene, world: World, solid: SpecimenSolid | None, hairs: Sleeve
     if lamps:
         items |= lights.lights(scene, world)
     if wrong.seam_opacity > 0.0 or wrong.dust_specks or wrong.scratches:
-        items["outer_dirt"] = _outer_dirt(scene, world)
+        items[OUTER_DIRT] = _outer_dirt(scene, world, dirt_reach_mm)
     if world.algae:
         items["algae"] = _algae(scene, world)
     for number, bubble in enumerate(world.bubbles):
@@ -178,8 +189,8 @@ def _bubble(bubble: dirt.Bubble, n_water: float, water: Any) -> dict[str, Any]:
     return ball | ({"exterior": water} if water is not None else {})
 
 
-def _outer_dirt(scene: Scene, world: World) -> dict[str, Any]:
-    """Return dust, scratches and seam as a film just outside the canister."""
+def _outer_dirt(scene: Scene, world: World, reach_mm: float | None) -> dict[str, Any]:
+    """Return dust, scratches and seam as a film just outside the canister, or all that is near to them."""
     radius_mm = world.canister.outer_radius_mm + scene.disturbances.canister_out_of_round_mm + OUTER_GAP_MM
     z_range_mm = (scene.canister.floor_z_mm, scene.net_pot.skirt_bottom_mm)
     opacity = dirt.outer_opacity(
@@ -188,8 +199,10 @@ def _outer_dirt(scene: Scene, world: World) -> dict[str, Any]:
         seam_opacity=scene.disturbances.seam_opacity,
         radius_mm=radius_mm,
         z_range_mm=z_range_mm,
-        mm_per_texel=0.1,
+        mm_per_texel=DIRT_TEXEL_MM,
     )
+    if reach_mm is not None:
+        opacity = dirt.near(opacity, reach_texels=round(reach_mm / DIRT_TEXEL_MM))
     film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(FELT_REFLECTANCE)}}
     return _cylinder(radius_mm, *z_range_mm, film)
 

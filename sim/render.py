@@ -28,6 +28,9 @@ MAX_RAYS = 8_000_000
 """Rays a kernel launch: bounds memory on large sensors."""
 MAX_PATHS = 32_000_000
 """The same for path tracing, whose kernels keep nothing but the picture."""
+DIRT_REACH_PX = 3.0
+"""Dirt this many pixels (of those on the farthest wall, blur added) from a ray is looked for: at the flanks, where the wall is seen
+at 70 degrees, a pixel spans three."""
 MOST_BEND = 1e-3
 """Second difference of light between pixels' corners, in full scale, up to which a pixel is smooth: the mean of four corners is off by a
 twelfth of it in each direction."""
@@ -85,7 +88,6 @@ class Renderer:
         if solid is not None and wrong.sway_mm > 0.0:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
             self.hanging = [optics.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
-        self.is_dusty = bool(wrong.dust_specks or wrong.scratches)
         media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
@@ -100,6 +102,11 @@ class Renderer:
         self.backlit = Backlit(dark_scene, self.lamps, specimen=optics.SPECIMEN, media=media, room=room)
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)
+        self.near_dirt: Backlit | None = None
+        if wrong.dust_specks or wrong.scratches:  # finer than pixels
+            reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.focal_px)
+            empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
+            self.near_dirt = Backlit(empty, self.lamps, specimen=optics.OUTER_DIRT, media=False)
         self.sensors = [
             mi.load_dict(
                 sensor.sensor_dict(
@@ -152,7 +159,7 @@ class Renderer:
         for built in (self.backlit.scene, *([self.lit_scene] if self.fidelity == "path" else [])):
             tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
         image, coverage, mixed = self._smooth(eye)
-        self._refine(eye, image, coverage, mixed | self.is_dusty)  # specks and scratches are finer than pixels
+        self._refine(eye, image, coverage, mixed)
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
             image = self._traced(eye, stream)
@@ -191,6 +198,9 @@ class Renderer:
             edges |= (found > 0) & (found < len(BETWEEN))
             edges |= _around(found, 1, cv2.dilate) != _around(found, 1, cv2.erode)
         mixed = _around(edges.astype(np.uint8), 1 + int(np.ceil(self.blur_px)), cv2.dilate) > 0
+        if self.near_dirt is not None:
+            dirty = self.near_dirt.follow(ray).coverage
+            mixed |= _of_corners(np.array(dirty).reshape(shape), np.maximum) > 0
         if self.fidelity == "backlit":
             mixed |= _of_corners(np.maximum(_bend(light), np.array(on_strip).reshape(shape)), np.maximum) > MOST_BEND
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
