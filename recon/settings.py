@@ -139,8 +139,10 @@ class TrustSettings:
     """Outer radius of the canister over the drawing's, less one, that is left after it was corrected: a lens as strong
     by so much less."""
     edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
-    """The canister's edges about a circle (mm, median): a tube half a millimetre out of round (0.25 either way) has 0.1
-    to 0.18."""
+    """The canister's edges about an oval (mm, median)."""
+    oval_mm: tuple[float, float] = bounded((0.12, 0.3), 0.0, 10.0)
+    """Half the difference between the canister's radii (mm). A wall that leans by 2 e / R bends a ray by a quarter of that
+    (index 1.33), which moves a root on the axis by e / 2: as much as ``sway_mm`` allows roots to move."""
     left_out: tuple[float, float] = bounded((0.1, 0.34), 0.0, 1.0)
     """Share of the pictures that could not be used."""
     gap_deg: tuple[float, float] = bounded((30.0, 75.0), 0.0, 360.0)

@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
-from rhizotwin.recon.uncertainty import shape_checks, sight, solid_doubt, structure, tube_doubt
+from rhizotwin.recon.uncertainty import canister_doubt, shape_checks, sight, solid_doubt, structure, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
@@ -178,9 +178,18 @@ def _budget(
         *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
+        canister_doubt.canister(
+            carved.cameras.views, carved.bank.optics, leaves, volume_mm3, radius_excess_mm=_radius_excess_mm(carved.cameras)
+        ),
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill)
+
+
+def _radius_excess_mm(cameras: Cameras) -> float | None:
+    """Return how much farther out than drawn the canister's edges are; None where they were not seen."""
+    pose = None if cameras.markers is None else cameras.markers.canister
+    return None if pose is None else pose.radius_excess_mm
 
 
 def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:

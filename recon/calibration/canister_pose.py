@@ -5,7 +5,8 @@ line of sight that touches the outer wall passes the canister's axis at exactly 
 the water do (Bouguer's invariant at
 |b| = R_o): inside of it the picture is black (grazing light is reflected away), outside it shows the bare panel. All
 edges of all views in one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o
-(blur, a canister of another size) is common to all and found with it.
+(blur, a canister of another size) is common to all and found with it, and so is how far the wall is from
+round: the support of an oval with radii R + e and R - e is R + e cos 2(azimuth - its own) to first order in e / R.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,10 +37,11 @@ LEAST_RISE = 0.25
 """An edge must rise by this share of the brightness outside of it within three pixels."""
 LEAST_EDGES = 200
 """Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
-_SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1])
+_SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1])
 """Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm."""
-PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0])
-"""How misaligned a net pot may stand (rad, mm), and how far the edges may lie from the nominal radius (mm)."""
+PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25])
+"""How misaligned a net pot may stand (rad, mm), how far the edges may lie from the nominal radius (mm), and how far
+from round cast tube is sold (half a millimetre between largest and smallest diameter)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +54,10 @@ class CanisterPose:
     """(4,) standard deviations: tilt about x, y (deg), offset x, y (mm)."""
     radius_excess_mm: float
     """How far the edges lie outside the nominal radius."""
+    oval_mm: float
+    """Half the difference between the largest and the smallest outer radius."""
+    oval_deg: float
+    """Azimuth of the largest, 0 to 180."""
     edges: int
     before_mm: float
     """Median distance of the edges from where a canister that stands true in the strip would have them."""
@@ -90,12 +96,13 @@ def find_canister(
     def distances(unknown: Array) -> Array:
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
         start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
-        return np.asarray(_from_axis(start, along) - radius_mm)
+        away_mm, azimuth = _from_axis(start, along)
+        return np.asarray(away_mm - radius_mm - unknown[5] * np.cos(2.0 * azimuth) - unknown[6] * np.sin(2.0 * azimuth))
 
     def residuals(unknown: Array) -> Array:
         return np.concatenate([distances(unknown) - unknown[4], unknown / PRIOR * settings.edge_mm / np.sqrt(len(origin))])
 
-    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=settings.edge_mm, x_scale=_SCALE)
+    fit = least_squares(residuals, np.zeros(7), loss="cauchy", f_scale=settings.edge_mm, x_scale=_SCALE)
     left = distances(fit.x) - fit.x[4]
     spread_mm = MAD * float(np.median(np.abs(left)))
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
@@ -104,21 +111,24 @@ def find_canister(
     jacobian = fit.jac[: len(left)][near]
     covariance = np.linalg.inv(jacobian.T @ jacobian) * spread_mm**2
     sigma = np.sqrt(np.diag(covariance))[:4]
-    straight = distances(np.zeros(5))[near]
+    straight = distances(np.zeros(7))[near]
     return CanisterPose(
         canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),
         sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         radius_excess_mm=float(fit.x[4]),
+        oval_mm=float(np.hypot(fit.x[5], fit.x[6])),
+        oval_deg=float(np.rad2deg(0.5 * np.arctan2(fit.x[6], fit.x[5])) % 180.0),
         edges=int(near.sum()),
         before_mm=float(np.median(np.abs(straight - np.median(straight)))),
         after_mm=float(np.median(np.abs(left[near]))),
     )
 
 
-def _from_axis(start: Array, along: Array) -> Array:
-    """Return the distance of lines (N, 3), (N, 3) from the z axis."""
+def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
+    """Return the distance (N,) of lines (N, 3), (N, 3) from the z axis, and the azimuth (N,) at which they pass it."""
     cross = start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]
-    return np.asarray(np.abs(cross) / np.hypot(along[:, 0], along[:, 1]))
+    azimuth = np.arctan2(-along[:, 0] * cross, along[:, 1] * cross)
+    return np.abs(cross) / np.hypot(along[:, 0], along[:, 1]), azimuth
 
 
 def _edge_lines(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:

@@ -59,6 +59,8 @@ def _of_markers(found: MarkerCalibration) -> Json:
             "before_mm": canister.before_mm,
             "after_mm": canister.after_mm,
             "radius_excess_mm": canister.radius_excess_mm,
+            "oval_mm": canister.oval_mm,
+            "oval_deg": canister.oval_deg,
         },
         "reprojection_before_px": found.before_px,
         "reprojection_after_px": found.after_px,

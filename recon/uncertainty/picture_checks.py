@@ -105,8 +105,11 @@ def of_canister(pose: CanisterPose | None, canister: Canister, trust: TrustSetti
         said = f"the canister's edges lie {pose.radius_excess_mm:+.2f} mm from its drawing"
         advice = "measure its outer diameter (and its wall) with callipers and put them into the scene"
         return judged("canister", share, "share", trust.radius_share, said, advice)
-    said = f"the canister's edges lie {pose.after_mm:.3f} mm (median) about a circle"
-    return judged("canister", pose.after_mm, "mm", trust.edge_mm, said, "the tube is out of round: take another")
+    if state_of(pose.oval_mm, *trust.oval_mm) != "good":
+        said = f"the canister is an oval whose radius is {pose.oval_mm:.2f} mm larger one way and smaller across"
+        return judged("canister", pose.oval_mm, "mm", trust.oval_mm, said, "take another tube, or stiffen it with a ring")
+    said = f"the canister's edges lie {pose.after_mm:.3f} mm (median) about a circle, {pose.oval_mm:.2f} mm of oval taken off"
+    return judged("canister", pose.after_mm, "mm", trust.edge_mm, said, "the tube is out of shape: take another")
 
 
 def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:

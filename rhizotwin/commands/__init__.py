@@ -5,13 +5,13 @@ typed; what takes time to load (Mitsuba, SciPy, ...) is imported inside the func
 """
 
 COMMANDS = {
-    "scenes": "List the scenes and profiles that come with the program, or write a copy of one.",
+    "scenes": "List the scenes and profiles that come with the program, write a copy of one, or its specimen to be printed.",
     "simulate": "Render a scene to a dataset, with its truth.",
     "reconstruct": "Find the root's shape and volume in a dataset's pictures.",
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
     "batch": "Reconstruct many scans, here or on a cluster.",
     "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
-    "score": "Compare a result with the truth of a simulated dataset.",
+    "score": "Compare a result with the truth: of a simulated dataset, of the part that was scanned, or a volume that was measured.",
     "view": "Look at results in a browser, and correct them.",
     "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",

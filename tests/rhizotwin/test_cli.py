@@ -121,7 +121,12 @@ MISTAKES = [
     Mistake("import no_such_folder --scene sphere_20mm -o d", "no_such_folder"),
     Mistake("import pictures -o d", "--scene"),
     Mistake("score no_such_result no_such_dataset", "no_such_result"),
+    Mistake("score no_such_result", "--volume-ml"),
+    Mistake("score no_such_result --truth a.stl --volume-ml 8", "give one thing"),
+    Mistake("score no_such_result --truth no_such.stl", "no_such.stl"),
+    Mistake("score no_such_result --volume-ml 0", "--volume-ml"),
     Mistake("scenes sphere_20mm", "-o FILE"),
+    Mistake("scenes sphere_20mm --specimen-stl a.obj", ".stl"),
 ]
 
 

@@ -16,14 +16,19 @@ SCENE = Scene(camera=CAMERA, plan=CapturePlan(rings=(Ring(views=7, height_mm=-60
 TRUE = frames.from_rotvec(np.deg2rad([0.4, -0.3, 0.0]), np.array([0.7, -0.5, 0.0]))
 
 
-def picture(cam_from_canister: np.ndarray, *, radius_mm: float, noise: float, rng: np.random.Generator) -> np.ndarray:
+def picture(cam_from_canister: np.ndarray, *, radius_mm: float, oval: complex, noise: float, rng: np.random.Generator) -> np.ndarray:
     """Draw the bare panel outside the wall, darkness at the edge and a brighter middle inside."""
     width, height = CAMERA.image_wh
     px = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
     undone = cv2.undistortPoints(px, matrix(CAMERA), np.array(CAMERA.distortion)).reshape(-1, 2)
     rays = np.concatenate([undone, np.ones((len(undone), 1))], axis=1) @ cam_from_canister[:3, :3]
     start = frames.invert(cam_from_canister)[:3, 3]
-    distance = np.abs(start[0] * rays[:, 1] - start[1] * rays[:, 0]) / np.hypot(rays[:, 0], rays[:, 1]) - radius_mm
+    heading = rays[:, :2] / np.hypot(rays[:, 0], rays[:, 1])[:, None]
+    foot = start[:2] - (heading @ start[:2])[:, None] * heading
+    # the support of an ellipse with semi-axes R + e and R - e, its longer one turned to half the phase of ``oval``
+    across = np.arctan2(foot[:, 1], foot[:, 0]) - np.angle(oval) / 2.0
+    support = np.hypot((radius_mm + abs(oval)) * np.cos(across), (radius_mm - abs(oval)) * np.sin(across))
+    distance = np.hypot(foot[:, 0], foot[:, 1]) - support
     mm_per_px = np.linalg.norm(start[:2]) / CAMERA.focal_px[0]
     outside = np.clip(distance / mm_per_px + 0.5, 0.0, 1.0)
     inside = 0.6 * np.sqrt(np.clip(-distance / radius_mm, 0.0, 1.0))
@@ -31,13 +36,15 @@ def picture(cam_from_canister: np.ndarray, *, radius_mm: float, noise: float, rn
     return np.round(np.clip(light, 0.0, 1.0).reshape(height, width) * 65535.0).astype(np.uint16)
 
 
-def scan(*, seat: np.ndarray = TRUE, radius_mm: float = SCENE.canister.outer_radius_mm, noise: float = 0.0) -> tuple[list[View], list]:
+def scan(
+    *, seat: np.ndarray = TRUE, radius_mm: float = SCENE.canister.outer_radius_mm, noise: float = 0.0, oval: complex = 0.0
+) -> tuple[list[View], list]:
     """Return the cameras as the strip tells them and the pictures of the canister."""
     rng = np.random.default_rng(5)
     views, images = [], []
     for view in plan.views(SCENE):
         cam_from_canister = view.cam_from_rig @ plan.rig_from_table(SCENE, view.table_deg)
-        images.append(picture(cam_from_canister, radius_mm=radius_mm, noise=noise, rng=rng))
+        images.append(picture(cam_from_canister, radius_mm=radius_mm, oval=oval, noise=noise, rng=rng))
         views.append(View(camera=CAMERA, cam_from_canister=cam_from_canister @ seat))
     return views, images
 
@@ -55,10 +62,21 @@ def test_the_seat_is_found_within_its_own_uncertainty(noise, radius_mm):
     assert found.after_mm < 0.2 * found.before_mm
 
 
+def test_a_tube_out_of_round_is_told_with_its_direction():
+    views, images = scan(noise=0.01, oval=0.25 * np.exp(2j * np.deg2rad(35.0)))
+    found = find_canister(views, images.__getitem__, SCENE)
+    assert found.oval_mm == pytest.approx(0.25, abs=0.01)
+    assert found.oval_deg == pytest.approx(35.0, abs=2.0)
+    assert found.radius_excess_mm == pytest.approx(0.0, abs=0.05)
+    assert np.abs((frames.invert(TRUE) @ found.canister_from_strip)[:2, 3]).max() < 0.01
+    assert found.after_mm < 0.05
+
+
 def test_a_canister_that_stands_true_stays_where_it_is():
     views, images = scan(seat=np.eye(4), noise=0.01)
     found = find_canister(views, images.__getitem__, SCENE)
     np.testing.assert_allclose(found.canister_from_strip, np.eye(4), atol=0.005)
+    assert found.oval_mm < 0.01
 
 
 def test_no_edges_no_seat():

@@ -1,0 +1,115 @@
+"""What the canister as bought leaves open: the same pictures through another wall, radius or index are of another volume.
+
+Where pictures of points in the water are taken through one canister and read through another, each point is found elsewhere: where it
+agrees best with all views (one Gauss-Newton step, as the shifts are small). How a small cube about a point is stretched by that, the
+determinant of the map, is how its volume is misread; the mean over the shape is the error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.hull.carve import Leaves
+from rhizotwin.recon.optics.cameras import View, project_inner
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.uncertainty.budget import Term
+
+Array = NDArray[np.float64]
+
+WALL, N_WALL, RADIUS = 0.1, 0.002, 0.01
+"""Cast acrylic tube is sold within these: share of its wall, index (1.489 to 1.493), share of its radius."""
+EVENLY = 0.9
+"""What lies evenly within its limits is within this part of them in nine of ten."""
+EDGES = 0.001
+"""Share of the radius to which the canister's edges tell it, where they are seen: 0.32 mm found for 0.30 (`docs/decisions`)."""
+POINTS, VIEWS = 100, 12
+"""Of the shape and of the turn that are looked at: the map is smooth."""
+CUBE_MM = 1.0
+"""Edge of the cubes: far smaller than the map's bend."""
+STEP_MM = 1e-3
+"""Of the differences that give a pixel's gradient: double precision leaves it right to 1e-6."""
+
+
+def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, radius_excess_mm: float | None) -> Term:
+    """Return the term of a canister that is not as drawn.
+
+    Parameters
+    ----------
+    views : sequence of View
+        Of the scan.
+    optics : Optics
+        The canister as drawn.
+    leaves : Leaves
+        The shape.
+    volume_mm3 : float
+        Its volume.
+    radius_excess_mm : float or None
+        How much farther out than drawn its edges were found; None where they were not seen.
+    """
+    o = optics
+    wall_mm = o.outer_radius_mm - o.inner_radius_mm
+    off_mm = RADIUS * EVENLY * o.outer_radius_mm if radius_excess_mm is None else abs(radius_excess_mm) + EDGES * o.outer_radius_mm
+    sign = -1.0 if radius_excess_mm is not None and radius_excess_mm < 0.0 else 1.0
+    others = {
+        "its wall": replace(o, inner_radius_mm=o.inner_radius_mm - EVENLY * WALL * wall_mm),
+        "the index of its wall": replace(o, n_wall=o.n_wall + EVENLY * N_WALL),
+        "its radius": replace(o, outer_radius_mm=o.outer_radius_mm + sign * off_mm, inner_radius_mm=o.inner_radius_mm + sign * off_mm),
+    }
+    points = _points(leaves)
+    shares = {name: abs(misread(views, o, other, points)) for name, other in others.items()}
+    half = math.hypot(*shares.values()) * volume_mm3
+    worst = max(shares, key=lambda name: shares[name])
+    return Term(name="canister", less_mm3=half, more_mm3=half, why=f"the canister may differ from its drawing, most of all in {worst}")
+
+
+def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array) -> float:
+    """Return by which share a volume is found too large where the pictures were taken through another canister than is believed.
+
+    Parameters
+    ----------
+    views : sequence of View
+        Of the scan; some are looked at.
+    believed, true : Optics
+        What the pictures are read with, and what they were taken through.
+    points_mm : (N, 3) float64
+        Where the volume is, canister frame.
+    """
+    some = views[:: max(1, len(views) // VIEWS)]
+    corners = np.concatenate([points_mm + 0.5 * side * CUBE_MM * np.eye(3)[axis] for axis in range(3) for side in (-1.0, 1.0)])
+    found = corners + _shifts(some, believed, true, corners)
+    ends = found.reshape(3, 2, len(points_mm), 3)
+    stretch = np.linalg.det(((ends[:, 1] - ends[:, 0]) / CUBE_MM).transpose(1, 0, 2))
+    told = np.isfinite(stretch)
+    return float(stretch[told].mean() - 1.0) if told.any() else 0.0
+
+
+def _shifts(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array) -> Array:
+    """Return how far (N, 3) from where they are points are found; NaN where too few views see one."""
+    count = len(points_mm)
+    normal, side, votes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count, int)
+    for view in views:
+        here, there = project_inner(view, believed, points_mm), project_inner(view, true, points_mm)
+        gradient = np.stack(
+            [(project_inner(view, believed, points_mm + STEP_MM * axis) - here) / STEP_MM for axis in np.eye(3)], axis=-1
+        )  # (N, 2, 3)
+        away = there - here
+        seen = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
+        normal[seen] += np.einsum("nki,nkj->nij", gradient[seen], gradient[seen])
+        side[seen] += np.einsum("nki,nk->ni", gradient[seen], away[seen])
+        votes += seen
+    shift, enough = np.full((count, 3), np.nan), votes >= 3
+    shift[enough] = np.linalg.solve(normal[enough], side[enough][:, :, None])[:, :, 0]
+    return shift
+
+
+def _points(leaves: Leaves) -> Array:
+    """Return places (N, 3) of the shape, evenly by volume."""
+    weight = np.cumsum(leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3)
+    chosen = np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])
+    middle = leaves.index[chosen] + 0.5 * leaves.size[chosen][:, None]
+    return np.asarray(leaves.grid.origin_mm) + middle * leaves.grid.size_mm
