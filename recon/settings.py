@@ -141,8 +141,8 @@ class TrustSettings:
     edge_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
     """The canister's edges about an oval (mm, median)."""
     oval_mm: tuple[float, float] = bounded((0.12, 0.3), 0.0, 10.0)
-    """Half the difference between the canister's radii (mm). A wall that leans by 2 e / R bends a ray by a quarter of that
-    (index 1.33), which moves a root on the axis by e / 2: as much as ``sway_mm`` allows roots to move."""
+    """Half the difference between the canister's radii (mm). A wall that leans by 2 e / R bends a ray by a quarter of
+    that (index 1.33), which moves a root on the axis by e / 2: as much as ``sway_mm`` allows roots to move."""
     left_out: tuple[float, float] = bounded((0.1, 0.34), 0.0, 1.0)
     """Share of the pictures that could not be used."""
     gap_deg: tuple[float, float] = bounded((30.0, 75.0), 0.0, 360.0)

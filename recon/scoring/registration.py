@@ -1,7 +1,8 @@
-"""Lay one surface onto another by a turn and a shift, with nothing known of where it was: the printed part onto what was found of it.
+"""Lay one surface onto another by a turn and a shift, with nothing known of where it was.
 
-Iterated closest points (Besl and McKay 1992) from many starts, with distances to the other surface's tangent planes (Chen and Medioni
-1992), both ways at once, and less weight to what lies far off (Cauchy): missing roots and ghosts do not pull.
+So the printed part is laid onto what was found of it: iterated closest points (Besl and McKay 1992) from many starts,
+with distances to the other surface's tangent planes (Chen and Medioni 1992), both ways at once, and less weight to what
+lies far off (Cauchy): missing roots and ghosts do not pull.
 """
 
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ from rhizotwin.scenes import frames
 Floats = NDArray[np.float64]
 
 COARSE, MIDDLE, FINE = 500, 3_000, 20_000
-"""Points on each surface: to choose among the starts, among the best of them, and to settle the best. With 20 000 the error of a place
-that 0.1 mm of scatter leaves is 1 um."""
+"""Points on each surface: to choose among the starts, among the best of them, and to settle the best. With 20 000 the
+error of a place that 0.1 mm of scatter leaves is 1 um."""
 TURNS = 12
 """Starts about each upright axis, 30 degrees apart: closest points find their way from half of that."""
 KEPT = 4
@@ -86,7 +87,10 @@ def _cloud(mesh: Mesh, count: int) -> _Cloud:
 
 
 def _starts(cloud: _Cloud, to: _Cloud) -> list[Floats]:
-    """Return poses (4, 4) to start from: principal axes laid on each other every proper way, and turns about the upright, either end up."""
+    """Return poses (4, 4) to start from.
+
+    Principal axes laid on each other in every proper way, and turns about the upright, either end up.
+    """
     middle, middle_to = cloud.points.mean(axis=0), to.points.mean(axis=0)
     axes, axes_to = (np.linalg.svd(one.points - one.points.mean(axis=0), full_matrices=False)[2].T for one in (cloud, to))
     turns = []

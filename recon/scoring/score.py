@@ -34,7 +34,6 @@ from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_ma
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
 

@@ -1,4 +1,4 @@
-"""Score a result against what is known of the specimen from elsewhere: a solid's file, or a volume that was measured."""
+"""Score a result against what is known from elsewhere: a solid's file, or a volume that was measured."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -74,7 +74,7 @@ def score_volume(result: Result | Path | str, volume_mm3: float) -> VolumeScore:
 
 
 def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) -> SolidScore:
-    """Score a result against the solid that was scanned, wherever the solid's file has it: it is laid onto the result first.
+    """Score a result against the solid that was scanned, which is laid onto the result first.
 
     Parameters
     ----------
