@@ -1,0 +1,86 @@
+"""Drawings show what is seen at its true size; files hold the solids; the wiring names the pins of the rig file."""
+
+import io
+
+import numpy as np
+import pytest
+import trimesh
+from manifold3d import Manifold
+
+from rhizotwin.building import wiring
+from rhizotwin.building.drawings import part_page
+from rhizotwin.building.line_drawing import CORNER, FRONT, TOP, draw
+from rhizotwin.building.measures import Measures, load_measures
+from rhizotwin.building.mounts import board_stand
+from rhizotwin.building.write import stl_bytes
+from rhizotwin.rig.printing.print_page import Text
+from rhizotwin.rig.rig_file import HatPart
+from rhizotwin.scenes.board import CharucoBoard
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+
+CUBE = Manifold.cube((30.0, 20.0, 10.0))
+
+
+def length_mm(strokes: list[np.ndarray]) -> float:
+    return float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in strokes))
+
+
+def test_a_box_from_a_corner_shows_nine_of_its_twelve_edges() -> None:
+    axes = CORNER.axes[:2]
+    edges = [np.linalg.norm(axes @ vector) for vector in np.diag([30.0, 20.0, 10.0])]
+    assert length_mm(draw(CUBE, CORNER).strokes_mm) == pytest.approx(3.0 * sum(edges), rel=0.02)
+
+
+def test_a_box_from_the_front_is_a_rectangle() -> None:
+    drawn = draw(CUBE, FRONT)
+    np.testing.assert_allclose(drawn.size_mm, [30.0, 10.0])
+    inside = [line for line in drawn.strokes_mm if (np.abs(line - [15.0, 5.0]) < [14.0, 4.0]).all(axis=1).any()]
+    assert inside == []
+
+
+def test_what_is_behind_is_left_out() -> None:
+    behind = Manifold.compose([CUBE, Manifold.cube((4.0, 4.0, 4.0)).translate((10.0, 8.0, -8.0))])
+    assert length_mm(draw(behind, TOP).strokes_mm) == pytest.approx(length_mm(draw(CUBE, TOP).strokes_mm), rel=0.01)
+
+
+def test_a_part_says_its_dimensions_and_numbers() -> None:
+    part = board_stand(Scene(), CharucoBoard(), Measures(), -195.0)
+    texts = [ink.text for ink in part_page(part, title="a scene").parts if isinstance(ink, Text)]
+    assert any(text.startswith("board_stand    x2") for text in texts)
+    for dimension in part.dimensions:
+        length = np.linalg.norm(np.subtract(dimension.to_mm, dimension.from_mm))
+        assert f"{dimension.name} {length:.2f}" in texts
+
+
+def test_a_file_holds_the_closed_solid() -> None:
+    read = trimesh.load(io.BytesIO(stl_bytes(CUBE)), file_type="stl")
+    assert isinstance(read, trimesh.Trimesh)
+    assert read.is_watertight
+    assert read.volume == pytest.approx(6000.0)
+
+
+def test_the_hat_is_wired_as_the_rig_file_says() -> None:
+    hat = HatPart(step_pin=5, panel_pin=12)
+    starts = {wire.start: wire.end for wire in wiring.hat_diagram(hat).wires}
+    assert starts["Raspberry Pi", "GPIO5"] == ("DRV8825", "STEP")
+    assert starts["Raspberry Pi", "GPIO12"] == (wiring.SHIFTER, "1A")
+
+
+@pytest.mark.parametrize("diagram", [wiring.marlin_diagram(), wiring.hat_diagram(HatPart())], ids=["marlin", "hat"])
+def test_every_box_is_wired_and_every_pin_drawn(diagram: wiring.Diagram) -> None:
+    boxes = {end[0] for wire in diagram.wires for end in (wire.start, wire.end) if end[0]}
+    assert boxes == {*diagram.left, *diagram.right}
+    assert {wire.start[1] for wire in diagram.wires if not wire.start[0]} <= set(wiring.SUPPLIES)
+    texts = [ink.text for ink in wiring.page_of(diagram).parts if isinstance(ink, Text)]
+    for wire in diagram.wires:
+        assert wire.end[1] in texts
+
+
+def test_measures_of_ones_own(tmp_path) -> None:
+    path = tmp_path / "measures.toml"
+    path.write_text("fit_mm = 0.2\n")
+    assert load_measures(path) == Measures(fit_mm=0.2)
+    path.write_text("fitt_mm = 0.2\n")
+    with pytest.raises(UserError, match=r"line 1.*fitt_mm"):
+        load_measures(path)
