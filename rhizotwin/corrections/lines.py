@@ -138,8 +138,11 @@ def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[di
     gone : roots of which nothing stays.
     """
     changed, gone = dict(lines), []
-    for number, line in lines.items():
-        within = inside(line.points_mm)
+    if not lines:
+        return changed, gone
+    ends = np.cumsum([len(line.points_mm) for line in lines.values()])[:-1]
+    of_all = inside(np.concatenate([line.points_mm for line in lines.values()]))  # at once: asking may sort all voxels
+    for (number, line), within in zip(lines.items(), np.split(of_all, ends), strict=True):
         if not within.any():
             continue
         way, out = line.way_mm, np.flatnonzero(~within)
