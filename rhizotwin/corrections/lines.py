@@ -137,7 +137,7 @@ def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[di
     lines : what stays.
     gone : roots of which nothing stays.
     """
-    changed, gone = dict(lines), []
+    changed, gone = dict(lines), list[int]()
     if not lines:
         return changed, gone
     ends = np.cumsum([len(line.points_mm) for line in lines.values()])[:-1]
