@@ -23,7 +23,7 @@ from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
+from rhizotwin.recon.uncertainty import checks, picture_checks, root_doubt, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -101,7 +101,10 @@ def reconstruct(
     warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, monitor=monitor)
-    return replace(found, mass_g=mass_g)
+    with monitor.stage("compare roots"):
+        carved, lost = hull.carved, () if solid.volume.trusted else (solid.volume.verdict,)
+        told = root_doubt.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=lost)
+    return replace(found, mass_g=mass_g, estimates=told)
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:

@@ -16,6 +16,7 @@ from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.recon.uncertainty.root_doubt import Estimate
 from rhizotwin.scenes import rsml, subject
 
 
@@ -44,6 +45,7 @@ def load_result(folder: Path | str) -> Result:
         rig=summary.get("rig") or {},
         warnings=tuple(summary["warnings"]),
         checks=tuple(Check(**check) for check in summary.get("checks", ())),
+        estimates=tuple(Estimate(**{**told, "interval": tuple(told["interval"])}) for told in summary.get("estimates", ())),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
         peak_memory_mib=float(summary.get("peak_memory_mib") or 0.0),
         settings=summary.get("settings", {}),

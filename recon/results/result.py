@@ -30,6 +30,7 @@ from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, picture_path
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.recon.uncertainty.root_doubt import Estimate
 from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
@@ -109,6 +110,8 @@ class Result:
     warnings: tuple[str, ...]
     checks: tuple[Check, ...] = ()
     """What the scan passed or failed before its volume is trusted."""
+    estimates: tuple[Estimate, ...] = ()
+    """Length, tips and mean diameter, each with an interval and a verdict of its own; empty where no roots were found."""
     timings_s: dict[str, float]
     """Seconds that each stage took."""
     peak_memory_mib: float
@@ -192,6 +195,7 @@ class Result:
             "volume_trusted": volume.trusted,
             "volume_verdict": volume.verdict,
             "checks": [asdict(check) for check in self.checks],
+            "estimates": [asdict(estimate) for estimate in self.estimates],
             "volume_budget": [asdict(term) for term in volume.terms],
             "hull_mm3": solid.hull_mm3,
             "untrimmed_mm3": solid.untrimmed_mm3,

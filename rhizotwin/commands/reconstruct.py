@@ -83,6 +83,8 @@ def reconstruct(
     print(f"volume {found}, 90 % interval {interval}; {used} of {len(summary['views'])} views used")
     if progress.quiet:
         return
+    for line in words.roots_told(summary):
+        print(line)
     if summary["volume_trusted"]:
         for sentence in words.budget(summary)[:1]:
             print(sentence)

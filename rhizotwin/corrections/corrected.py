@@ -96,6 +96,7 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
         "volume_bounds_mm3": [min(low, after), max(high, after)],
         "volume_budget": [term | {key: ratio * term[key] for key in _SCALED} for term in old["volume_budget"]],
         "length_mm": measured.length_mm,
+        "estimates": [],  # they compared the roots that were found, not those that were corrected
         "tips": sum(bool(root.tip_seen) for root in roots),
         "extents_min_mm": corners.min(axis=0).tolist(),
         "extents_max_mm": corners.max(axis=0).tolist(),

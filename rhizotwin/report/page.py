@@ -245,7 +245,7 @@ def _traits(read: _Read) -> str:
     for definition in trait_table.DEFINITIONS:
         value = getattr(read.traits, definition.field)
         name, shown, meaning = words.trait(definition, value)
-        interval = "" if definition.field != "volume_mm3" else words.volume(read.summary)[1]
+        interval = words.estimated(read.summary, definition.field) if definition.field != "volume_mm3" else words.volume(read.summary)[1]
         shown = words.volume(read.summary)[0] if definition.field == "volume_mm3" else shown
         if value is not None:
             rows.append([name, shown, interval, meaning])

@@ -93,6 +93,31 @@ def trait(definition: Definition, value: float | int | None) -> tuple[str, str, 
     return name, f"{rounded(value)} {unit}".rstrip(), definition.meaning
 
 
+def estimated(summary: dict[str, Any], field: str) -> str:
+    """Return the interval of a trait that has one of its own, and whether it is to be trusted; empty where it has none."""
+    for told in summary.get("estimates") or []:
+        if told["name"] == field:
+            low, high = told["interval"]
+            digits = (lambda value: f"{value:.0f}") if field == "tips" else rounded
+            return f"{digits(low)} to {digits(high)}{'' if told['trusted'] else ' (do not use)'}"
+    return ""
+
+
+def roots_told(summary: dict[str, Any]) -> list[str]:
+    """Return a sentence on length, tips and mean diameter, and one on each reason why some are not to be trusted."""
+    told = summary.get("estimates") or []
+    if not told:
+        return []
+    values = {one["name"]: f"{one['value']:.0f}" if one["name"] == "tips" else rounded(one["value"]) for one in told}
+    parts = [f"{_SHORT[name][0]}{value}{_SHORT[name][1]} ({estimated(summary, name)})" for name, value in values.items()]
+    verdicts = [one["verdict"] for one in told if not one["trusted"]] if summary["volume_trusted"] else []
+    return [", ".join(parts), *verdicts[:1]]
+
+
+_SHORT = {"total_length_mm": ("length ", " mm"), "tips": ("", " tips"), "mean_diameter_mm": ("mean diameter ", " mm")}
+"""What stands before and behind a number on one line."""
+
+
 def method(summary: dict[str, Any], *, roots: bool) -> str:
     """Return a paragraph on how the numbers were made, with the versions, for a paper."""
     used = sum(view["used"] for view in summary["views"])

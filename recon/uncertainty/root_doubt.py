@@ -1,0 +1,235 @@
+"""How far length, tips and mean diameter of the roots can be trusted: the roots are drawn into the pictures, and both are measured alike.
+
+A picture of the roots as they were found is thinned to lines, and so is the picture that was taken. Where roots are missing the taken
+picture has more line, where some are surplus it has less; tips are the lines' ends, and covered area over line is width. Roots hide each
+other in both alike, so that the comparison needs no tree. What several roots share is seen as one line, and is told by the roots alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve
+from skimage.morphology import skeletonize
+
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.device import numbers
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.uncertainty import checks
+from rhizotwin.recon.uncertainty.budget import NINETY
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traced import once
+
+Array = NDArray[np.float64]
+
+VIEWS = 16
+"""Pictures that are compared; carving orders them so that neighbours are spread over the turn. More change the means by less than
+their scatter, over its square root."""
+_FINER = 4
+"""Parts of a pixel's edge that roots are drawn with."""
+_SMOOTH_PX = 0.8
+"""Both pictures are smoothed by this, so that the lens's own blur (about a pixel) makes little difference between them."""
+_LINE = 0.2
+"""Smoothed coverage above this is thinned to a line: a root a half of a pixel wide has 0.24."""
+_MODEL = {"length": 0.02, "tips": 0.07, "diameter": 0.03}
+"""What no picture tells, as a 90 % share: where lines begin inside thick parents, wiggle along the sight, ends between pixels. Nine of ten
+clean radishes of the ladder are within it (docs/accuracy.md)."""
+_THIN_PX, _MUCH_THIN = 0.5, 0.15
+"""A root thinner than a half of a pixel is hardly told from noise: where more than this share of the length that was found is, more may not
+have been. Scans with at most 3 % of it found the length within 2 %, one with 47 % lost a fifth, one with 54 % a half
+(docs/log/2026-11-22-families.md)."""
+_LEVEL = np.pi / 2.0
+"""A level root's line is seen, on the mean over a turn, as 2 / pi of its length: what is missing or surplus may be so much longer."""
+WIDEST = 0.25
+"""An interval that reaches farther to one side is no measurement; the volume's limit."""
+LEAST_VIEWS = 4
+"""Fewer pictures that show the roots tell no scatter."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """One number of the roots with what is known of its error."""
+
+    name: str
+    """Of the trait: total_length_mm, tips or mean_diameter_mm."""
+    value: float
+    interval: tuple[float, float]
+    """90 % interval."""
+    trusted: bool
+    verdict: str
+    """One sentence: what the number is worth."""
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What one picture shows: length of line, ends of lines, and covered area, in pixels."""
+
+    line: float
+    ends: float
+    area: float
+
+
+def estimates(
+    roots: Sequence[Root], bank: ViewBank, silhouettes: Sequence[Silhouette], *, mu_per_mm: float | None, lost: Sequence[str]
+) -> tuple[Estimate, ...]:
+    """Compare roots with the pictures.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        As they were found; none gives no estimate.
+    bank, silhouettes : ViewBank, (V,) Silhouette
+        Of all views, neighbours spread.
+    mu_per_mm : float or None
+        Attenuation of the roots; None for opaque ones.
+    lost : sequence of str
+        Why the scan as a whole is not to be trusted; empty where it is.
+
+    Returns
+    -------
+    tuple of Estimate
+        Of length, tips and mean diameter.
+    """
+    if not roots:
+        return ()
+    count = min(VIEWS, bank.count)
+    seen_at = _Places.of(roots, bank.chosen(range(count)))
+    drawn = _draw(seen_at, silhouettes[:count], mu_per_mm)
+    thin = seen_at.thin_share()
+    if thin > _MUCH_THIN:
+        few = (
+            f"{100.0 * thin:.0f} % of the length is thinner than half a pixel, and more of the kind may have been missed (take more pixels)"
+        )
+        lost = (*lost, few)
+    pairs = [(_tell(s.coverage, s.seen), _tell(picture, s.seen)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
+    pairs = [(taken, made) for taken, made in pairs if made.line > 0.0 and made.ends > 0.0 and taken.line > 0.0]
+    length_mm = _length_mm(roots)
+    shared = length_mm - _length_mm(once(roots)[0])
+    diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
+    tips = float(sum(root.tip_seen for root in roots))
+    by_line = [_LEVEL * (taken.line / made.line - 1.0) for taken, made in pairs]
+    by_end = [(taken.ends - made.ends) / max(made.ends - 1.0, 1.0) for taken, made in pairs]  # one end is the root system's base
+    by_width = [(taken.area / taken.line) / (made.area / made.line) - 1.0 for taken, made in pairs if made.area > 0.0]
+    return (
+        _estimate("total_length_mm", length_mm, by_line, _MODEL["length"], lost, surplus=shared / max(length_mm, 1e-9)),
+        _estimate("tips", tips, by_end, _MODEL["tips"], lost),
+        _estimate("mean_diameter_mm", diameter_mm, by_width, _MODEL["diameter"], lost),
+    )
+
+
+def _estimate(name: str, value: float, changes: Sequence[float], model: float, lost: Sequence[str], *, surplus: float = 0.0) -> Estimate:
+    """Turn what pictures say, as shares of a number, into an interval: their mean to its side, their scatter and the model to both."""
+    mean = float(np.mean(changes)) if changes else 0.0
+    scatter = NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
+    less = float(np.hypot(np.hypot(scatter, model), max(0.0, -mean) + surplus))
+    more = float(np.hypot(np.hypot(scatter, model), max(0.0, mean)))
+    doubts = list(lost)
+    if max(less, more) > WIDEST:
+        doubts.append(
+            f"the pictures show {100.0 * abs(mean):.0f} % {'more' if mean > 0.0 else 'less'} of it than the roots that were found"
+            if abs(mean) > scatter
+            else f"the pictures disagree about it by {100.0 * scatter:.0f} %"
+        )
+    low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
+    words = _WORDS[name]
+    verdict = (
+        f"{words} not to be trusted: {'; '.join(doubts)}" if doubts else f"{words} between {low:.3g} and {high:.3g} with 90 % confidence"
+    )
+    return Estimate(name=name, value=value, interval=(low, high), trusted=not doubts, verdict=verdict.removeprefix(checks.NO_VOLUME))
+
+
+_WORDS = {
+    "total_length_mm": "the total length (mm) is",
+    "tips": "the number of tips is",
+    "mean_diameter_mm": "the mean diameter (mm) is",
+}
+
+
+def _length_mm(roots: Sequence[Root]) -> float:
+    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
+
+
+def _mean(root: Root) -> float:
+    """Return a root's length times its mean diameter."""
+    steps = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+    return float(steps @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0)
+
+
+def _tell(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> _Told:
+    """Measure a picture of coverage (H, W) where something is seen."""
+    smooth = cv2.GaussianBlur(np.where(seen, picture, 0.0).astype(np.float32), (0, 0), _SMOOTH_PX)
+    mask = (smooth > _LINE) & seen
+    line = skeletonize(mask)
+    neighbours = convolve(line.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant") - line
+    return _Told(float(line.sum()), float((line & (neighbours == 1)).sum()), float(smooth[mask].sum()))
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the nodes of roots lie in pictures."""
+
+    radius_mm: Array
+    """(N,)"""
+    step_mm: Array
+    """(N,) from each node to the next of its root; 0 at a root's last."""
+    px: Array
+    """(V, N, 2)"""
+    gradient: Array
+    """(V, N, 2, 3) of columns and rows by the point, px/mm."""
+    seen: NDArray[np.bool_]
+    """(V, N)"""
+
+    @staticmethod
+    def of(roots: Sequence[Root], bank: ViewBank) -> _Places:
+        """Project roots into all views."""
+        points = np.concatenate([root.points_mm for root in roots])
+        step = np.concatenate([[*np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1), 0.0] for root in roots])
+        view = dr.repeat(dr.arange(mi.UInt32, bank.count), len(points))
+        at = projection.project(bank, view, mi.Point3f(*(dr.tile(numbers(part), bank.count) for part in points.T)), mi.Bool(True))
+        shape = (bank.count, len(points))
+        px = np.stack([np.array(at.px.x).reshape(shape), np.array(at.px.y).reshape(shape)], axis=-1)
+        gradient = np.stack([np.moveaxis(np.array(part).reshape(3, *shape), 0, -1) for part in (at.du, at.dv)], axis=-2)
+        radius = np.concatenate([root.diameters_mm for root in roots]) / 2.0
+        return _Places(radius, step, px, gradient, np.array(at.seen).reshape(shape))
+
+    def thin_share(self) -> float:
+        """Return the share of the length that is thinner than `_THIN_PX`."""
+        scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.seen])) if self.seen.any() else 0.0
+        return float(self.step_mm[2.0 * self.radius_mm * scale < _THIN_PX].sum()) / max(float(self.step_mm.sum()), 1e-9)
+
+
+def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | None) -> list[NDArray[np.float32]]:
+    """Draw roots into views: as filled pieces of tube, as dark as their mean chord makes them."""
+    dark = np.ones(len(at.radius_mm)) if mu_per_mm is None else -np.expm1(-mu_per_mm * np.pi / 2.0 * at.radius_mm)
+    pictures = []
+    for k, silhouette in enumerate(silhouettes):
+        height, width = silhouette.coverage.shape
+        canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
+        use = at.seen[k, :-1] & at.seen[k, 1:] & (at.step_mm[:-1] > 0.0)
+        for i in np.argsort(dark[:-1], kind="stable"):  # the darkest last
+            if use[i]:
+                _piece(canvas, at.px[k, i : i + 2], at.gradient[k, i : i + 2], at.radius_mm[i : i + 2], float(dark[i]))
+        pictures.append(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA))
+    return pictures
+
+
+def _piece(canvas: NDArray[np.float32], px: Array, gradient: Array, radius_mm: Array, dark: float) -> None:
+    """Fill a piece of tube between two points (2, 2) of a picture, with a round end."""
+    step = px[1] - px[0]
+    size = float(np.hypot(*step))
+    if size < 1e-6:
+        return
+    across = np.array([-step[1], step[0]]) / size
+    half = radius_mm * np.linalg.norm(np.einsum("i,nij->nj", across, gradient), axis=1)  # of a ball's outline, across
+    corners = np.stack([px[0] + half[0] * across, px[1] + half[1] * across, px[1] - half[1] * across, px[0] - half[0] * across])
+    fixed = np.round(((corners + 0.5) * _FINER - 0.5) * 16.0).astype(np.int32)  # sixteenths of a part, pixel centres at integers
+    cv2.fillConvexPoly(canvas, fixed, dark, lineType=cv2.LINE_8, shift=4)
+    centre = np.round(((px[1] + 0.5) * _FINER - 0.5) * 16.0).astype(np.int32)
+    cv2.circle(canvas, (int(centre[0]), int(centre[1])), round(float(half[1]) * _FINER * 16.0), dark, thickness=-1, shift=4)
