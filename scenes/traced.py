@@ -17,6 +17,8 @@ SHARED = 0.5
 """Lines nearer than this times the thinner one's radius are one root: two real roots are a radius apart at the least."""
 LEAST_SHARED_MM = 2.0
 """Shorter stretches are roots that cross or leave each other, beyond any width of root that is traced apart."""
+MOST_LATEST = 2000
+"""Points that are gathered before the tree of all of them is made anew: a tree of so many takes a millisecond."""
 STEP_MM = 0.2
 """Spacing at which lines are compared."""
 
@@ -80,11 +82,11 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     """
     kept: list[Root] = []
     owner: list[int] = []  # for each of ``roots``, where it or what it is a part of is among ``kept``
-    seen, of_point = _Line(np.zeros((0, 3)), np.zeros(0)), np.zeros(0, np.int64)
+    seen = _Seen()
     for root in roots:
         line = _Line.of(root)
         parent = owner[root.parent] if root.parent >= 0 else -1
-        runs, host = _alone(line, seen, of_point)
+        runs, host = _alone(line, seen)
         whole = runs == [(0, len(line.points_mm))]
         first = len(kept)
         for number, (start, stop) in enumerate(runs):
@@ -94,8 +96,7 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
             order = kept[above].order + 1 if above >= 0 else 0
             seen_tip = root.tip_seen if number == len(runs) - 1 else True
             kept.append(replace(root, points_mm=points_mm, diameters_mm=diameters_mm, parent=above, order=order, tip_seen=seen_tip))
-            seen = _Line(np.concatenate([seen.points_mm, piece[0]]), np.concatenate([seen.diameters_mm, piece[1]]))
-            of_point = np.concatenate([of_point, np.full(stop - start, len(kept) - 1)])
+            seen.add(_Line(*piece), len(kept) - 1)
         owner.append(first if runs else host if host is not None else parent)
     return tuple(kept), _length_mm(roots) - _length_mm(kept)
 
@@ -104,14 +105,50 @@ def _length_mm(roots: Sequence[Root]) -> float:
     return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
 
 
-def _alone(line: _Line, seen: _Line, of_point: NDArray[np.int64]) -> tuple[list[tuple[int, int]], int | None]:
+class _Seen:
+    """The lines so far, and the nearest point of them; a tree of most of them is kept, and one of the latest is made anew."""
+
+    def __init__(self) -> None:
+        self._old: tuple[cKDTree, Array, NDArray[np.int64]] | None = None
+        self._lines: list[_Line] = []
+        self._owners: list[NDArray[np.int64]] = []
+
+    def add(self, line: _Line, owner: int) -> None:
+        """Add a line and whose it is."""
+        self._lines.append(line)
+        self._owners.append(np.full(len(line.points_mm), owner))
+
+    def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return for points (N, 3) how far the nearest point of a line is (inf: there is none), how thick, and whose."""
+        found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
+        trees = [] if self._old is None else [self._old]
+        if self._lines:
+            points = np.concatenate([line.points_mm for line in self._lines])
+            diameters: Array = np.concatenate([line.diameters_mm for line in self._lines])
+            owners: NDArray[np.int64] = np.concatenate(self._owners)
+            if len(points) > MOST_LATEST:
+                if self._old is not None:
+                    points = np.concatenate([self._old[0].data, points])
+                    diameters, owners = np.concatenate([self._old[1], diameters]), np.concatenate([self._old[2], owners])
+                self._lines, self._owners = [], []
+                latest = cKDTree(points), diameters, owners
+                self._old, trees = latest, [latest]
+            else:
+                trees.append((cKDTree(points), diameters, owners))
+        for tree, diameters, owners in trees:
+            away, near = tree.query(points_mm)
+            nearer = away < found[0]
+            for part, values in zip(found, (away, diameters[near], owners[near]), strict=True):
+                part[nearer] = values[nearer]
+        return found
+
+
+def _alone(line: _Line, seen: _Seen) -> tuple[list[tuple[int, int]], int | None]:
     """Return the stretches of a line that it shares with nobody, as (start, stop), and with whom it shares the most."""
     count = len(line.points_mm)
-    if not len(seen.points_mm):
-        return [(0, count)], None
-    away_mm, near = cKDTree(seen.points_mm).query(line.points_mm)
-    limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, seen.diameters_mm[near]) / 2.0, STEP_MM / 2.0)
-    with_whom = np.where(away_mm <= limit_mm, of_point[near], -1)
+    away_mm, diameter_mm, owner = seen.nearest(line.points_mm)
+    limit_mm = np.maximum(SHARED * np.minimum(line.diameters_mm, diameter_mm) / 2.0, STEP_MM / 2.0)
+    with_whom = np.where(away_mm <= limit_mm, owner, -1)
     least = int(np.ceil(LEAST_SHARED_MM / STEP_MM))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], with_whom >= 0, [False]]).astype(np.int8)))
     long = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > least]

@@ -111,7 +111,7 @@ class Result:
     checks: tuple[Check, ...] = ()
     """What the scan passed or failed before its volume is trusted."""
     estimates: tuple[Estimate, ...] = ()
-    """Length, tips and mean diameter, each with an interval and a verdict of its own; empty where no roots were found."""
+    """Length, tips and mean diameter, each with an interval and a verdict of its own; empty without roots."""
     timings_s: dict[str, float]
     """Seconds that each stage took."""
     peak_memory_mib: float

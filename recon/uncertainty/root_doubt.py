@@ -1,8 +1,9 @@
-"""How far length, tips and mean diameter of the roots can be trusted: the roots are drawn into the pictures, and both are measured alike.
+"""How far length, tips and mean diameter can be trusted: roots are drawn into the pictures, and both measured alike.
 
-A picture of the roots as they were found is thinned to lines, and so is the picture that was taken. Where roots are missing the taken
-picture has more line, where some are surplus it has less; tips are the lines' ends, and covered area over line is width. Roots hide each
-other in both alike, so that the comparison needs no tree. What several roots share is seen as one line, and is told by the roots alone.
+A picture of the roots as they were found is thinned to lines, and so is the picture that was taken. Where roots are
+missing the taken picture has more line, where some are surplus it has less; tips are the lines' ends, and covered
+area over line is width. Roots hide each other in both alike, so that the comparison needs no tree. What several
+roots share is seen as one line, and is told by the roots alone.
 """
 
 from __future__ import annotations
@@ -30,23 +31,25 @@ from rhizotwin.scenes.traced import once
 Array = NDArray[np.float64]
 
 VIEWS = 16
-"""Pictures that are compared; carving orders them so that neighbours are spread over the turn. More change the means by less than
-their scatter, over its square root."""
+"""Pictures that are compared; carving orders them so that neighbours are spread over the turn. More change the
+means by less than their scatter, over its square root."""
 _FINER = 4
 """Parts of a pixel's edge that roots are drawn with."""
 _SMOOTH_PX = 0.8
-"""Both pictures are smoothed by this, so that the lens's own blur (about a pixel) makes little difference between them."""
+"""Both pictures are smoothed by this, so that the lens's own blur (about a pixel) makes little difference."""
 _LINE = 0.2
 """Smoothed coverage above this is thinned to a line: a root a half of a pixel wide has 0.24."""
 _MODEL = {"length": 0.02, "tips": 0.07, "diameter": 0.03}
-"""What no picture tells, as a 90 % share: where lines begin inside thick parents, wiggle along the sight, ends between pixels. Nine of ten
-clean radishes of the ladder are within it (docs/accuracy.md)."""
+"""What no picture tells, as a 90 % share: where lines begin inside thick parents, wiggle along the sight, ends
+between pixels. Length (1.6 %) and tips (5 %) of nine in ten clean radishes of the ladder are within it
+(docs/accuracy.md), and the width of the scans in docs/log/2026-11-22-families.md."""
 _THIN_PX, _MUCH_THIN = 0.5, 0.15
-"""A root thinner than a half of a pixel is hardly told from noise: where more than this share of the length that was found is, more may not
-have been. Scans with at most 3 % of it found the length within 2 %, one with 47 % lost a fifth, one with 54 % a half
-(docs/log/2026-11-22-families.md)."""
+"""A root thinner than a half of a pixel is hardly told from noise: where more than this share of the length that
+was found is, more may not have been. Scans with at most 3 % of it found the length within 2 %, one with 47 %
+lost a fifth, one with 54 % a half (docs/log/2026-11-22-families.md)."""
 _LEVEL = np.pi / 2.0
-"""A level root's line is seen, on the mean over a turn, as 2 / pi of its length: what is missing or surplus may be so much longer."""
+"""A level root's line is seen, on the mean over a turn, as 2 / pi of its length: what is missing or surplus may be
+so much longer."""
 WIDEST = 0.25
 """An interval that reaches farther to one side is no measurement; the volume's limit."""
 LEAST_VIEWS = 4
@@ -125,7 +128,7 @@ def estimates(
 
 
 def _estimate(name: str, value: float, changes: Sequence[float], model: float, lost: Sequence[str], *, surplus: float = 0.0) -> Estimate:
-    """Turn what pictures say, as shares of a number, into an interval: their mean to its side, their scatter and the model to both."""
+    """Turn what pictures say, as shares of a number, into an interval: mean to its side, scatter and model to both."""
     mean = float(np.mean(changes)) if changes else 0.0
     scatter = NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
     less = float(np.hypot(np.hypot(scatter, model), max(0.0, -mean) + surplus))
