@@ -16,6 +16,7 @@ COMMANDS = {
     "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",
     "traits": "Print the traits of results, or write them to a table for spreadsheets.",
+    "growth": "Follow plants and their roots over days, and compare treatments.",
     "biomass": "Tell masses of plants that were never cut, from those of plants that were.",
     "biomass tables": "Write the thesis's tables of masses and volumes.",
     "biomass fit": "Fit masses to volumes and other traits, with errors on both sides.",

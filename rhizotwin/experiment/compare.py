@@ -1,13 +1,13 @@
 """Growth in numbers: relative growth rates, means with intervals, and whether treatments differ.
 
 The logarithm of a trait of plant i on day t is followed by a linear mixed model (Laird and Ware 1982, Biometrics 38:963): a curve common to
-all (a level for every day), what the treatment adds at the mean day and by the day, and for each plant a level of its own. A treatment is a
-difference between plants, however often each is looked at, so that its t statistic has the plants less the treatments as its degrees of
-freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
+all (a level for every day), what the treatment adds on the mean day and a day, and for each plant a level and a slope of its own. A
+treatment is a difference between plants, however often each is looked at, so that its t statistic has the plants less the treatments as its
+degrees of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import exp, log
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 SURE = 0.05
 """Probability of a difference that is none, by which treatments are told apart."""
+ROUNDING = 1e-12
+"""Logarithms of equal traits are no more apart."""
 LEAST_PLANTS = 2
 """Of each treatment."""
 
@@ -129,21 +131,24 @@ def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: i
     rate, rate_p = 0.0, 1.0
     if len(levels) > 1:
         rate = float(value[len(levels) + 1])
-        rate_p = _probability(rate / error[len(levels) + 1], dof)
+        rate_p = _probability(rate, float(error[len(levels) + 1]), dof)
     return Difference(
         treatment=treatment,
         against=against,
         size=exp(size),
         size_interval=(exp(size - reach), exp(size + reach)),
-        size_p=_probability(size / error[len(levels)], dof),
+        size_p=_probability(float(size), float(error[len(levels)]), dof),
         rate_per_day=rate,
         rate_p=rate_p,
         plants=plants,
     )
 
 
-def _probability(statistic: float, dof: int) -> float:
-    return float(2.0 * student.sf(abs(statistic), dof))
+def _probability(value: float, error: float, dof: int) -> float:
+    """Return how probable a value at least as large is where there is none; values without any error are 0 or they are not."""
+    if error <= ROUNDING:
+        return 1.0 if abs(value) <= ROUNDING else 0.0
+    return float(2.0 * student.sf(abs(value) / error, dof))
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
@@ -158,10 +163,12 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
     random = None if slopes is None else np.stack([np.ones(len(y)), slopes / np.std(slopes)], axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a variance at its bound, zero, is what plants that do not differ have
-        fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True)
-    return np.asarray(fitted.fe_params), np.asarray(fitted.bse_fe)
-
-
-def by_treatment(seen: Mapping[str, Sequence[Seen]]) -> dict[str, list[Difference]]:
-    """Return the differences in each trait."""
-    return {trait: differences(values) for trait, values in seen.items()}
+        try:
+            fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True)
+            value, error = np.asarray(fitted.fe_params), np.asarray(fitted.bse_fe)
+        except np.linalg.LinAlgError:
+            value = error = np.full(design.shape[1], np.nan)
+    if np.isfinite(value).all() and np.isfinite(error).all():
+        return value, error
+    plain = models.OLS(y, design).fit()  # plants that do not differ at all: the mixed model without a variance of plants
+    return np.asarray(plain.params), np.asarray(plain.bse)

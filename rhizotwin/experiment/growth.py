@@ -1,0 +1,141 @@
+"""Growth of many plants: from results of several days to curves, rates, roots with identities, and treatments compared."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates
+from rhizotwin.experiment.matching import Day, Followed, follow
+from rhizotwin.experiment.measured import Measured, by_plant
+from rhizotwin.recon.results import result_files
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.trait_table import csv_text, written
+
+CURVES = ("total_length", "volume", "depth", "tips")
+"""Traits whose growth is shown and compared."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """What many results tell of growth."""
+
+    plants: Mapping[str, Sequence[Measured]]
+    """By name, each by day."""
+    followed: Mapping[str, Followed]
+    """Of the plants whose roots were found on two days or more."""
+    seen: Mapping[str, Sequence[Seen]]
+    """By trait."""
+    curves: Mapping[str, Sequence[Point]]
+    compared: Mapping[str, Sequence[Difference]]
+    notes: tuple[str, ...]
+
+
+def measure(found: Sequence[Measured]) -> Growth:
+    """Measure growth.
+
+    Volumes that are not trusted are left out of the curves of volume, with a note.
+
+    Raises
+    ------
+    UserError
+        For a result without plant or day, a plant that is there twice on a day or in two treatments, or scans of different strips.
+    """
+    plants = by_plant(found)
+    for plant, days in plants.items():
+        named = sorted({one.subject.treatment for one in days})
+        if len(named) > 1:
+            raise UserError(f"plant {plant} is in two treatments, {named[0]!r} and {named[1]!r}; a plant has one")
+        _refuse_strips(plant, days)
+    notes = [f"{one.who}: its volume is not trusted, and left out of the curves of volume" for one in found if not one.trusted]
+    followed = {plant: one for plant, days in plants.items() if (one := _followed(days)) is not None}
+    notes += [f"plant {plant}: no roots were found on two days, so that none can be followed" for plant in plants if plant not in followed]
+    seen = {trait: _seen(plants, trait) for trait in CURVES}
+    seen = {trait: values for trait, values in seen.items() if values}
+    return Growth(
+        plants=plants,
+        followed=followed,
+        seen=seen,
+        curves={trait: means(values) for trait, values in seen.items()},
+        compared={trait: differences(values) for trait, values in seen.items()},
+        notes=tuple(notes),
+    )
+
+
+def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Seen]:
+    return [
+        Seen(plant=plant, treatment=one.subject.treatment, day=one.subject.day or 0.0, value=one.traits[trait])
+        for plant, days in plants.items()
+        for one in days
+        if one.traits.get(trait, 0.0) > 0.0 and (one.trusted or trait != "volume")
+    ]
+
+
+def _refuse_strips(plant: str, days: Sequence[Measured]) -> None:
+    """Refuse scans of one plant by different strips: their frames have nothing to do with each other."""
+    strips = []
+    for one in days:
+        if one.folder is not None:
+            strip = result_files.read_strip(one.folder, result_files.read_summary(one.folder))
+            strips += [] if strip is None else [(one, strip)]
+    for one, strip in strips[1:]:
+        if strip != strips[0][1]:
+            raise UserError(f"plant {plant}: {strips[0][0].name} and {one.name} were scanned with different marker strips; use one strip")
+
+
+def _followed(days: Sequence[Measured]) -> Followed | None:
+    """Follow the roots of a plant; None where they were found on fewer than two days."""
+    known = []
+    for one in days:
+        file = None if one.folder is None else one.folder / "roots.rsml"
+        if file is not None and file.is_file():
+            known.append(Day(day=one.subject.day or 0.0, roots=rsml.read_rsml(file)))
+    return follow(known) if len(known) > 1 else None
+
+
+def traits_csv(growth: Growth) -> str:
+    """Return a row a plant, day and trait: value, and relative growth rate since the day before."""
+    rows: list[Sequence[str]] = [["plant", "treatment", "day", "trait", "value", "relative_growth_rate (1/day)"]]
+    for trait, seen in growth.seen.items():
+        rates = {(plant, end): rate for plant, _, end, rate in relative_rates(seen)}
+        for one in seen:
+            rate = rates.get((one.plant, one.day))
+            rows.append([one.plant, one.treatment, f"{one.day:g}", trait, written(one.value), written(rate)])
+    return csv_text(rows)
+
+
+def roots_csv(growth: Growth) -> str:
+    """Return a row a root and day: its identity, when it came, its length, its rate since it was last seen, its diameter."""
+    head = ["plant", "root", "parent", "order", "emergence_day", "day", "length (mm)", "elongation (mm/day)", "diameter (mm)"]
+    rows: list[Sequence[str]] = [head]
+    for plant, followed in growth.followed.items():
+        for track in followed.tracks:
+            rates = {end: rate for _, end, rate in track.rates_mm_per_day}
+            for sight in track.sights:
+                numbers = [written(value) for value in (sight.length_mm, rates.get(sight.day), sight.diameter_mm)]
+                rows.append([plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{sight.day:g}", *numbers])
+    return csv_text(rows)
+
+
+def treatments_csv(growth: Growth) -> str:
+    """Return a row a trait and treatment: by what it differs from the first one, and how sure that is."""
+    head = ["trait", "treatment", "against", "size", "low", "high", "size_p", "rate (1/day)", "rate_p", "plants", "told_apart"]
+    rows: list[Sequence[str]] = [head]
+    for trait, compared in growth.compared.items():
+        for one in compared:
+            numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
+            apart = "yes" if one.told_apart else "no"
+            rows.append([trait, one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
+    return csv_text(rows)
+
+
+def write_rsml(growth: Growth, folder: Path) -> list[Path]:
+    """Write the roots of every plant and day as RSML with time: a root has one id on all days, in the frame of the first."""
+    files = []
+    for number, (plant, followed) in enumerate(growth.followed.items(), start=1):
+        for day, names in zip(followed.days, followed.names, strict=True):
+            path = folder / f"plant_{number:03d}_day_{day.day:g}.rsml"
+            roots = [replace(root, label=name) for root, name in zip(day.roots, names, strict=True)]
+            rsml.write_rsml(path, roots, moment=rsml.Moment(sequence=plant, index=round(day.day)))
+            files.append(path)
+    return files

@@ -1,0 +1,63 @@
+"""Curves of growth as a picture and a page, in the form of the thesis's figure 4.1: a mean a day with its interval, a line a treatment."""
+
+import base64
+import html
+import io
+
+from rhizotwin.experiment.compare import SURE
+from rhizotwin.experiment.growth import Growth
+from rhizotwin.scenes.trait_table import DEFINITIONS
+
+_HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
+_STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}img{max-width:100%}"
+
+
+def draw(growth: Growth) -> bytes:
+    """Return the curves as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.2 * len(growth.curves), 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (trait, points) in zip(figure.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
+        for treatment in dict.fromkeys(point.treatment for point in points):
+            own = [point for point in points if point.treatment == treatment]
+            mean = [point.mean for point in own]
+            reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
+            axes.errorbar([point.day for point in own], mean, yerr=reach, marker="o", capsize=3, label=treatment or "all plants")
+        axes.set_xlabel("day")
+        axes.set_ylabel(_HEADINGS[trait])
+        axes.set_ylim(bottom=0.0)
+    figure.axes[0].legend()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()
+
+
+def page(growth: Growth) -> str:
+    """Return the page: the curves, what differs in words, what was followed, what was left out."""
+    picture = base64.b64encode(draw(growth)).decode()
+    told = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth))
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
+        f'<h1>Growth of {len(growth.plants)} plants</h1><img alt="curves of growth" src="data:image/png;base64,{picture}">'
+        f"<p>Mean of the plants on each day with its 90 % interval.</p><ul>{told}</ul></body></html>\n"
+    )
+
+
+def sentences(growth: Growth) -> list[str]:
+    """Return what was found, a sentence each."""
+    told = []
+    for trait, compared in growth.compared.items():
+        for one in compared:
+            low, high = (100.0 * (end - 1.0) for end in one.size_interval)
+            apart = "differs" if one.told_apart else "is not told apart"
+            told.append(
+                f"{trait}: {one.treatment!r} {apart} from {one.against!r}: {100.0 * (one.size - 1.0):+.0f} % on the mean day "
+                f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}), relative growth rate {one.rate_per_day:+.3f} a day "
+                f"(p = {one.rate_p:.2g}); told apart is p below {SURE / 2.0:g} in one of the two."
+            )
+    for plant, followed in growth.followed.items():
+        often = sum(len(track.sights) > 1 for track in followed.tracks)
+        told.append(f"plant {plant}: {len(followed.tracks)} roots on {len(followed.days)} days, {often} of them seen more than once.")
+    return told + list(growth.notes)

@@ -1,0 +1,206 @@
+"""Growth: one plant at several ages laid on itself, roots with identities, rates, treatments, and the command over result folders."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from rhizotwin import cli
+from rhizotwin.experiment.alignment import align
+from rhizotwin.experiment.compare import Seen, differences, means, relative_rates
+from rhizotwin.experiment.matching import Day, Followed, follow
+from rhizotwin.scenes import files, rsml, series
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.sim.growth import grow
+
+DAYS = (5.0, 8.0, 11.0, 14.0)
+JITTER_MM, LOST, CUT = 0.15, 0.05, 0.1
+"""What a reconstruction gets wrong: its lines by so much over 2 mm, laterals that it misses, and laterals of which it misses the end."""
+
+
+def length(root: Root) -> float:
+    return float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum())
+
+
+def seen_wrongly(roots: list[Root], rng: np.random.Generator) -> tuple[Root, ...]:
+    """Return a plant as a scan might show it: in a frame of its own, with roots missing, cut and wobbling; labels are kept."""
+    turn = Rotation.from_rotvec(np.deg2rad(rng.normal(0.0, 0.5, 3))).as_matrix()
+    shift, place, shown = rng.normal(0.0, 0.3, 3), {-1: -1}, []
+    for index, root in enumerate(roots):
+        missed = root.order > 0 and (length(root) < 2.0 or rng.random() < LOST)
+        if root.parent not in place or missed:
+            continue
+        end = len(root.points_mm)
+        if root.order > 0 and end > 6 and rng.random() < CUT:
+            end = int(end * rng.uniform(0.6, 1.0))
+        points = root.points_mm[:end]
+        wobble = gaussian_filter1d(
+            rng.normal(0.0, JITTER_MM / 0.38, points.shape), 2.0, axis=0, mode="nearest"
+        )  # its spread after smoothing
+        place[index] = len(shown)
+        shown.append(
+            replace(root, points_mm=(points + wobble) @ turn.T + shift, diameters_mm=root.diameters_mm[:end], parent=place[root.parent])
+        )
+    return tuple(shown)
+
+
+@pytest.fixture(scope="module")
+def plant() -> dict[float, list[Root]]:
+    """Return a plant at its ages."""
+    scene = files.load_scene("radish_day15b")
+    specimen = series.grown(scene)
+    return {day: grow(replace(specimen, age_days=day)) for day in DAYS}
+
+
+def links(followed: Followed, shown: dict[float, tuple[Root, ...]]) -> tuple[float, float]:
+    """Return precision and recall of the links between neighbouring days, by the labels that the simulator gave."""
+    right = wrong = missed = 0
+    days = list(shown)
+    for k in range(1, len(days)):
+        before = dict(zip(followed.names[k - 1], (root.label for root in shown[days[k - 1]]), strict=True))
+        after = dict(zip(followed.names[k], (root.label for root in shown[days[k]]), strict=True))
+        linked = [before[name] == label for name, label in after.items() if name in before]
+        right, wrong = right + sum(linked), wrong + len(linked) - sum(linked)
+        missed += len(set(before.values()) & set(after.values())) - sum(linked)
+    return right / (right + wrong), right / (right + missed)
+
+
+def test_the_older_plant_holds_the_younger(plant: dict[float, list[Root]]) -> None:
+    older = {root.label: root for root in plant[14.0]}
+    for root in plant[8.0]:
+        same = older[root.label].points_mm[: len(root.points_mm) - 2]
+        assert root.points_mm[:-2] == pytest.approx(same, abs=1e-9)
+
+
+def test_a_moved_plant_is_brought_back(plant: dict[float, list[Root]]) -> None:
+    turn, shift = Rotation.from_euler("zx", [4.0, 1.0], degrees=True).as_matrix(), np.array([1.0, -0.5, 0.3])
+    moved = [replace(root, points_mm=root.points_mm @ turn.T + shift) for root in plant[11.0]]
+    found = align(plant[8.0], moved)
+    away = np.concatenate([found.of(root.points_mm) - original.points_mm for root, original in zip(moved, plant[11.0], strict=True)])
+    assert np.median(np.linalg.norm(away, axis=1)) < 0.05
+
+
+def test_roots_keep_their_identity_through_noise_cuts_and_gaps(plant: dict[float, list[Root]]) -> None:
+    rng = np.random.default_rng(8)
+    shown = {day: seen_wrongly(roots, rng) for day, roots in plant.items()}
+    followed = follow([Day(day=day, roots=roots) for day, roots in shown.items()])
+    precision, recall = links(followed, shown)
+    assert precision >= 0.95
+    assert recall >= 0.9
+    true = {day: {root.label: length(root) for root in roots} for day, roots in plant.items()}
+    label = {name: root.label for k, day in enumerate(shown) for name, root in zip(followed.names[k], shown[day], strict=True)}
+    errors = []
+    for track in followed.tracks:
+        of = label[track.name]
+        for begin, end, rate in track.rates_mm_per_day:
+            expected = (true[end][of] - true[begin][of]) / (end - begin) if of in true[begin] else 0.0
+            errors += [abs(rate / expected - 1.0)] if expected > 0.05 else []
+    assert len(errors) > 20
+    assert np.median(errors) < 0.10
+
+
+def test_without_errors_rates_and_days_of_emergence_are_true(plant: dict[float, list[Root]]) -> None:
+    followed = follow([Day(day=day, roots=tuple(roots)) for day, roots in plant.items()])
+    assert links(followed, {day: tuple(roots) for day, roots in plant.items()}) == (1.0, 1.0)
+    taproot = followed.tracks[0]
+    assert taproot.rates_mm_per_day[0][2] == pytest.approx((length(plant[8.0][0]) - length(plant[5.0][0])) / 3.0)
+    assert all(track.absent_day <= track.emergence_day <= track.sights[0].day for track in followed.tracks)
+
+
+def curves(rng: np.random.Generator, *, effect: float, plants: int = 3) -> list[Seen]:
+    """Return plants that differ by 8 %, seen with an error of 3 %, of which half are larger by a factor."""
+    seen = []
+    for treatment, size in (("control", 1.0), ("treated", effect)):
+        for k in range(plants):
+            own = size * np.exp(rng.normal(0.0, 0.08))
+            seen += [
+                Seen(plant=f"{treatment}{k}", treatment=treatment, day=day, value=float(own * 100.0 * day * np.exp(rng.normal(0.0, 0.03))))
+                for day in (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+            ]
+    return seen
+
+
+def test_treatments_that_differ_are_told_apart_and_equal_ones_are_not() -> None:
+    pytest.importorskip("statsmodels")
+    apart = [differences(curves(np.random.default_rng(seed), effect=1.6))[0] for seed in range(4)]
+    same = [differences(curves(np.random.default_rng(seed), effect=1.0))[0] for seed in range(4)]
+    assert sum(one.told_apart for one in apart) == 4
+    assert sum(one.told_apart for one in same) <= 1
+    assert np.mean([one.size for one in apart]) == pytest.approx(1.6, rel=0.1)
+    assert sum(one.size_interval[0] <= 1.0 <= one.size_interval[1] for one in same) >= 2
+
+
+def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
+    seen = [Seen(plant=p, treatment="a", day=day, value=v * day) for p, v in (("x", 1.0), ("y", 3.0)) for day in (1.0, 2.0)]
+    first = means(seen)[0]
+    assert (first.mean, first.plants) == (2.0, 2)
+    assert first.high - first.mean == pytest.approx(6.3138 * 2.0**0.5 / 2.0**0.5, rel=1e-4)  # Student's t of one degree of freedom
+    assert [rate for *_, rate in relative_rates(seen)] == pytest.approx([np.log(2.0)] * 2)
+
+
+@pytest.fixture
+def results(ball_result: Callable[..., Path], plant: dict[float, list[Root]], tmp_path: Path) -> Path:
+    """Return a folder of results of four plants, two treatments, three days."""
+    pytest.importorskip("statsmodels")
+    for number, treatment in enumerate(("control", "control", "low N", "low N")):
+        for day in DAYS[:3]:
+            who = {"plant": f"P{number}", "treatment": treatment, "day": day, "species": "Raphanus sativus"}
+            folder = ball_result(f"results/P{number}_{day:g}", subject=who, volume_mm3=100.0 * day * (1.0 + 0.03 * number))
+            rsml.write_rsml(folder / "roots.rsml", [root for root in plant[day] if root.order < 2])
+    return tmp_path / "results"
+
+
+def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "growth"
+    assert cli.main(["growth", str(results), "-o", str(out)]) == 0, capsys.readouterr().err
+    assert "volume: 'low N' is not told apart from 'control'" in capsys.readouterr().out
+    rows = list(csv.DictReader((out / "roots.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row["plant"] for row in rows} == {"P0", "P1", "P2", "P3"}
+    taproot = [row for row in rows if (row["plant"], row["root"]) == ("P0", "1")]
+    assert [float(row["day"]) for row in taproot] == list(DAYS[:3])
+    written = sorted((out / "rsml").glob("*.rsml"))
+    assert len(written) == 12
+    text = written[0].read_text(encoding="utf-8")
+    assert "<unified>true</unified>" in text
+    assert '<root id="1" label="1">' in text
+    assert "data:image/png" in (out / "growth.html").read_text(encoding="utf-8")
+
+
+MISTAKES: dict[str, tuple[dict[str, object], str]] = {
+    "no day": ({"subject": {"plant": "P0", "treatment": "control"}}, "plant P0 has no day"),
+    "no plant": ({"subject": {"day": 20.0}}, "names no plant"),
+    "twice a day": ({"subject": {"plant": "P0", "treatment": "control", "day": 8.0}}, "plant P0 is there twice on day 8"),
+    "two treatments": ({"subject": {"plant": "P0", "treatment": "low N", "day": 20.0}}, "plant P0 is in two treatments"),
+    "alone": ({"subject": {"plant": "P9", "treatment": "high N", "day": 20.0}}, "treatment 'high N' has 1 plant"),
+}
+
+
+@pytest.mark.parametrize(("changes", "says"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_mistakes_are_one_sentence(
+    changes: dict[str, object],
+    says: str,
+    results: Path,
+    ball_result: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    ball_result("results/more", **changes)
+    assert cli.main(["growth", str(results), "-o", str(tmp_path / "growth")]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_scans_of_different_strips_are_refused(
+    results: Path, ball_result: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for day, columns in ((20.0, 31), (25.0, 29)):
+        subject = {"plant": "P0", "treatment": "control", "day": day}
+        ball_result(f"results/strip_{day:g}", subject=subject, strip={"columns": columns})
+    assert cli.main(["growth", str(results), "-o", str(tmp_path / "growth")]) == 2
+    assert "strip_20 and strip_25 were scanned with different marker strips" in capsys.readouterr().err
