@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image
@@ -46,11 +46,11 @@ class CurveFound:
 
 @dataclass(frozen=True, kw_only=True)
 class Pictures:
-    """The pictures of the root in a dataset."""
+    """The pictures of the root in a dataset, or those of the shoot."""
 
     dataset: Dataset
     frames: tuple[Frame, ...]
-    """(F,) of the root; those of the shoot are left out."""
+    """(F,) all of one kind."""
     images: tuple[Grey, ...] = field(repr=False)
     """(F,) pictures (H, W), linear in light."""
     curve: CurveFound | None = None
@@ -60,17 +60,17 @@ class Pictures:
     """`Markers` of some of the images, by their number, where finding the curve has measured them."""
 
 
-def read_pictures(dataset: Dataset, *, monitor: Monitor) -> Pictures:
-    """Read a dataset's pictures of the root.
+def read_pictures(dataset: Dataset, *, kind: Literal["root", "shoot"] = "root", monitor: Monitor) -> Pictures:
+    """Read a dataset's pictures of the root, or of the shoot.
 
     Raises
     ------
     UserError
         Where there are none, or one is missing or damaged.
     """
-    frames = tuple(frame for frame in dataset.frames if frame.kind == "root")
+    frames = tuple(frame for frame in dataset.frames if frame.kind == kind)
     if not frames:
-        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the root; take or import some.")
+        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}; take or import some.")
     with monitor.stage("read"):
         images = monitor.each(lambda frame: read_image(dataset, frame), "read", frames)
     said = () if dataset.masks else _contradictions(dataset, frames)

@@ -22,6 +22,7 @@ from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings, TrustSettings
+from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, root_doubt, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
@@ -97,14 +98,22 @@ def reconstruct(
     failed = checks.failed(checked)
     if failed:
         solid = replace(solid, volume=solid.volume.distrusted(failed))
+    shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
     said = () if solid.volume.trusted else (solid.volume.verdict,)
-    warnings = (*pictures.warnings, *cameras.warnings, *(() if roots is None else roots.law.warnings()), *solid.warnings, *said)
+    warnings = (
+        *pictures.warnings,
+        *cameras.warnings,
+        *(() if roots is None else roots.law.warnings()),
+        *solid.warnings,
+        *said,
+        *shoot_said,
+    )
     recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, monitor=monitor)
     with monitor.stage("compare roots"):
         carved, lost = hull.carved, () if solid.volume.trusted else (solid.volume.verdict,)
         told = root_doubt.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=lost)
-    return replace(found, mass_g=mass_g, estimates=told)
+    return replace(found, mass_g=mass_g, estimates=told, shoot=shoot)
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.shoots import Shoot
 from rhizotwin.scenes.specimens import Specimen
 from rhizotwin.scenes.subject import Subject
 
@@ -346,4 +347,6 @@ class Scene:
     plan: CapturePlan = CapturePlan()
     specimen: Specimen | None = None
     """None: not known, as on a real rig and in every dataset."""
+    shoot: Shoot | None = None
+    """What grows above the net pot; None: nothing, or not known."""
     disturbances: Disturbances = Disturbances()

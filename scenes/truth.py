@@ -4,6 +4,7 @@
 
 truth/  truth.json      this module's `Truth`
         specimen.ply    watertight solid, canister frame, mm
+        shoot.ply       the same of what grows above the net pot, where something does
         skeleton.rsml   roots with diameters (grown and RSML specimens)
         masks/NAME.png  16 bit: fraction of the pixel whose refracted primary ray meets the specimen; NAME as in images/
 """
@@ -42,6 +43,8 @@ class Truth:
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
     """Fields of `scenes.traits.Traits`; None where they need centre lines and the specimen has none."""
+    shoot: dict[str, float] = field(default_factory=dict)
+    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot; empty: nothing does."""
     drawn: dict[str, Any] = field(default_factory=dict)
     """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 

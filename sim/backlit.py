@@ -58,25 +58,26 @@ class Backlit:
         Everything but the two lights, in the canister's frame.
     lamps : Lamps
         The lights, placed for the view.
-    specimen : str
-        Id of the shape whose coverage is wanted.
     media : bool
         The scene has attenuating media (turbid water, translucent roots); following them costs time.
     room : Room or None
         Where fine things are; ``spans`` counts the stretches through it.
     """
 
-    def __init__(self, scene: Any, lamps: Lamps, *, specimen: str, media: bool, room: Room | None = None) -> None:
+    def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None) -> None:
         self.scene = scene
         self.lamps = lamps
         self.media = media
         self.room = room
         self.bounds = [] if room is None else [mi.Float(bound) for bound in (room.low_mm, room.high_mm, room.radius_mm)]
         dr.make_opaque(self.bounds)
-        self.specimen = dr.zeros(mi.ShapePtr)
-        for shape in scene.shapes():
-            if shape.id() == specimen:
-                self.specimen = mi.ShapePtr(shape)
+        self.shapes = {shape.id(): mi.ShapePtr(shape) for shape in scene.shapes()}
+        self.target = dr.zeros(mi.ShapePtr)
+
+    def aim(self, target: str) -> None:
+        """Choose the shape whose coverage is wanted, by its id; where there is none, nothing is covered."""
+        self.target = self.shapes.get(target, dr.zeros(mi.ShapePtr))
+        dr.make_opaque(self.target)
 
     @dr.syntax  # type: ignore[untyped-decorator]
     def follow(self, ray_: Any, active: Any = True) -> Way:
@@ -86,7 +87,7 @@ class Backlit:
         ray = mi.Ray3f(dr.detach(ray_))  # current segment
         beta = mi.Spectrum(1.0)  # share of the light ahead that reaches the camera
         radiance = mi.Spectrum(0.0)
-        coverage = mi.Float(0.0)  # 1: the path met the specimen
+        coverage = mi.Float(0.0)  # 1: the path met the target
         outside = mi.Bool(True)  # no interface crossed yet: the front light falls straight on what is hit
         medium = dr.zeros(mi.MediumPtr)  # what the segment runs through
         depth = mi.UInt32(0)
@@ -112,7 +113,7 @@ class Backlit:
             course[active & (lamp > 0)] = course * 31 + lamp
             active &= si.is_valid() & (lamp == 0)
 
-            coverage[active & (si.shape == self.specimen)] = 1.0
+            coverage[active & (si.shape == self.target)] = 1.0
             course[active] = course * 31 + 3 + dr.reinterpret_array(mi.UInt32, si.shape)
 
             if dr.hint(self.media, mode="scalar"):

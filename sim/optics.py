@@ -21,7 +21,7 @@ from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
 from rhizotwin.sim.world import World
 
-SPECIMEN, HAIRS, OUTER_DIRT = "specimen", "hairs", "outer_dirt"
+SPECIMEN, HAIRS, SHOOT, OUTER_DIRT = "specimen", "hairs", "shoot", "outer_dirt"
 STRIP = "strip"
 ROOT_REFLECTANCE = 0.35
 FELT_REFLECTANCE = 0.02
@@ -80,6 +80,9 @@ def build(
         items[SPECIMEN] = _specimen(solid, wrong, world.n_water, haze or water)
         if hairs is not None:
             items[HAIRS] = _mesh(HAIRS, hairs.vertices, hairs.faces, {"type": "null"}, interior=haze, exterior=water)
+    if solid is not None and solid.shoot is not None and scene.shoot is not None:
+        green = {"type": "twosided", "bsdf": _diffuse(scene.shoot.reflectance)}
+        items[SHOOT] = _mesh(SHOOT, solid.shoot.vertices, solid.shoot.faces, green)
     return _load_quietly(items)
 
 

@@ -99,14 +99,16 @@ class Renderer:
         self.lamps = lights.Lamps(scene, world)
         dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
         self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
-        self.backlit = Backlit(dark_scene, self.lamps, specimen=optics.SPECIMEN, media=media, room=room)
+        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room)
+        self.targets = [optics.SHOOT if ring.kind == "shoot" else optics.SPECIMEN for ring in scene.plan.rings]
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)
         self.near_dirt: Backlit | None = None
         if wrong.dust_specks or wrong.scratches:  # finer than pixels
             reach_mm = DIRT_REACH_PX * (1.0 + self.blur_px) * farthest_mm / min(scene.camera.focal_px)
             empty = optics.build(scene, world, None, lamps=False, dirt_reach_mm=reach_mm)
-            self.near_dirt = Backlit(empty, self.lamps, specimen=optics.OUTER_DIRT, media=False)
+            self.near_dirt = Backlit(empty, self.lamps, media=False)
+            self.near_dirt.aim(optics.OUTER_DIRT)
         self.sensors = [
             mi.load_dict(
                 sensor.sensor_dict(
@@ -129,7 +131,7 @@ class Renderer:
         image : (H, W) float32
             Linear light; 1 is the camera's full scale.
         coverage : (H, W) float32
-            Fraction of each pixel whose refracted primary rays meet the specimen.
+            Fraction of each pixel whose refracted primary rays meet the specimen; in a ring of the shoot, the shoot.
         """
         return self.look(self.world.cameras[k], ring=self.ring_of_view[k], stream=k)
 
@@ -158,8 +160,9 @@ class Renderer:
         self.lamps.place(camera)
         for built in (self.backlit.scene, *([self.lit_scene] if self.fidelity == "path" else [])):
             tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
+        self.backlit.aim(self.targets[ring])
         image, coverage, mixed = self._smooth(eye)
-        self._refine(eye, image, coverage, mixed)
+        self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))  # leaves on edge are finer than pixels
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
             image = self._traced(eye, stream)

@@ -18,6 +18,7 @@ from rhizotwin.scenes.traced import close_gaps, once
 from rhizotwin.scenes.traits import measure_traits
 from rhizotwin.sim import growth, meshes, placing, solids
 from rhizotwin.sim.placing import TOUCH_MM, check_in_water
+from rhizotwin.sim.shoot import ShootSolid, build_shoot
 from rhizotwin.sim.solids import Array, Faces
 
 SPHERE_SUBDIVISIONS = 6
@@ -42,6 +43,8 @@ class SpecimenSolid:
     """Every field of `scenes.traits.Traits`."""
     notes: tuple[str, ...] = ()
     """What was repaired or is odd about the specimen, a sentence each, for the user."""
+    shoot: ShootSolid | None = None
+    """What grows on it above the net pot."""
 
     @property
     def normals(self) -> Array:
@@ -138,7 +141,15 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
         notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and never seen.")
     volume_mm3, surface_mm2 = float(solid.volume()), float(solid.surface_area())
     traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
-    return SpecimenSolid(vertices=vertices, faces=faces, volume_mm3=volume_mm3, roots=tuple(roots), traits=traits, notes=tuple(notes))
+    return SpecimenSolid(
+        vertices=vertices,
+        faces=faces,
+        volume_mm3=volume_mm3,
+        roots=tuple(roots),
+        traits=traits,
+        notes=tuple(notes),
+        shoot=build_shoot(scene),
+    )
 
 
 def _is_moved(specimen: PlacedFile) -> bool:

@@ -17,8 +17,10 @@ from rhizotwin.sim.world import TrueCamera, World
 
 def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
     """Write the solid and its centrelines into the ``truth`` folder of the dataset in ``folder``."""
-    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
-    write_bytes(folder / "truth" / "specimen.ply", bytes(mesh.export(file_type="ply")))
+    for name, part in (("specimen", solid), ("shoot", solid.shoot)):
+        if part is not None:
+            mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+            write_bytes(folder / "truth" / f"{name}.ply", bytes(mesh.export(file_type="ply")))
     if solid.roots:
         write_rsml(folder / "truth" / "skeleton.rsml", solid.roots)
 
@@ -36,6 +38,7 @@ def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, True
             TrueView(file=file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg) for file, camera in taken
         ),
         traits=dict(solid.traits),
+        shoot={} if solid.shoot is None else solid.shoot.truth(),
         drawn={
             **world.drawn(),
             "focal_error": world.scene.disturbances.focal_error,

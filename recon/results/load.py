@@ -14,6 +14,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.root_doubt import Estimate
@@ -41,6 +42,7 @@ def load_result(folder: Path | str) -> Result:
         solid=_solid(folder, summary),
         mass_g=summary.get("mass_g"),
         cameras=tuple(_camera(view) for view in views),
+        shoot=_shoot(folder, summary.get("shoot")),
         fill={view["file"]: view["fill"] for view in views if view.get("fill") is not None},
         rig=summary.get("rig") or {},
         warnings=tuple(summary["warnings"]),
@@ -81,6 +83,21 @@ def _solid(folder: Path, summary: Json) -> Solid:
         mu_per_mm=summary.get("root_mu_per_mm"),
         mu_sigma_per_mm=summary.get("root_mu_sigma_per_mm"),
         roots=rsml.read_rsml(roots) if roots.is_file() else (),
+    )
+
+
+def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
+    """Read the shoot, where there is one."""
+    if summary is None:
+        return None
+    mesh = result_files.read_mesh(folder / "shoot.ply")
+    return Shoot(
+        mesh=trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False),
+        hull_mm3=float(summary["hull_mm3"]),
+        pot_top_mm=float(summary["pot_top_mm"]),
+        covered_px={str(file): float(pixels) for file, pixels in summary["covered_px"].items()},
+        mm2_per_px={str(file): float(area) for file, area in summary["mm2_per_px"].items()},
+        hidden_share=float(summary["hidden_share"]),
     )
 
 

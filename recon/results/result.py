@@ -4,6 +4,7 @@ RESULT/  result.json   numbers, traits, views, rig, warnings, timings, settings 
 shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the untrimmed hull as
 hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
 shape.ply     surface, canister frame, mm
+shoot.ply     surface of the shoot's visual hull, where there are pictures of a shoot
 roots.rsml    centre lines and diameters of the roots, where some were found
 traits.csv, traits.json   traits with units and definitions
 silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
@@ -28,6 +29,7 @@ from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, picture_path
+from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.root_doubt import Estimate
@@ -103,6 +105,8 @@ class Result:
     """Of the roots, where they were weighed."""
     cameras: tuple[Camera, ...]
     """Of every picture of the root."""
+    shoot: Shoot | None = None
+    """What stands above the net pot; None where no picture shows it."""
     fill: Mapping[str, float]
     """Share of the seen water that roots cover, by the frame's file."""
     rig: Json
@@ -208,6 +212,7 @@ class Result:
             "extents_min_mm": solid.extents_min_mm,
             "extents_max_mm": solid.extents_max_mm,
             "views": [self._view(camera) for camera in self.cameras],
+            "shoot": None if self.shoot is None else self.shoot.summary(),
             "rig": self.rig,
             "warnings": list(self.warnings),
             "timings_s": self.timings_s,
@@ -246,6 +251,9 @@ class Result:
         (folder / "result.json").unlink(missing_ok=True)
         atomic.write_bytes(folder / "shape.npz", buffer.getvalue())
         atomic.write_bytes(folder / "shape.ply", bytes(trimesh.exchange.ply.export_ply(solid.mesh)))
+        (folder / "shoot.ply").unlink(missing_ok=True)
+        if self.shoot is not None:
+            atomic.write_bytes(folder / "shoot.ply", bytes(trimesh.exchange.ply.export_ply(self.shoot.mesh)))
         (folder / "roots.rsml").unlink(missing_ok=True)
         if solid.roots:
             rsml.write_rsml(folder / "roots.rsml", solid.roots)

@@ -18,6 +18,7 @@ from rhizotwin.recon.scoring import score_traits
 from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
 from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
 from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from rhizotwin.recon.scoring.score_shoot import ShootScore, compare_shoot
 from rhizotwin.recon.scoring.score_solid import (
     Triple,
     VolumeScore,
@@ -63,6 +64,8 @@ class Score(VolumeScore):
     hull: HullScore
     roots: RootScore | None
     """None where the truth or the result has no roots."""
+    shoot: ShootScore | None
+    """None where the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
     """By the names of `scenes.trait_table`."""
     blind_mm3: float
@@ -80,7 +83,8 @@ class Score(VolumeScore):
 
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""
-        rows = [*self._shape_rows(), ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
+        shoot = [] if self.shoot is None else self.shoot.rows()
+        rows = [*self._shape_rows(), *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
         title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
         return "\n".join([table_of(title, rows), *(f"warning: {warning}" for warning in self.warnings)])
 
@@ -197,6 +201,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
         roots=compare_roots(found.roots, rsml.read_rsml(true_roots)) if both else None,
+        shoot=compare_shoot(found.shoot, truth.shoot, mesh_path.parent),
         traits=compare_traits(found.measured, _true_traits(true_roots, true_solid, truth.volume_mm3)),
         blind_mm3=solid.blind_mm3,
         timings_s=found.timings_s,

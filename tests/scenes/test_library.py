@@ -17,7 +17,7 @@ FAMILIES = ["bean", "maize", "wheat", "lettuce", "bulb", "carrot", "radish_swoll
 
 
 def test_the_library_is_complete() -> None:
-    solids = ["sphere_20mm", "printed_8ml", "fallen_plant", "gel_cylinder"]
+    solids = ["sphere_20mm", "printed_8ml", "fallen_plant", "gel_cylinder", "radish_shoot"]
     assert sorted(name for name, _ in library()) == sorted([*solids, *FAMILIES, *RADISHES])
 
 

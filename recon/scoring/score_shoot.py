@@ -1,0 +1,66 @@
+"""Compare a shoot with the truth of a simulated dataset."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rhizotwin.recon.results import result_files
+from rhizotwin.recon.shoots.shoot import Shoot
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShootScore:
+    """How well a shoot agrees with the true one. Errors are signed fractions: found / true - 1."""
+
+    height_mm: float
+    height_true_mm: float
+    height_error: float
+    surface_area_mm2: float
+    surface_area_true_mm2: float
+    """Half of the true solid's surface: one side of its blades, and half of its stalks."""
+    surface_area_error: float
+    projected_error: float
+    """Of the area in the pictures, in the median over them."""
+    projected_error_max: float
+    """The largest of any picture, without its sign."""
+    hull_mm3: float
+    volume_true_mm3: float
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the table's lines."""
+        return [
+            ("shoot", ""),
+            ("  height", f"{self.height_mm:.2f} mm, true {self.height_true_mm:.2f} mm: {100.0 * self.height_error:+.2f} %"),
+            (
+                "  surface, one side",
+                f"{self.surface_area_mm2:.0f} mm2, true {self.surface_area_true_mm2:.0f} mm2: {100.0 * self.surface_area_error:+.2f} %",
+            ),
+            ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, worst {100.0 * self.projected_error_max:.2f} %"),
+            ("  hull", f"{self.hull_mm3:.0f} mm3, true {self.volume_true_mm3:.0f} mm3"),
+        ]
+
+
+def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
+    """Compare a shoot with a dataset's ``truth`` folder; None where there is no shoot, or no truth of one."""
+    if found is None or not truth:
+        return None
+    solid = result_files.read_mesh(folder / "shoot.ply")
+    a, b, c = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
+    half_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 4.0
+    errors = []
+    for file, pixels in found.covered_px.items():
+        mask = result_files.read_grey(result_files.picture_path(folder / "masks", file))
+        errors.append(pixels / max(float(mask.sum()), 1e-9) - 1.0)
+    return ShootScore(
+        height_mm=found.height_mm,
+        height_true_mm=truth["height_mm"],
+        height_error=found.height_mm / truth["height_mm"] - 1.0,
+        surface_area_mm2=found.surface_area_mm2,
+        surface_area_true_mm2=half_mm2,
+        surface_area_error=found.surface_area_mm2 / half_mm2 - 1.0,
+        projected_error=float(np.median(errors)),
+        projected_error_max=float(np.abs(errors).max()),
+        hull_mm3=found.hull_mm3,
+        volume_true_mm3=truth["volume_mm3"],
+    )

@@ -1,0 +1,75 @@
+"""What is found of a shoot: its hull in air and what that and the silhouettes measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
+
+Json = dict[str, object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shoot:
+    """A shoot above the net pot, as its pictures show it."""
+
+    mesh: trimesh.Trimesh = field(repr=False)
+    """Surface of the visual hull, canister frame, mm."""
+    hull_mm3: float
+    """Volume of the visual hull, which no shoot with these silhouettes exceeds; several times that of thin leaves."""
+    pot_top_mm: float
+    """z of the net pot's top."""
+    covered_px: Mapping[str, float]
+    """Pixels that the shoot covers, by the frame's file."""
+    mm2_per_px: Mapping[str, float]
+    """Area of a pixel at the canister's axis, by the frame's file."""
+    hidden_share: float
+    """Share of the covered pixels before the pot or beside the panel, where the hull is not told."""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def projected_mm2(self) -> dict[str, float]:
+        """Area that covers each picture, at the scale of the canister's axis, by the frame's file."""
+        return {file: pixels * self.mm2_per_px[file] for file, pixels in self.covered_px.items()}
+
+    @property
+    def height_mm(self) -> float:
+        """Highest point above the net pot's top."""
+        return float(self.mesh.vertices[:, 2].max()) - self.pot_top_mm
+
+    @property
+    def width_mm(self) -> tuple[float, float]:
+        """Widths of the bounding box along x and y of the canister frame."""
+        x, y, _ = np.ptp(self.mesh.vertices, axis=0)
+        return float(x), float(y)
+
+    @property
+    def surface_area_mm2(self) -> float:
+        """One-sided area of blades and half the surface of stalks: half of the hull's surface.
+
+        The hull of a blade is a lens about it, whose two sides lie along the blade's.
+        """
+        return 0.5 * float(self.mesh.area)
+
+    @property
+    def convex_mm3(self) -> float:
+        """Volume of the convex hull."""
+        return float(ConvexHull(np.asarray(self.mesh.vertices)).volume)
+
+    def summary(self) -> Json:
+        """Return the numbers for ``result.json``."""
+        return {
+            "height_mm": self.height_mm,
+            "width_mm": list(self.width_mm),
+            "surface_area_mm2": self.surface_area_mm2,
+            "projected_mean_mm2": sum(self.projected_mm2.values()) / max(1, len(self.covered_px)),
+            "covered_px": dict(self.covered_px),
+            "mm2_per_px": dict(self.mm2_per_px),
+            "hull_mm3": self.hull_mm3,
+            "convex_mm3": self.convex_mm3,
+            "pot_top_mm": self.pot_top_mm,
+            "hidden_share": self.hidden_share,
+        }

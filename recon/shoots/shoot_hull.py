@@ -1,0 +1,87 @@
+"""The visual hull of a shoot in air, by the carving that finds roots in water."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.silhouettes import Silhouette, Window
+from rhizotwin.recon.hull import carve, parsimony, surface
+from rhizotwin.recon.hull.carve import Hull, Water
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
+
+SLACK_PX = 0.3
+"""As for roots: how far an outline may be off."""
+_ROOM = 0.8
+"""Share of the nearest camera's distance within which a shoot is looked for."""
+
+
+def find(
+    drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene, *, finest_mm: float, monitor: Monitor
+) -> tuple[Hull, trimesh.Trimesh]:
+    """Carve the hull of silhouettes (V) out of the air above the net pot.
+
+    Returns
+    -------
+    hull : Hull
+    mesh : trimesh.Trimesh
+        Its surface, canister frame, mm.
+
+    Raises
+    ------
+    UserError
+        Where the silhouettes have no volume in common.
+    """
+    order = np.argsort((np.arange(len(views)) * 0.6180339887498949) % 1.0, kind="stable")  # neighbours far apart: nodes are carved early
+    drawn, views = [drawn[k] for k in order], [views[k] for k in order]
+    room = _room(drawn, views, scene)
+    window = Window.around(drawn)
+    maps = np.stack(monitor.each(lambda k: silhouettes.signed_distance(drawn[k].cut(window)), "shoot", range(len(drawn))))
+    optics = replace(
+        Optics.of(scene),
+        outer_radius_mm=room.radius_mm,
+        inner_radius_mm=room.radius_mm,
+        n_wall=1.0,
+        n_water=1.0,
+        floor_z_mm=room.bottom_mm,
+        water_z_mm=room.top_mm,
+        bottom_z_mm=room.bottom_mm,
+    )
+    distance = carve.DistanceMaps.of(maps, scene.camera.image_wh, window)
+    low = np.array([-room.radius_mm, -room.radius_mm, room.bottom_mm])
+    grid = carve.Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)
+    votes = max(3, math.ceil(parsimony.VOTES * len(views)))
+    hull = carve.carve(ViewBank.of(views, optics), distance, grid, room, min_votes=votes, slack_px=SLACK_PX)
+    if hull.leaves.volume_mm3() == 0.0:
+        raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
+    index, size, occupancy = surface.to_voxels(hull.leaves, 1)
+    return hull, surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+
+
+def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:
+    """Return the air that holds what the pictures show, at the farthest that a shoot may stand."""
+    top_mm = scene.net_pot.top_mm
+    reach_mm, high_mm = scene.net_pot.outer_radius_mm, top_mm
+    for silhouette, view in zip(drawn, views, strict=True):
+        rows, columns = np.nonzero(silhouette.coverage > 0.5)
+        if not len(rows):
+            continue
+        (fx, fy), (cx, cy) = view.camera.focal_px, view.camera.principal_px
+        # what stands off the axis by r looks as wide as r / (distance - r) at most
+        aside = float(np.abs(columns - cx).max()) / fx
+        reach_mm = max(reach_mm, min(_ROOM, aside / (1.0 - min(aside, 0.5))) * view.rho_mm)
+        up, axis = float((cy - rows.min()) / fy), view.cam_from_canister[:3, 2]
+        forward = np.sqrt(1.0 - axis[2] ** 2)  # horizontal part of the optical axis
+        climb = (axis[2] - up * axis[1]) / (forward - up * axis[2])  # of the highest ray, a horizontal mm
+        high_mm = max(high_mm, float(view.centre_mm[2]) + max(climb * (view.rho_mm + side * reach_mm) for side in (-1.0, 1.0)))
+    return Water(reach_mm, high_mm + 2.0, top_mm)

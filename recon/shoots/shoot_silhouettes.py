@@ -1,0 +1,118 @@
+"""Silhouettes of a shoot: dark before the panel, bright before the net pot's black top, unknown before the strip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import NetPot, Scene
+from rhizotwin.scenes.pictures import Grey
+
+_PANEL_ORDER = 4
+"""Degree of the polynomial in column and row that a diffuse panel's light follows."""
+_LIT = 0.95
+"""The panel is bare where a pixel's upper quantile reaches this share of the polynomial."""
+_UPPER = 90.0
+"""Percentile over a turn that shows the bare panel behind the plant."""
+_EDGE_PX = 3
+"""The pot's rim is blurred, and its place is known from the markers to less than this."""
+_RIM_STEPS = 180
+_OPAQUE = 0.5
+"""Opacity, of what the plant's inside shows, beyond which a pixel counts as inside when that is measured."""
+
+
+def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
+    """Measure how much of each pixel the shoot covers in the pictures of one ring.
+
+    Parameters
+    ----------
+    images : sequence of (H, W)
+        Linear in light.
+    views : sequence of View
+        Their cameras.
+    scene : Scene
+        Its net pot tells where the pictures show panel, pot top, or strip and canister.
+
+    Returns
+    -------
+    list of Silhouette
+        ``seen`` where panel stands behind: only there an empty pixel proves that nothing is in its way. Before the
+        pot's top a shaded leaf looks like none; before its rim the nearest pixels are taken; before strip and canister
+        nothing is told.
+    """
+    stack = np.stack([image.astype(np.float32) for image in images])
+    pot = [_pot(view, scene, stack.shape[1:]) for view in views]
+    below, top = (np.stack([part[k] for part in pot]) for k in (0, 1))
+    panel, lit = _panel(stack, below | top)
+    gain = np.array([np.median((image / panel)[lit & ~hidden]) for image, hidden in zip(stack, below | top, strict=True)])
+    return [
+        _silhouette(image / np.float32(g), panel, lit & ~hidden & ~before, before & ~hidden)
+        for image, g, hidden, before in zip(stack, gain, below, top, strict=True)
+    ]
+
+
+def _pot(view: View, scene: Scene, shape: tuple[int, ...]) -> tuple[Mask, Mask]:
+    """Return where a picture (H, W) shows strip and canister, and where the pot's top."""
+    pot = scene.net_pot
+    rim, foot = _outline(view, pot, pot.top_mm), _outline(view, pot, -scene.canister.height_mm)
+    top, whole = (np.zeros(shape, np.uint8) for _ in range(2))
+    cv2.fillPoly(top, [np.round(rim).astype(np.int32)], 1)
+    hull = cv2.convexHull(np.concatenate([rim, foot]).astype(np.float32))
+    cv2.fillPoly(whole, [np.round(hull).astype(np.int32)], 1)
+    margin = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _EDGE_PX + 1,) * 2)
+    inner, outer = cv2.erode(top, margin) > 0, cv2.dilate(whole, margin) > 0
+    return outer & ~inner, inner
+
+
+def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
+    """Return the pixels (N, 2) of the pot's circle at a height."""
+    angle = np.arange(_RIM_STEPS) * 2.0 * np.pi / _RIM_STEPS
+    circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(_RIM_STEPS, z_mm)], axis=1)
+    return cameras.direction_pixels(
+        view, frames.apply(view.azimuth_from_canister, circle) - np.array([view.rho_mm, 0.0, view.centre_mm[2]])
+    )
+
+
+def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
+    """Return the bare panel's light (H, W), and where it shines: a smooth surface through what pixels show in most views."""
+    usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
+    open_ = ~pot.any(axis=0)
+    bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
+    height, width = usual.shape
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0)
+    fitted = bright
+    for _ in range(4):  # the plant's middle hides the panel from most of a turn: it is left out step by step
+        some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
+        found = np.linalg.lstsq(terms.reshape(len(terms), -1)[:, some].T, usual.ravel()[some].astype(np.float64), rcond=None)[0]
+        smooth = np.tensordot(found, terms, axes=1).astype(np.float32)
+        fitted = bright & (usual > _LIT * smooth)
+    lit = open_ | (usual > _LIT * smooth)
+    return np.maximum(np.where(fitted, usual, smooth), 1e-6).astype(np.float32), lit & (smooth > 0.5 * float(np.median(usual[fitted])))
+
+
+def _terms(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([x**i * y**j for i in range(_PANEL_ORDER + 1) for j in range(_PANEL_ORDER + 1 - i)])
+
+
+def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
+    """Return coverage: light absorbed before the panel, and sent back before the pot, over what the plant's inside shows."""
+    dark = silhouettes.opacity(image, panel, before_panel)
+    wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    felt = np.float32(np.median(image[before_pot])) if before_pot.any() else np.float32(0.0)
+    contrast = float(np.median(image[wide])) - float(felt) if wide.any() else 0.0
+    told = before_pot if contrast > felt else np.zeros_like(before_pot)  # green as dark as the pot tells nothing before it
+    bright = np.where(told, (image - felt) / np.float32(max(contrast, 1e-6)), 0.0).astype(np.float32)
+    parts = [silhouettes.measure(opacity, seen) for opacity, seen in ((dark, before_panel), (bright, told))]
+    coverage = np.maximum(parts[0].coverage, parts[1].coverage)
+    away_px, (row, column) = ndimage.distance_transform_edt(~(before_panel | told), return_indices=True)
+    return Silhouette(np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0).astype(np.float32), before_panel)

@@ -1,0 +1,43 @@
+"""What grows above the net pot: a rosette of leaves on petioles."""
+
+from dataclasses import dataclass
+
+from rhizotwin.scenes.limits import bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shoot:
+    """A shoot with leaves in a spiral, described by its oldest leaf; younger ones are smaller and stand steeper, seeded.
+
+    The defaults are a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus sativus are 0.25 to
+    0.35 mm thick).
+    """
+
+    seed: int = bounded(0, 0, 2**63 - 1)
+    leaves: int = bounded(6, 1, 60)
+    divergence_deg: float = bounded(137.508, 0.0, 360.0)
+    """Azimuth from each leaf to the next: the golden angle of spiral phyllotaxis."""
+    youngest: float = bounded(0.35, 0.05, 1.0)
+    """Size of the youngest leaf as a fraction of the oldest."""
+    size_sd: float = bounded(0.08, 0.0, 0.5)
+    """Standard deviation of a leaf's size about that, as a fraction of it."""
+    stem_mm: float = bounded(12.0, 2.0, 500.0)
+    """Height of the stem on which the petioles stand, above the net pot's top."""
+    stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)
+    petiole_mm: float = bounded(35.0, 1.0, 500.0)
+    petiole_diameter_mm: float = bounded(2.0, 0.2, 50.0)
+    elevation_deg: float = bounded(35.0, -60.0, 90.0)
+    """Angle of the oldest petiole above the horizon."""
+    youngest_elevation_deg: float = bounded(75.0, -60.0, 90.0)
+    """The same of the youngest."""
+    elevation_sd_deg: float = bounded(6.0, 0.0, 45.0)
+    blade_mm: float = bounded(40.0, 2.0, 1000.0)
+    """Length of the oldest blade along its midrib."""
+    blade_width_mm: float = bounded(24.0, 1.0, 1000.0)
+    thickness_mm: float = bounded(0.3, 0.05, 5.0)
+    droop_deg: float = bounded(50.0, -90.0, 170.0)
+    """By how much a blade bends down from its base to its tip."""
+    fold_deg: float = bounded(12.0, -60.0, 60.0)
+    """Angle by which the two halves of a blade rise from its midrib."""
+    reflectance: float = bounded(0.12, 0.0, 1.0)
+    """Share of visible light that a green leaf sends back (0.05 in the blue and red, 0.15 to 0.2 in the green)."""

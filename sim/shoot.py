@@ -1,0 +1,159 @@
+"""From the description of a shoot to one watertight solid above the net pot, with its exact volume and leaf area."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.shoots import Shoot
+from rhizotwin.sim import solids
+from rhizotwin.sim.solids import Array, Faces
+
+ALONG, ACROSS = 32, 12
+"""Cells of a blade along its midrib and from edge to edge: its area is within 0.2 % of that of 64 x 24 cells (tests/sim/test_shoot.py)."""
+TIP_SHARE = 0.02
+"""Width of a blade at its two ends, as a share of the widest: a point would have no thickness."""
+GAP_MM = 0.2
+"""Between the stem's foot and the net pot's top."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShootSolid:
+    """One watertight solid in the canister frame."""
+
+    vertices: Array
+    """(V, 3) float64, mm."""
+    faces: Faces
+    """(F, 3) int32, counter-clockwise seen from outside."""
+    volume_mm3: float
+    """Exact volume of the polyhedron."""
+    leaf_area_mm2: float
+    """One-sided area of all blades."""
+    leaves: int
+    height_mm: float
+    """Of the highest point above the net pot's top."""
+
+    def truth(self) -> dict[str, float]:
+        """Return what a reconstruction is compared with, as JSON values."""
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        return {
+            "volume_mm3": self.volume_mm3,
+            "leaf_area_mm2": self.leaf_area_mm2,
+            "leaves": self.leaves,
+            "height_mm": self.height_mm,
+            "width_x_mm": float(high[0] - low[0]),
+            "width_y_mm": float(high[1] - low[1]),
+        }
+
+
+def build_shoot(scene: Scene) -> ShootSolid | None:
+    """Build the solid of a scene's shoot; None where it has none.
+
+    Raises
+    ------
+    UserError
+        Where a leaf reaches below the net pot's top, where it would stand in the pot.
+    """
+    if scene.shoot is None:
+        return None
+    plant, foot_mm = scene.shoot, scene.net_pot.top_mm + GAP_MM
+    top = np.array([0.0, 0.0, foot_mm + plant.stem_mm])
+    foot = np.array([0.0, 0.0, foot_mm + plant.stem_diameter_mm / 2.0])
+    parts = [_tube(np.stack([foot, top]), plant.stem_diameter_mm)]
+    area_mm2 = 0.0
+    for leaf in range(plant.leaves):
+        petiole, middle, left, right = _leaf(plant, leaf, top)
+        vertices, faces, area = _blade(middle, left, right, plant.thickness_mm)
+        parts += [_tube(petiole, _share(plant, leaf) * plant.petiole_diameter_mm), _checked(vertices, faces, leaf)]
+        area_mm2 += area
+    solid = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
+    vertices, faces = solids.surface_of(solid)
+    lowest_mm = float(vertices[:, 2].min()) - scene.net_pot.top_mm
+    if lowest_mm < 0.0:
+        raise UserError(
+            f"The shoot reaches {-lowest_mm:.1f} mm below the net pot's top (z {scene.net_pot.top_mm:g} mm): "
+            "raise shoot.elevation_deg or shoot.stem_mm, or lower shoot.droop_deg or the sizes."
+        )
+    return ShootSolid(
+        vertices=vertices,
+        faces=faces,
+        volume_mm3=float(solid.volume()),
+        leaf_area_mm2=area_mm2,
+        leaves=plant.leaves,
+        height_mm=float(vertices[:, 2].max()) - scene.net_pot.top_mm,
+    )
+
+
+def _share(plant: Shoot, leaf: int) -> float:
+    """Return the size of a leaf over that of the oldest, without its own scatter."""
+    age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
+    return 1.0 + age * (plant.youngest - 1.0)
+
+
+def _leaf(plant: Shoot, leaf: int, top: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the petiole's centre line (N, 3), and midrib and edges (ALONG + 1, 3) of the blade."""
+    rng = np.random.default_rng([plant.seed, leaf])
+    size = _share(plant, leaf) * float(np.exp(plant.size_sd * rng.normal()))
+    age = 0.0 if plant.leaves == 1 else leaf / (plant.leaves - 1)
+    elevation_deg = plant.elevation_deg + age * (plant.youngest_elevation_deg - plant.elevation_deg) + plant.elevation_sd_deg * rng.normal()
+    azimuth = np.deg2rad(leaf * plant.divergence_deg)
+    out, side = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+
+    def heading(rad: Array) -> Array:
+        return np.cos(rad)[..., None] * out + np.sin(rad)[..., None] * np.array([0.0, 0.0, 1.0])
+
+    rise = float(np.deg2rad(np.clip(elevation_deg, -60.0, 88.0)))
+    end = top + size * plant.petiole_mm * heading(np.array(rise))
+    along = np.linspace(0.0, 1.0, ALONG + 1)
+    bend = rise - np.deg2rad(plant.droop_deg) * 0.5 * (along[:-1] + along[1:])
+    steps = size * plant.blade_mm / ALONG * heading(bend)
+    middle = end + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    # an ellipse with its widest place a little before the middle
+    width = np.maximum(np.sqrt(np.clip(1.0 - (2.0 * along**0.85 - 1.0) ** 2, 0.0, None)), TIP_SHARE) * size * plant.blade_width_mm
+    upward = np.cross(heading(rise - np.deg2rad(plant.droop_deg) * along), side)
+    fold = np.deg2rad(plant.fold_deg)
+    halves = [0.5 * width[:, None] * (np.cos(fold) * sign * side + np.sin(fold) * upward) for sign in (1.0, -1.0)]
+    petiole = np.stack([top - np.array([0.0, 0.0, plant.stem_diameter_mm / 4.0]), end, middle[2]])
+    return petiole, middle, middle + halves[0], middle + halves[1]
+
+
+def _blade(middle: Array, left: Array, right: Array, thickness_mm: float) -> tuple[Array, Faces, float]:
+    """Return the closed surface of a blade of even thickness, and its one-sided area.
+
+    Parameters
+    ----------
+    middle, left, right : (N, 3) float64
+        Midrib and edges; between them a blade is straight.
+    """
+    across = np.abs(np.linspace(-1.0, 1.0, ACROSS + 1))[None, :, None]
+    edge = np.where(np.linspace(-1.0, 1.0, ACROSS + 1)[None, :, None] < 0.0, left[:, None], right[:, None])
+    sheet = middle[:, None] * (1.0 - across) + edge * across
+    normal = np.cross(np.gradient(sheet, axis=0), np.gradient(sheet, axis=1))
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    rows, columns = sheet.shape[:2]
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    one = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    rim = np.concatenate([number[0, :], number[1:, -1], number[-1, -2::-1], number[-2:0:-1, 0]])
+    onward, under = np.roll(rim, -1), rows * columns
+    sides = np.concatenate([np.stack([rim, onward, onward + under], axis=1), np.stack([rim, onward + under, rim + under], axis=1)])
+    vertices = np.concatenate([(sheet + side * 0.5 * thickness_mm * normal).reshape(-1, 3) for side in (1.0, -1.0)])
+    points = sheet.reshape(-1, 3)
+    area = 0.5 * np.linalg.norm(np.cross(points[one[:, 1]] - points[one[:, 0]], points[one[:, 2]] - points[one[:, 0]]), axis=1).sum()
+    return vertices, np.concatenate([one, one[:, ::-1] + under, sides]).astype(np.int32), float(area)
+
+
+def _tube(points_mm: Array, diameter_mm: float) -> manifold3d.Manifold:
+    return solids.manifold_of(*solids.tube(points_mm, np.full(len(points_mm), diameter_mm / 2.0), sides=solids.SIDES))
+
+
+def _checked(vertices: Array, faces: Faces, leaf: int) -> manifold3d.Manifold:
+    """Return a blade as a solid; UserError where its description gives none."""
+    solid = solids.manifold_of(vertices, faces)
+    if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0.0:
+        raise UserError(f"The blade of leaf {leaf + 1} closes to no solid; change shoot.thickness_mm, shoot.fold_deg or shoot.droop_deg.")
+    return solid

@@ -1,0 +1,80 @@
+"""Shoots from pictures that a pinhole draws: a ball and a flat disc above the pot, whose sizes are known."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.recon.shoots import shoot_hull, shoot_silhouettes
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
+
+SCENE = replace(Scene(), camera=Camera().resized((400, 300)))
+VIEWS = 24
+PANEL, GREEN, FELT = 0.75, 0.06, 0.012
+
+
+def views() -> list[View]:
+    still = frames.level_camera(distance_mm=420.0, height_mm=120.0, tilt_deg=10.0)
+    return [View(camera=SCENE.camera, cam_from_canister=still @ frames.rotation_z(2.0 * np.pi * k / VIEWS)) for k in range(VIEWS)]
+
+
+def drawn(view: View, points_mm: np.ndarray) -> np.ndarray:
+    """Draw the convex hull of points before panel and pot, 4 x 4 samples a pixel."""
+    fine, (width, height) = 4, SCENE.camera.image_wh
+    lens = matrix(view.camera)
+    lens[:2, :2] *= fine
+    lens[:2, 2] = (lens[:2, 2] + 0.5) * fine - 0.5
+
+    def outline(points: np.ndarray) -> np.ndarray:
+        cam = frames.apply(view.cam_from_canister, points) @ lens.T
+        return cv2.convexHull(cam[:, :2].astype(np.float32) / cam[:, 2:].astype(np.float32))
+
+    pot, angle = SCENE.net_pot, np.linspace(0.0, 2.0 * np.pi, 181)
+    circle = np.stack([pot.outer_radius_mm * np.cos(angle), pot.outer_radius_mm * np.sin(angle), np.full(181, pot.top_mm)], axis=1)
+    picture = np.full((height * fine, width * fine), PANEL, np.float32)
+    for points, light in ((np.concatenate([circle, circle - [0.0, 0.0, 180.0]]), 0.3), (circle, FELT), (points_mm, GREEN)):
+        cv2.fillPoly(picture, [np.round(outline(points)).astype(np.int32)], light)
+    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def ball(radius_mm: float, at_mm: tuple[float, float, float]) -> np.ndarray:
+    direction = np.random.default_rng(0).normal(size=(20_000, 3))
+    return radius_mm * direction / np.linalg.norm(direction, axis=1, keepdims=True) + np.array(at_mm)
+
+
+def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """Return hull volume, bounds of its mesh, and half of its surface."""
+    every = views()
+    silhouettes = shoot_silhouettes.of_ring([drawn(view, points_mm) for view in every], every, SCENE)
+    hull, mesh = shoot_hull.find(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
+    return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area)
+
+
+def test_a_ball_in_the_air_has_its_size_and_place() -> None:
+    volume_mm3, bounds, _ = found(ball(15.0, (10.0, -5.0, 75.0)))
+    assert volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * 15.0**3, rel=0.04)
+    assert bounds[0] == pytest.approx([-5.0, -20.0, 60.0], abs=0.7)
+    assert bounds[1] == pytest.approx([25.0, 10.0, 90.0], abs=0.7)
+
+
+def test_a_disc_that_leans_has_its_one_sided_area() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    lean = np.deg2rad(40.0)
+    flat = 20.0 * np.stack([np.cos(angle), np.sin(angle) * np.cos(lean), np.sin(angle) * np.sin(lean)], axis=1)
+    across = 0.5 * np.array([0.0, -np.sin(lean), np.cos(lean)])
+    disc = np.concatenate([flat + across, flat - across]) + np.array([0.0, 0.0, 80.0])  # 1 mm thick: 1.5 px
+    assert found(disc)[2] == pytest.approx(np.pi * (400.0 + 20.0), rel=0.06)
+
+
+def test_what_stands_before_the_pot_does_not_carve() -> None:
+    every = views()
+    silhouettes = shoot_silhouettes.of_ring([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)
+    row, column = np.nonzero(silhouettes[0].coverage > 0.5)
+    assert len(row) > 300
+    pot_top = ~silhouettes[0].seen
+    assert pot_top[row, column].mean() > 0.3
+    assert not silhouettes[0].seen[250, 200]
