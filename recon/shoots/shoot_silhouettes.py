@@ -83,7 +83,7 @@ def _outline(view: View, pot: NetPot, z_mm: float) -> NDArray[np.float64]:
 
 
 def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, Mask]:
-    """Return the bare panel's light (H, W), and where it shines: a smooth surface through what pixels show in most views."""
+    """Return the bare panel's light (H, W), and where it shines: smooth through what pixels mostly show."""
     usual = np.percentile(stack, _UPPER, axis=0).astype(np.float32)
     open_ = ~pot.any(axis=0)
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
@@ -105,7 +105,7 @@ def _terms(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
-    """Return coverage: light absorbed before the panel, and sent back before the pot, over what the plant's inside shows."""
+    """Return coverage: light absorbed before the panel, and sent back before the pot, over that of its inside."""
     dark = silhouettes.opacity(image, panel, before_panel)
     wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     felt = np.float32(np.median(image[before_pot])) if before_pot.any() else np.float32(0.0)
