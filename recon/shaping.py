@@ -152,7 +152,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
         volume, kept_mm3 = leaves.volume_mm3(), share * trimmed.kept_mm3
         bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
     with monitor.stage("uncertainty"):
-        budget = _budget(found, leaves, system, share=share, volume_mm3=volume, slack_px=settings.hull.slack_px)
+        budget = _budget(found, leaves, system, share=share, volume_mm3=volume, settings=settings)
         checks = _checks(found, system, budget)
     solid = measure(hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3, monitor=monitor)
     solid = replace(solid, warnings=(*_warnings(budget, kept_mm3), *solid.warnings), checks=checks)
@@ -164,7 +164,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
 
 
 def _budget(
-    found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, *, share: float, volume_mm3: float, slack_px: float
+    found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, *, share: float, volume_mm3: float, settings: Settings
 ) -> Budget:
     """Gather what every part of the shape leaves open."""
     carved, trimmed = found.carved, found.trimmed
@@ -175,7 +175,7 @@ def _budget(
         told = tube_doubt.doubt(system.seen, system)
     terms = (
         *(() if told is None else told.terms),
-        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=slack_px, half_excess=half),
+        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=settings.hull.slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
         canister_doubt.canister(
@@ -183,7 +183,7 @@ def _budget(
         ),
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
-    return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill)
+    return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
 def _radius_excess_mm(cameras: Cameras) -> float | None:
@@ -201,8 +201,9 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
         unexplained=budget.unexplained,
         fill=budget.fill,
         structure=None if system is None else structure.left_by(system.seen, system),
+        trust=budget.trust,
     )
-    return shape_checks.of_motion(sway_mm), agreed
+    return shape_checks.of_motion(sway_mm, budget.trust), agreed
 
 
 def _is_thin(trimmed: parsimony.Trimmed, settings: Settings) -> bool:
