@@ -193,7 +193,7 @@ def _brought_inside(at: TankView, q: Array, miss: Callable[[Array], Array]) -> A
         out = ~np.isfinite(miss(q)).all(axis=1)
         if not out.any():
             break
-        q[out, 0] = aim + 0.95 * (q[out, 0] - aim)
+        q[out, 0] = aim + 0.95 * (q[out, 0] - aim)  # 40 of these leave an eighth of the way
     return q
 
 
@@ -245,7 +245,7 @@ def images_at_height(at: TankView, points_mm: Array, *, rays: int = 4001) -> NDA
 
     A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
     """
-    q = np.linspace(-0.7, 0.7, rays)
+    q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank fills
     line, enters = trace(at, q, np.zeros_like(q))
     side = points_mm[:, :1] * line.nu[:, 0] + points_mm[:, 1:2] * line.nu[:, 1] - line.b_mm
     with np.errstate(invalid="ignore"):

@@ -35,6 +35,8 @@ VIEWS = 16
 means by less than their scatter, over its square root."""
 _FINER = 4
 """Parts of a pixel's edge that roots are drawn with."""
+_SHIFT = 4
+"""Binary places of a part that OpenCV draws with: a sixteenth."""
 _SMOOTH_PX = 0.8
 """Both pictures are smoothed by this, so that the lens's own blur (about a pixel) makes little difference."""
 _LINE = 0.2
@@ -232,7 +234,7 @@ def _piece(canvas: NDArray[np.float32], px: Array, gradient: Array, radius_mm: A
     across = np.array([-step[1], step[0]]) / size
     half = radius_mm * np.linalg.norm(np.einsum("i,nij->nj", across, gradient), axis=1)  # of a ball's outline, across
     corners = np.stack([px[0] + half[0] * across, px[1] + half[1] * across, px[1] - half[1] * across, px[0] - half[0] * across])
-    fixed = np.round(((corners + 0.5) * _FINER - 0.5) * 16.0).astype(np.int32)  # sixteenths of a part, pixel centres at integers
-    cv2.fillConvexPoly(canvas, fixed, dark, lineType=cv2.LINE_8, shift=4)
-    centre = np.round(((px[1] + 0.5) * _FINER - 0.5) * 16.0).astype(np.int32)
-    cv2.circle(canvas, (int(centre[0]), int(centre[1])), round(float(half[1]) * _FINER * 16.0), dark, thickness=-1, shift=4)
+    fixed = np.round(((corners + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)  # pixel centres at integers
+    cv2.fillConvexPoly(canvas, fixed, dark, lineType=cv2.LINE_8, shift=_SHIFT)
+    centre = np.round(((px[1] + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)
+    cv2.circle(canvas, (int(centre[0]), int(centre[1])), round(float(half[1]) * _FINER * 2**_SHIFT), dark, thickness=-1, shift=_SHIFT)
