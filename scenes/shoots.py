@@ -14,7 +14,9 @@ class Shoot:
     """
 
     seed: int = bounded(0, 0, 2**63 - 1)
+    """Same seed, same shoot."""
     leaves: int = bounded(6, 1, 60)
+    """Number of leaves."""
     divergence_deg: float = bounded(137.508, 0.0, 360.0)
     """Azimuth from each leaf to the next: the golden angle of spiral phyllotaxis."""
     youngest: float = bounded(0.35, 0.05, 1.0)
@@ -24,17 +26,23 @@ class Shoot:
     stem_mm: float = bounded(12.0, 2.0, 500.0)
     """Height of the stem on which the petioles stand, above the net pot's top."""
     stem_diameter_mm: float = bounded(3.0, 0.2, 50.0)
+    """Diameter of the stem."""
     petiole_mm: float = bounded(35.0, 1.0, 500.0)
+    """Length of the oldest petiole."""
     petiole_diameter_mm: float = bounded(2.0, 0.2, 50.0)
+    """Diameter of the oldest petiole."""
     elevation_deg: float = bounded(35.0, -60.0, 90.0)
     """Angle of the oldest petiole above the horizon."""
     youngest_elevation_deg: float = bounded(75.0, -60.0, 90.0)
     """The same of the youngest."""
     elevation_sd_deg: float = bounded(6.0, 0.0, 45.0)
+    """Standard deviation of that angle between leaves."""
     blade_mm: float = bounded(40.0, 2.0, 1000.0)
     """Length of the oldest blade along its midrib."""
     blade_width_mm: float = bounded(24.0, 1.0, 1000.0)
+    """Greatest width of the oldest blade."""
     thickness_mm: float = bounded(0.3, 0.05, 5.0)
+    """Thickness of every blade."""
     droop_deg: float = bounded(50.0, -90.0, 170.0)
     """By how much a blade bends down from its base to its tip."""
     fold_deg: float = bounded(12.0, -60.0, 60.0)

@@ -1,5 +1,7 @@
 """The tank of liquid about the canister: four meshes that stand still in the rig while the canister, whose frame the scene has, turns."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import mitsuba as mi

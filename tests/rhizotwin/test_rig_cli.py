@@ -62,7 +62,6 @@ MISTAKES = [
     Mistake("scan --rig twin -o d --profile foggy --fidelity sketch", "foggy"),
     Mistake("scan --rig no_such_rig.toml -o d", "--scene is missing"),
     Mistake("scan --rig no_such_rig.toml --scene sphere_20mm -o d", "no_such_rig.toml"),
-    Mistake("rig", "STEP"),
     Mistake("rig check", "RIG"),
     Mistake("rig check no_such_rig.toml", "no_such_rig.toml"),
     Mistake("rig polish", "polish"),

@@ -16,7 +16,7 @@ from rhizotwin.rig.twin.faults import FOR_GOOD, Fault, Pending
 from rhizotwin.rig.twin.pictures import Rendered, calibrated_scene, draw
 from rhizotwin.rig.twin.record import Record, digest_of
 from rhizotwin.rig.twin.sketch import Sketch
-from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.atomic import write_image
@@ -196,7 +196,10 @@ def test_sketches_have_no_truth(tmp_path: Path) -> None:
 
 
 def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be() -> None:
-    twin = Twin(scene_of((200, 150)), seed=1, profile_name="bench", pictures="sketch")
+    scene, rig = scene_of((200, 150)), default_rig("lx")
+    assert rig.arm is not None
+    low = replace(rig, arm=replace(rig.arm, position_mm=(650.0, 0.0, -100.0)))  # the parked camera sees the strip
+    twin = Twin(scene, seed=1, profile_name="bench", pictures="sketch", rig=low)
     twin.world.front.show((255, 255, 255))
     twin.world.table.queue(90.0, 10.0)
     twin.clock.sleep(3.0)
