@@ -12,7 +12,8 @@ from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.frames import Array
 
 _ARM_MM = 100.0
-"""Turns are compared with shifts at this distance: that of the strip's markers from the axis, roughly."""
+"""Turns are compared with shifts by this: the nine entries of a rotation change by sqrt(2) times the angle, so that a
+turn counts as it shifts a point 141 mm away: the middle of the canister's floor (146 mm)."""
 _LEAST_SPREAD = np.array([1e-3, 0.1])
 """Rad and mm by which single views scatter at least: the fit begins above the spread that it shall find."""
 AGREE_RAD = np.deg2rad(5.0)
@@ -89,7 +90,7 @@ def _scatter(angles: Array) -> float:
 def _middle(poses: Array) -> Array:
     """Return the pose (4, 4) of (N, 4, 4) that is nearest to the others.
 
-    Rotations count as shifts of an arm of `_ARM_MM`.
+    Rotations count as shifts of a point at sqrt(2) `_ARM_MM`.
     """
     flat = np.concatenate([poses[:, :3, :3].reshape(-1, 9) * _ARM_MM, poses[:, :3, 3]], axis=1)
     return np.asarray(poses[np.argmin(np.linalg.norm(flat[:, None] - flat[None], axis=2).sum(axis=1))])
