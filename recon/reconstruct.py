@@ -83,7 +83,7 @@ def reconstruct(
     stages.keep("coverage", coverage)
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     stages.keep("hull", hull, leave=_ON_DEVICE)
-    tree = shaping.find_roots(hull, coverage, settings, monitor=monitor)
+    tree = shaping.find_roots(hull, coverage, monitor=monitor)
     roots = None
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)

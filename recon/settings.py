@@ -75,25 +75,6 @@ class HullSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RootSettings:
-    """When roots are sought as tubes.
-
-    They are where much of the trimmed hull is untrimmed and small, or much of what is seen is missed.
-
-    Thin roots are hull (60 %) of small leaves (95 %); a print is trimmed (3 % hull); a solid body is hull, but of large
-    leaves (14 % small). Translucent roots of five days that no resolved root told to be so leave a half of their
-    coverage, a print with felt fibres about it 1 %.
-    """
-
-    least_untrimmed: float = bounded(0.3, 0.0, 1.0)
-    """Share of the trimmed volume that is hull still ..."""
-    least_finest: float = bounded(0.7, 0.0, 1.0)
-    """... and share of it in leaves of the finest size."""
-    least_missed: float = bounded(0.3, 0.0, 1.0)
-    """Or share of the pictures' coverage before which no trimmed hull stands: roots too faint for any hull."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class TrustSettings:
     """When a volume is not trusted. Of two limits a number beyond the first is only fair, beyond the second bad."""
 
@@ -167,7 +148,6 @@ class Settings:
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     hull: HullSettings = field(default_factory=HullSettings)
-    roots: RootSettings = field(default_factory=RootSettings)
     trust: TrustSettings = field(default_factory=TrustSettings)
 
 

@@ -127,11 +127,9 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
         return TrimmedHull(carved=carved, trimmed=parsimony.trim(carved.bank, carved.maps, carved.hull.leaves))
 
 
-def find_roots(found: TrimmedHull, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> RootTree | None:
-    """Fit tubes to the roots that are too thin for a hull; None where there are none."""
+def find_roots(found: TrimmedHull, coverage: Coverage, *, monitor: Monitor) -> RootTree | None:
+    """Find the roots as a tree of tubes; None where there are none."""
     carved, trimmed = found.carved, found.trimmed
-    if not _is_thin(trimmed, settings) and _misses(carved, trimmed.leaves) <= settings.roots.least_missed:
-        return None
     seen = Evidence.of(carved.bank, carved.silhouettes)
     return rooting.find(seen, carved.cameras, trimmed.balls, carved.water, coverage.attenuation, monitor=monitor)
 
@@ -142,20 +140,22 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
     moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
     if system is None:
-        leaves, share, kept_mm3 = trimmed.leaves, 1.0, trimmed.kept_mm3
+        leaves, thick = trimmed.leaves, trimmed
         volume = leaves.volume_mm3()
         bounds = max(0.0, volume - moved_in_mm3), hull.moved_out_mm3
     else:
         with monitor.stage("unite"):
-            united = tube_volume.unite(trimmed.leaves, system)
-        leaves, share = united.leaves, united.thick_mm3 / trimmed.leaves.volume_mm3()
-        volume, kept_mm3 = leaves.volume_mm3(), share * trimmed.kept_mm3
+            united = tube_volume.unite(trimmed, system)
+        leaves, thick = united.leaves, united.thick
+        volume, share = leaves.volume_mm3(), thick.leaves.volume_mm3() / trimmed.leaves.volume_mm3()
         bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
     with monitor.stage("uncertainty"):
-        budget = _budget(found, leaves, system, share=share, volume_mm3=volume, settings=settings)
+        budget = _budget(found, leaves, system, thick, settings=settings)
         checks = _checks(found, system, budget)
-    solid = measure(hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=kept_mm3, monitor=monitor)
-    solid = replace(solid, warnings=(*_warnings(budget, kept_mm3), *solid.warnings), checks=checks)
+    solid = measure(
+        hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=thick.kept_mm3, monitor=monitor
+    )
+    solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     law = system.law
@@ -163,19 +163,15 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     return replace(solid, roots=system.roots(), mu_per_mm=law.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
-def _budget(
-    found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, *, share: float, volume_mm3: float, settings: Settings
-) -> Budget:
+def _budget(found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:
     """Gather what every part of the shape leaves open."""
     carved, trimmed = found.carved, found.trimmed
-    half, told = 0.0, None
-    if system is None:
-        half = solid_doubt.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, trimmed, carved.water)
-    else:
-        told = tube_doubt.doubt(system.seen, system)
+    volume_mm3 = leaves.volume_mm3()
+    half = solid_doubt.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, thick, carved.water)
+    told = None if system is None else tube_doubt.doubt(system.seen, system)
     terms = (
         *(() if told is None else told.terms),
-        *solid_doubt.doubt(carved.hull, trimmed, share=share, slack_px=settings.hull.slack_px, half_excess=half),
+        *solid_doubt.doubt(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
         canister_doubt.canister(
@@ -204,13 +200,6 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
         trust=budget.trust,
     )
     return shape_checks.of_motion(sway_mm, budget.trust), agreed
-
-
-def _is_thin(trimmed: parsimony.Trimmed, settings: Settings) -> bool:
-    """Tell whether much of the shape is roots too thin to be trimmed."""
-    leaves, volume = trimmed.leaves, trimmed.leaves.volume_mm3()
-    finest_mm3 = float(leaves.occupancy[leaves.size == 1].sum(dtype=np.float64)) * leaves.grid.size_mm**3
-    return trimmed.kept_mm3 > settings.roots.least_untrimmed * volume and finest_mm3 > settings.roots.least_finest * volume
 
 
 def _misses(carved: Carved, leaves: carve.Leaves) -> float:

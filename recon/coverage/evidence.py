@@ -77,6 +77,12 @@ class Evidence:
             raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
         return replace(self, coverage=numbers(np.concatenate(pictures)), light=True)
 
+    def beside(self, covered: NDArray[np.bool_]) -> Evidence:
+        """Return what the pictures say where nothing else (V, H, W) covers them."""
+        seen = self.seen * numbers(~covered.ravel())
+        dr.eval(seen)
+        return replace(self, seen=seen)
+
     def of_views(self, which: Sequence[int]) -> Evidence:
         """Return what some of the views say."""
         pixel = (np.asarray(which)[:, None] * self.pixels + np.arange(self.pixels)).ravel()

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from skimage import morphology
 
 from rhizotwin.recon import device
-from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers, wholes
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers, vectors, wholes
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import DistanceMaps, Leaves
 from rhizotwin.recon.hull.surface import paint, to_voxels
@@ -74,8 +74,23 @@ class Trimmed:
     leaves: Leaves
     balls: Balls
     """Balls along the centre lines."""
-    kept_mm3: float
-    """Volume that is hull still, because the balls leave a silhouette unexplained."""
+    kept: NDArray[np.float32]
+    """(N,) of the leaves' occupancies what is hull still, because the balls leave a silhouette unexplained."""
+
+    @property
+    def kept_mm3(self) -> float:
+        """Return the volume that is hull still."""
+        return self.leaves.volume_mm3(self.kept)
+
+    def near(self, points_mm: Array, margin_mm: float) -> Trimmed:
+        """Return the part that lies within a margin of points (M, 3)."""
+        leaves, near = self.leaves, np.zeros(len(self.kept), bool)
+        if len(points_mm):
+            size_mm = leaves.grid.size_mm
+            centre = np.asarray(leaves.grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * size_mm
+            near = cKDTree(points_mm).query(centre, workers=-1)[0] < margin_mm + 0.5 * size_mm * (leaves.size - 1)
+        part = replace(leaves, index=leaves.index[near], size=leaves.size[near], occupancy=leaves.occupancy[near])
+        return replace(self, leaves=part, kept=self.kept[near])
 
 
 def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
@@ -85,7 +100,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     """
     balls = grow_balls(bank, maps, centre_lines(leaves))
     if not len(balls.radius_mm):
-        return Trimmed(leaves, balls, leaves.volume_mm3())
+        return Trimmed(leaves, balls, leaves.occupancy)
     index, size, hull, inside = _against_balls(balls, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > 0.02
@@ -94,7 +109,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
-    return Trimmed(trimmed, balls, trimmed.volume_mm3() - trimmed.volume_mm3(np.minimum(hull, inside)[some]))
+    return Trimmed(trimmed, balls, (kept - np.minimum(hull, inside))[some])
 
 
 def centre_lines(leaves: Leaves) -> Array:
@@ -228,15 +243,17 @@ def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDA
     -------
     index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the balls (N,).
     """
-    listed = _Listed.of(balls, leaves)
+    origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
+    low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
+    listed = _Listed.of(balls, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
         chosen = leaves.size == edge
         index = np.concatenate([carried[0], leaves.index[chosen]])
         hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
-        depth = listed.depth_mm(index, edge)
-        size_mm = edge * leaves.grid.size_mm
+        size_mm = edge * finest_mm
+        depth = listed.depth_mm(origin + index * finest_mm + 0.5 * size_mm)
         inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
         whole = depth > 0.87 * size_mm if edge > 1 else np.ones(len(index), bool)
         done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
@@ -246,11 +263,17 @@ def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDA
     return index, size, hull, inside
 
 
+def depth_in_balls(balls: Balls, points_mm: Array) -> NDArray[np.float32]:
+    """Return how deep (N,) points (N, 3) lie inside the union of balls; negative outside."""
+    if not len(points_mm) or not len(balls.radius_mm):
+        return np.full(len(points_mm), -np.inf, np.float32)
+    return _Listed.of(balls, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+
+
 @dataclass(frozen=True)
 class _Listed:
     """Balls listed by the cubic bins they reach into."""
 
-    leaves: Leaves
     low_mm: Array
     shape: NDArray[np.int64]
     entries: UInt32
@@ -259,13 +282,10 @@ class _Listed:
     """mi.UInt32, first entry of each bin, and the end."""
 
     @staticmethod
-    def of(balls: Balls, leaves: Leaves) -> _Listed:
-        """List balls in bins that cover the leaves."""
-        size_mm, origin = leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
-        low = origin + leaves.index.min(axis=0) * size_mm
-        high = origin + (leaves.index + leaves.size[:, None]).max(axis=0) * size_mm
+    def of(balls: Balls, low: Array, high: Array, beside_mm: float) -> _Listed:
+        """List balls, and what lies so far beside them, in bins that cover a box."""
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
-        reach = balls.radius_mm[:, None] + size_mm
+        reach = balls.radius_mm[:, None] + beside_mm
         first = np.clip(np.floor((balls.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
         extent = np.clip(np.floor((balls.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
         count = extent.prod(axis=1)
@@ -276,24 +296,22 @@ class _Listed:
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
         packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
-        return _Listed(leaves, low, shape, numbers(packed), wholes(begins))
+        return _Listed(low, shape, numbers(packed), wholes(begins))
 
-    def depth_mm(self, index: NDArray[np.int32], edge: int) -> NDArray[np.float32]:
-        """Return how deep (N,) the centres of nodes of an edge lie inside the union of the balls; negative outside."""
-        if not len(index):
+    def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
+        """Return how deep (N,) points (N, 3) lie inside the union of the balls; negative outside."""
+        if not len(points_mm):
             return np.zeros(0, np.float32)
-        size_mm, origin, shape = self.leaves.grid.size_mm, self.leaves.grid.origin_mm, self.shape
-        q = [numbers(origin[a] + (index[:, a] + 0.5 * edge) * size_mm) for a in range(3)]
-        last = [dr.opaque(mi.Int32, int(shape[a]) - 1) for a in range(3)]
-        cell = [dr.clip(mi.Int32((q[a] - dr.opaque(mi.Float, self.low_mm[a])) / _BIN_MM), 0, last[a]) for a in range(3)]
-        bin_ = mi.UInt32((cell[0] * (last[1] + 1) + cell[1]) * (last[2] + 1) + cell[2])
-        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(*q)
+        shape = self.shape
+        cell = np.clip(np.floor((points_mm - self.low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        bin_ = wholes(cell @ [shape[1] * shape[2], shape[2], 1])
+        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(vectors(points_mm))
 
         def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
             ball = dr.gather(mi.Vector4f, self.entries, k)
             return k + 1, dr.maximum(depth, ball.w - dr.norm(centre - mi.Point3f(ball.x, ball.y, ball.z)))
 
-        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(index)))
+        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(points_mm)))
         return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
 
 

@@ -22,6 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
@@ -61,6 +62,14 @@ class Cells:
     def centre_mm(self) -> Array:
         """Return the centres (N, 3), canister frame."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5) * self.grid.size_mm
+
+    def parts(self) -> NDArray[np.int64]:
+        """Return which connected part (N,) each cell belongs to."""
+        low = self.index.min(axis=0)
+        block = np.zeros(self.index.max(axis=0) - low + 1, bool)
+        at = tuple((self.index - low).T)
+        block[at] = True
+        return np.asarray(ndimage.label(block, np.ones((3, 3, 3)))[0][at], np.int64)
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return some of the cells, by mask or number."""

@@ -24,10 +24,12 @@ _EXPLAINED_PX = 1.0
 """... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
 _END_NODES = 3
 """Nodes of an end that are weighed together: 2 mm."""
-_NEIGHBOURS = 12
-"""Nodes of other branches that are looked at."""
 _INSIDE = 0.9
 """Share of a root's radius within which another centre line is its own."""
+_SHARED = 0.3
+"""A branch that explains for itself a smaller part of what it covers may be a second tube of a root, or a ghost among roots."""
+_OWN = 0.1
+"""It is one where the others, fitted without it, leave less than this part of what it covers: false ones -0.03 to 0.09, true ones 0.19."""
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
 _LONG_MM, _TIP_NODES = 8.0, 5
@@ -67,9 +69,37 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     """
     centre, owner = tubes.centre_mm, tubes.owner
     reach = np.where(flanked(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
-    distance, near = cKDTree(centre).query(centre, k=min(_NEIGHBOURS, len(centre)))
-    inside: Mask = ((owner[near] < owner[:, None]) & (distance < reach[near])).any(axis=1)
+    held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)  # by thick roots many, their own nodes among them
+    node = np.concatenate([np.asarray(nodes, np.int64) for nodes in held])
+    host = np.repeat(np.arange(len(centre)), [len(nodes) for nodes in held])
+    inside = np.zeros(len(centre), bool)
+    inside[node[owner[host] < owner[node]]] = True
     return inside
+
+
+def doubted(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of branches that explain for themselves only a small part of what they cover: second tubes of a root, perhaps."""
+    found = np.zeros(len(organ), bool)
+    for k in range(1, len(tubes.branches)):
+        own = tubes.own(k)
+        found[own] = proved.explained[own].sum() < _SHARED * proved.alone[own].sum()
+    return found & ~organ
+
+
+def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
+    """Tell the nodes (N,) of branches without which the others, fitted anew, explain the pictures about as well.
+
+    Parameters
+    ----------
+    without : (N,) nodes that were left out.
+    more : (N,) by how much the squared difference about each node grew.
+    alone : (N,) what each explains where nothing else does.
+    """
+    gone = np.zeros(len(without), bool)
+    for k in np.unique(tubes.owner[without]).tolist():
+        own = tubes.own(k)
+        gone[own] = more[own].sum() < _OWN * alone[own].sum()
+    return gone & without
 
 
 def short_leaves(tubes: Tubes, organ: Mask) -> Mask:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import cv2
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import vectors
+from rhizotwin.recon.hull import parsimony
 from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.roots import tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tubes
 from rhizotwin.recon.tubes.tubes import SPACING_MM, Tubes
@@ -17,6 +25,8 @@ Mask = NDArray[np.bool_]
 
 LEAST_PX = 3.0
 """Roots of a larger radius are thick organs."""
+_TO_CORNER = 3.0**0.5
+"""A solid's corner lies so many radii of its largest ball from its centre, at most: that of a cube."""
 _GAP_NODES = 3
 """Gaps of fewer nodes do not end an organ."""
 _COURSE_NODES = 3
@@ -24,10 +34,39 @@ _COURSE_NODES = 3
 
 
 def thick(core: Cells, balls: Balls, least_mm: float) -> Cells:
-    """Return the cells of a core that lie inside balls of at least some radius: what is thinner is a tube, or a crowd of them."""
+    """Return the cells of a core about balls of at least some radius: what is thinner is a tube, or a crowd of them.
+
+    A part of the core as deep as that about which no ball stands is no root, and stays whole: few views bound the balls in a box.
+    """
+    if not len(core.index):
+        return core
     large = balls.radius_mm >= least_mm
-    near = cKDTree(core.centre_mm).query_ball_point(balls.centre_mm[large], balls.radius_mm[large]) if len(core.index) else []
-    return core.chosen(np.unique(np.concatenate([np.zeros(0, np.int64), *(np.array(those, np.int64) for those in near)])))
+    kept = parsimony.depth_in_balls(Balls(balls.centre_mm[large], _TO_CORNER * balls.radius_mm[large]), core.centre_mm) > 0.0
+    part = core.parts()
+    deep = part[tracing.core_depth(core, core.index, reach_mm=core.grid.size_mm) > least_mm]
+    return core.chosen(kept | (np.isin(part, deep) & ~np.isin(part, part[kept])))
+
+
+def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.bool_]:
+    """Tell where (V, H, W) thick organs lie in all pictures: what a picture shows there is explained by them.
+
+    Parameters
+    ----------
+    margin_px : within this of a core lies the whole of an organ.
+    """
+    (width, height), views = evidence.image_wh, evidence.bank.count
+    covered = np.zeros((views, height, width), bool)
+    points = vectors(core.centre_mm)
+    for view in range(views if len(core.index) else 0):
+        p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(core.index)), points, mi.Bool(True))
+        lane = dr.compress(p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01))
+        if dr.width(lane):
+            column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
+            empty = dr.full(mi.Float, 1.0, width * height)
+            dr.scatter(empty, mi.Float(0.0), dr.gather(mi.UInt32, row * width + column, lane))
+            away = cv2.distanceTransform(np.array(empty).reshape(height, width).astype(np.uint8), cv2.DIST_L2, 5)
+            covered[view] = away <= margin_px
+    return covered
 
 
 def thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
@@ -45,13 +84,15 @@ def thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tu
     if not len(core.index) or not len(balls.radius_mm):
         return start, none, none
     buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < near_mm
-    radius, organ = balls.radius_mm[cKDTree(balls.centre_mm).query(start.centre_mm)[1]], none.copy()
+    away, nearest = cKDTree(balls.centre_mm).query(start.centre_mm)
+    radius, organ = balls.radius_mm[nearest], none.copy()
+    width = np.where(away < radius + near_mm, 2.0 * radius, np.inf)  # what lies in no ball is no root
     for k in range(len(start.branches)):
         own = start.own(k)
         run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_GAP_NODES, bool)))
         for number in range(1, count + 1):
             nodes = own[run == number]
-            organ[nodes] = len(nodes) * SPACING_MM > 2.0 * float(np.median(radius[nodes]))
+            organ[nodes] = len(nodes) * SPACING_MM > float(np.median(width[nodes]))
     return tubes.moved(start, start.centre_mm, np.where(organ, radius, start.radius_mm)), buried, organ
 
 
@@ -84,3 +125,19 @@ def centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tu
             off = ball - centre[nodes]
             centre[nodes] += gaussian_filter1d(off - (off * course).sum(axis=1, keepdims=True) * course, 1.0, axis=0, mode="nearest")
     return tubes.moved(wide, centre, wide.radius_mm), buried, organ
+
+
+def in_solids(tree: Tubes, core: Cells, organ: Mask, margin_mm: float) -> Mask:
+    """Tell the nodes (N,) in and about cores that bear no organ: balls, boxes and bulbs, which no root explains.
+
+    Parameters
+    ----------
+    core : of organs and solids, as from `thick`.
+    organ : (N,) as from `thicken`.
+    margin_mm : within this of a core's cells lies the whole of a solid.
+    """
+    if not len(core.index):
+        return np.zeros(len(organ), bool)
+    away, nearest = cKDTree(core.centre_mm).query(tree.centre_mm)
+    part = core.parts()[nearest]
+    return (away < margin_mm) & ~np.isin(part, part[organ])

@@ -31,10 +31,12 @@ class Proof:
     """By how much the squared difference between pictures and tubes grows where the node is left out."""
     left: Array
     """The squared difference that is left with it, where it covers."""
+    alone: Array
+    """Its own squared coverage: what it explains where nothing else does."""
 
     def of(self, nodes: NDArray[np.bool_]) -> Proof:
         """Return that of some of the nodes."""
-        return Proof(self.explained[nodes], self.left[nodes])
+        return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
 
 
 def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Proof:
@@ -45,19 +47,20 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference:
     """
     cut = Sections.of(evidence, tubes, at)
     if cut is None:
-        return Proof(np.zeros(at.shape[1]), np.zeros(at.shape[1]))
+        return Proof(*[np.zeros(at.shape[1])] * 3)
     per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5))
-    explained, left = dr.zeros(mi.Float, cut.count), dr.zeros(mi.Float, cut.count)
+    explained, left, alone = (dr.zeros(mi.Float, cut.count) for _ in range(3))
     reach_px = cut.half_px + _FLANK_PX
     for k in range(_SAMPLES):
         o = cut.offset(k, _SAMPLES, reach_px)
-        d, t = cut.read(o, difference, depth)
+        d, t, told = cut.read(o, difference, depth, evidence.seen)
         c = sum(layer.height * 0.5 * (dr.erf((o + layer.half_px) * per_px) - dr.erf((o - layer.half_px) * per_px)) for layer in cut.layers)
         c = dr.minimum(c, FULLEST)
         own = c * dr.minimum(dr.exp(-t) / (1 - c), 1.0)
         explained += own * (2.0 * d + own)
         left += dr.square(d)
+        alone += dr.square(c) * told
     step = reach_px * (2.0 / (_SAMPLES - 1))
-    totals = cut.spread(explained * step), cut.spread(left * step)
+    totals = [cut.spread(total * step) for total in (explained, left, alone)]
     dr.eval(totals)  # together: they look at the same profiles
     return Proof(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))

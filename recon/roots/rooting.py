@@ -1,4 +1,4 @@
-"""The tube stage: from coverage to a tree of tubes, roots too thin for a hull included."""
+"""The tube stage: from coverage to a tree of tubes, whatever their thickness, and the solids that no tube explains."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from rhizotwin.recon.coverage import evidence
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Silhouette, Window
 from rhizotwin.recon.coverage.translucency import Law
+from rhizotwin.recon.device import Float
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Water
 from rhizotwin.recon.hull.parsimony import Balls
 from rhizotwin.recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.proof import Proof
-from rhizotwin.recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tubes
+from rhizotwin.recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tube_profiles, tubes
 from rhizotwin.recon.tubes.tube_law import TubeLaw
 from rhizotwin.recon.tubes.tube_profiles import Pull
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -67,6 +68,8 @@ class RootTree:
     """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
     organ: Mask
     """(N,) nodes that are thick organs: they are not fitted."""
+    solid: Mask
+    """(N,) nodes in what no root explains: balls, boxes and bulbs."""
     core_mm: Array
     """(M, 3) points deep inside thick organs."""
     margin_mm: float
@@ -94,13 +97,19 @@ class RootSystem(RootTree):
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children."""
-        owner, orders = self.tubes.owner, list[int]()
+        number = np.full(len(self.solid), -1)  # the root that each node is of
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):
-            parent = int(owner[nodes[0]]) if k else -1
-            orders.append(orders[parent] + 1 if k else 0)
-            points, diameters, tip_seen = self.tubes.centre_mm[nodes], 2.0 * self.tubes.radii(k), not self.doubtful[nodes[-1]]
-            roots.append(Root(points_mm=points, diameters_mm=diameters, order=orders[k], parent=parent, tip_seen=tip_seen))
+            diameters = 2.0 * self.tubes.radii(k)
+            for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
+                own = nodes[run]
+                if self.solid[own[0]] or len(own) < 2:
+                    continue
+                parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
+                number[own[number[own] < 0]] = len(roots)
+                order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.doubtful | self.solid)[nodes[run[-1]]]
+                root = Root(points_mm=self.tubes.centre_mm[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
+                roots.append(root)
         return hierarchy.arrange(roots)
 
 
@@ -133,9 +142,10 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
-        start, _, _ = organs.thicken(start, core, balls, near_mm)  # what is wide begins wide, a tube or not
+        start = tubes.from_axes(organs.thicken(start, core, balls, near_mm)[0])  # what is wide begins wide, a tube or not
         core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+        seen = seen.beside(organs.footprint(seen, core, CORE_PX + _BEYOND_PX))
         start, _, organ = organs.centred(start, core, balls, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
     with monitor.stage("translucency"):
@@ -147,6 +157,9 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         fitted, organ = fitted.keep(stays), organ[stays]
     with monitor.stage("residue"):
         fitted, buried, organ = settle.searched(fitted, organ, cells.chosen(depth <= depth.min()), px_a_mm)
+    solid = organs.in_solids(fitted, core, organ, margin_mm)
+    if solid.all():
+        return None
     if law.mu_per_mm is not None:
         with monitor.stage("translucency again"):
             law, fitted = tube_law.refine(seen, fitted, organ, law)
@@ -156,6 +169,7 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         tubes=fitted,
         buried=buried,
         organ=organ,
+        solid=solid,
         core_mm=core.centre_mm,
         margin_mm=margin_mm,
         px_a_mm=px_a_mm,
@@ -208,6 +222,7 @@ def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         tubes=fitted,
         buried=tree.buried,
         organ=tree.organ,
+        solid=tree.solid,
         core_mm=tree.core_mm,
         margin_mm=tree.margin_mm,
         px_a_mm=tree.px_a_mm,
@@ -249,12 +264,32 @@ class _Settling:
         """
         seen, blur_px = self.seen, self.blur_px
         for _ in range(_SEARCHES):
+            tree, organ = self.alone(tree, organ)
             tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
             depth_px = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
             grown = residue.grow(seen, tree, organ, outside, depth_px, px_a_mm)
             tree, _, organ = self.settled(grown, _BETWEEN_STEPS)
-        tree, pull = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
+        tree, organ = self.alone(tree, organ)
+        tree, pull = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_AFTER_STEPS)
         return self.ended(tree, pull, organ)
+
+    def alone(self, tree: Tubes, organ: Mask) -> tuple[Tubes, Mask]:
+        """Return a tree without the tubes that the others, fitted without them, can do without; and its organs."""
+        proved = _proof(self.seen, tree, self.blur_px)
+        doubted = ghosts.doubted(tree, proved, organ)
+        others = tree.staying(doubted)
+        if others.all():
+            return tree, organ
+        fitted, _ = tube_fit.fit(self.seen, tree.keep(others), organ[others], blur_px=self.blur_px, steps=_BETWEEN_STEPS)
+        left, more = (np.nansum(tube_profiles.misfit(self.seen, tree, self._unexplained(drawn)), axis=0) for drawn in (tree, fitted))
+        stays = tree.staying(ghosts.dispensable(tree, ~others, more - left, proved.alone))
+        return tree.keep(stays), organ[stays]
+
+    def _unexplained(self, tree: Tubes) -> Float:
+        """Return what a tree leaves of the pictures."""
+        depth = tube_picture.optical_depth(self.seen, tree, self.seen.project(tree.centre_mm), self.blur_px)
+        return tube_picture.unexplained(self.seen, depth)
 
     def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
         """Join the ends that are none where they can go on; return as `settled` does.
@@ -271,7 +306,8 @@ class _Settling:
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        return organs.centred(tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0])), self.core, self.balls, self.near_mm)
+        tree = tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0]))
+        return organs.centred(tubes.from_axes(tree), self.core, self.balls, self.near_mm)
 
 
 def _proof(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.carve import Leaves
-from rhizotwin.recon.hull.parsimony import even
+from rhizotwin.recon.hull.parsimony import Trimmed, even
 from rhizotwin.recon.roots.rooting import RootSystem
 from rhizotwin.recon.tubes.filling import Filled, fill, levelled
 
@@ -31,41 +30,30 @@ class United:
 
     leaves: Leaves
     """On the lattice of the trimmed hull."""
-    thick_mm3: float
-    """Volume of the thick organs alone."""
+    thick: Trimmed
+    """The thick organs and solids alone."""
     thinner_mm3: float
     """What the tubes lose where all radii are smaller by `_SLACK_PX`."""
     thicker_mm3: float
     """What they gain where all are larger."""
 
 
-def unite(solid: Leaves, system: RootSystem) -> United:
-    """Unite the thick organs, the part of a trimmed hull within a margin of core points, with tubes.
+def unite(trimmed: Trimmed, system: RootSystem) -> United:
+    """Unite thick organs and solids, the part of a trimmed hull within a margin of core points, with tubes.
 
     Where both are, a node is as full as the fuller of the two.
     """
-    size_mm, tubes = solid.grid.size_mm, system.tubes
+    size_mm, tubes = trimmed.leaves.grid.size_mm, system.tubes
     spacing_mm = max(size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
     filled = fill(tubes, spacing_mm, left_out=system.buried)
-    thick = _near(solid, system.core_mm, system.margin_mm)
+    thick = trimmed.near(system.core_mm, system.margin_mm)
     slack_mm = _SLACK_PX / system.px_a_mm
     free = np.where(system.buried, 0.0, tubes.radius_mm)
     length = np.linalg.norm(np.diff(tubes.centre_mm[tubes.segments], axis=1)[:, 0], axis=1)
     radius = free[tubes.segments[:, 1]]
     thinner = float(np.pi * length @ (radius**2 - np.maximum(radius - slack_mm, 0.0) ** 2))
     thicker = float(np.pi * length @ ((radius + slack_mm) ** 2 - radius**2))
-    return United(_painted(thick, filled), thick.volume_mm3(), thinner, thicker)
-
-
-def _near(solid: Leaves, core_mm: Array, margin_mm: float) -> Leaves:
-    """Return the leaves within a margin of core points."""
-    if len(core_mm):
-        size_mm = solid.grid.size_mm
-        centre = np.asarray(solid.grid.origin_mm) + (solid.index + 0.5 * solid.size[:, None]) * size_mm
-        kept = cKDTree(core_mm).query(centre, workers=-1)[0] < margin_mm + 0.5 * size_mm * (solid.size - 1)
-    else:
-        kept = np.zeros(len(solid.size), bool)
-    return Leaves(solid.grid, solid.index[kept], solid.size[kept], solid.occupancy[kept])
+    return United(_painted(thick.leaves, filled), thick, thinner, thicker)
 
 
 def _painted(thick: Leaves, filled: Filled) -> Leaves:

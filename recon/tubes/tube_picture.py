@@ -36,13 +36,15 @@ _STEEPEST = 1e-3
 """Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel beside."""
 _FAR_PX = 3.0
 """Beyond this from an edge a pixel lies on one side of it, blur and all."""
+_HIDDEN = 5.3
+"""Optical depth where a picture does not tell of roots: that of a tube that covers it (`FULLEST`)."""
 FULLEST = 0.995
 """Coverage is kept below one: its optical depth is infinite."""
 
 
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Float:
-    """Return the optical depth of tubes in all views: mi.Float, (V, H, W) flattened."""
-    depth = dr.zeros(mi.Float, evidence.bank.count * evidence.pixels)
+    """Return the optical depth of tubes, and of what hides them, in all views: mi.Float, (V, H, W) flattened."""
+    depth = (1.0 - evidence.seen) * _HIDDEN
     dr.eval(depth)
     strips = _Strips.of(evidence, tubes, at)
     if strips is None:

@@ -23,10 +23,10 @@ from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 13
-"""Places across a tube: 0.4 px apart for a root of one pixel."""
+_SAMPLES = 14
+"""Samples of a profile, half of them at either edge."""
 _MARGIN_PX = 1.8
-"""Beyond a tube's half-width, to where its blur has ended."""
+"""A profile is compared so far to both sides of either edge, or to the middle: nothing else tells of shift and width."""
 _INTERPOLATION_VARIANCE = 0.1
 """Variance, px2, by which bilinear interpolation blurs."""
 _LEAST_SPEED_PX = 0.3
@@ -92,6 +92,18 @@ class Sections:
     def offset(self, k: UInt32, samples: int, reach_px: Float) -> Float:
         """Return the offset across the tube, px, of one of a profile's samples, from ``-reach_px`` to ``reach_px``."""
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
+
+    def at_edge(self, k: UInt32 | int) -> Float:
+        """Return the offset across the tube, px, of one of `_SAMPLES` samples about its two edges, `edge_step` apart."""
+        number, half = mi.Float(k), _SAMPLES // 2
+        first = number < half
+        inward = dr.select(first, number, number - half) + 0.5
+        return dr.select(first, -1.0, 1.0) * (self.half_px + _MARGIN_PX - inward * self.edge_step)
+
+    @property
+    def edge_step(self) -> Float:
+        """Return how far apart the samples about an edge are, mi.Float, px."""
+        return (dr.minimum(self.half_px, _MARGIN_PX) + _MARGIN_PX) * (2.0 / _SAMPLES)
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
         """Interpolate pictures of all views, flattened, at an offset across the tube."""
@@ -217,10 +229,9 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
         return Profiles(at.shape, mi.Vector3f(empty, empty, empty), *[empty] * 8)
     sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
-    reach_px = cut.half_px + _MARGIN_PX
 
     def body(k: UInt32, *sums: Float) -> tuple[Kernel, ...]:
-        o = cut.offset(k, _SAMPLES, reach_px)
+        o = cut.at_edge(k)
         d, t = cut.read(o, difference, depth)
         c, shift, width = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         for layer in cut.layers:
@@ -238,7 +249,7 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
 
     begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(8))
     *sums, uncovered = dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:]
-    step = reach_px * (2.0 / (_SAMPLES - 1))
+    step = cut.edge_step
     weight = step / (1.0 + uncovered * step / OUTLIER)
     found = [cut.spread(total * factor) for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True)]
     across, scale = mi.Vector3f(*(cut.spread(part) for part in cut.across)), cut.spread(cut.scale)
@@ -247,13 +258,13 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
 
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
-    """Return the squared difference (V, N), px, integrated over the profile across every node; not a number where a view has none."""
+    """Return the squared difference (V, N), px, integrated over both edges of every node; not a number where a view has none."""
     at = evidence.project(tubes.centre_mm)
     cut = Sections.of(evidence, tubes, at)
     whole = np.full(at.shape, np.nan)
     if cut is not None:
-        total, reach_px = dr.zeros(mi.Float, cut.count), cut.half_px + _MARGIN_PX
+        total = dr.zeros(mi.Float, cut.count)
         for k in range(_SAMPLES):
-            total += dr.square(cut.read(cut.offset(k, _SAMPLES, reach_px), difference)[0])
-        whole.ravel()[np.array(cut.place)] = np.array(total * reach_px * (2.0 / (_SAMPLES - 1)))
+            total += dr.square(cut.read(cut.at_edge(k), difference)[0])
+        whole.ravel()[np.array(cut.place)] = np.array(total * cut.edge_step)
     return whole

@@ -21,6 +21,7 @@ COURSE_NODES = 4
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
 _FEW = 16  # nodes near a path's beginning, among which one that came before it is sought first
+_OBLIQUE = 3.0  # radii of its parent from its axis to where a lateral comes out of it, at most: 20 degrees
 _STUB_MM = 0.7  # a little more than the distance between nodes
 
 
@@ -231,6 +232,33 @@ def without_gaps(tubes: Tubes) -> Tubes:
             count += len(share)
         branches[k] = np.concatenate(line).astype(np.int64)
     return Tubes(np.concatenate(centres), np.concatenate(radii), tuple(branches))
+
+
+def from_axes(tubes: Tubes) -> Tubes:
+    """Let laterals leave their parents' axes where their courses point to: what runs on inside the parent, unseen, is dropped.
+
+    A path to the axis of a thick root runs along inside of it, as no picture says where it should not.
+    """
+    centre, radius = tubes.centre_mm, tubes.radius_mm
+    branches, used, instead = list(tubes.branches), np.ones(len(radius), bool), np.arange(len(radius))
+    owner = tubes.owner
+    for k in range(1, len(branches)):
+        host, own = branches[int(owner[branches[k][0]])], branches[k][1:]
+        away, nearest = cKDTree(centre[host]).query(centre[own])
+        inner = int(np.argmin(np.append(away < radius[host][nearest], False)))
+        if inner < 2 or inner == len(own):
+            continue
+        first = own[inner]
+        course = centre[own[min(inner + COURSE_NODES, len(own) - 1)]] - centre[first]
+        reach = centre[host] - centre[first]
+        back = np.minimum(reach @ course / max(float(course @ course), 1e-12), 0.0)
+        beside = np.linalg.norm(reach - back[:, None] * course, axis=1)
+        beside[np.linalg.norm(reach, axis=1) > _OBLIQUE * radius[host] + SPACING_MM] = np.inf
+        begin = int(host[int(beside.argmin()) if np.isfinite(beside).any() else int(nearest[inner])])
+        used[own[:inner]], instead[own[:inner]] = False, begin
+        branches[k] = np.concatenate([[begin], own[inner:]])
+    branches[1:] = [np.concatenate([instead[nodes[:1]], nodes[1:]]) for nodes in branches[1:]]
+    return Tubes(centre, radius, tuple(branches)).keep(used)
 
 
 def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:

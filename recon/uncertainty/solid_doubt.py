@@ -27,20 +27,21 @@ _INDEX = 0.002
 """An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
 
 
-def doubt(hull: Hull, trimmed: Trimmed, *, share: float, slack_px: float, half_excess: float) -> tuple[Term, ...]:
+def doubt(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half_excess: float) -> tuple[Term, ...]:
     """Return the terms of a trimmed hull.
 
     Parameters
     ----------
-    share : how much of the trimmed volume is in the shape (the rest is given by tubes).
+    thick : the part of it that is in the shape (the rest is given by tubes).
     slack_px : by how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     half_excess : by how much the hull grows when half of the views carve it, as a share.
     """
-    volume, whole = trimmed.leaves.volume_mm3(), hull.leaves.volume_mm3()
+    volume, whole, thick_mm3 = (leaves.volume_mm3() for leaves in (trimmed.leaves, hull.leaves, thick.leaves))
+    share = thick_mm3 / max(volume, 1e-9)
     by_px = (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px) * min(1.0, volume / whole)
-    outline, removed, kept = share * _OUTLINE_PX * by_px, share * max(0.0, whole - volume), share * trimmed.kept_mm3
-    trimmable = max(volume - trimmed.kept_mm3, 1e-9)
-    excess = max(half_excess, min(removed / (share * trimmable), 1.0) if kept < share * trimmable else 0.0)
+    outline, removed, kept = share * _OUTLINE_PX * by_px, share * max(0.0, whole - volume), thick.kept_mm3
+    trimmable = max(thick_mm3 - kept, 1e-9)
+    excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
         Term(
             name="outlines",
@@ -63,7 +64,7 @@ def doubt(hull: Hull, trimmed: Trimmed, *, share: float, slack_px: float, half_e
     )
 
 
-def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, trimmed: Trimmed, water: Water) -> float:
+def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: Trimmed, water: Water) -> float:
     """Return by how much a hull grows, as a share, when every other view carves it; 0 where little of it is kept.
 
     A flat face that no view looks along is bounded by the two views beside: its excess goes with one over the number of views, so that
@@ -73,7 +74,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     ----------
     frames : number of each view's frame, which rise round the turn.
     """
-    if trimmed.kept_mm3 < _MUCH_KEPT * trimmed.leaves.volume_mm3():
+    if thick.kept_mm3 <= _MUCH_KEPT * thick.leaves.volume_mm3():
         return 0.0
     fine = hull.leaves.grid
     low = np.asarray(fine.origin_mm)

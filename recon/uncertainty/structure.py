@@ -30,12 +30,13 @@ def left_by(seen: Evidence, system: RootSystem) -> float:
     depth = tube_picture.optical_depth(seen, system.tubes, at, system.blur_px)
     (width, height), count = seen.image_wh, seen.bank.count
     rest = np.array(tube_picture.unexplained(seen, depth)).reshape(count, height, width)
-    drawn = 1.0 - np.exp(-np.array(depth).reshape(count, height, width))
+    known = np.array(seen.seen).reshape(count, height, width) > 0
+    drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
     left, covered, noise = [], [], []
-    for picture, residual, silhouette in zip(drawn, rest, seen.silhouettes, strict=True):
-        near = (cv2.dilate((picture > _DRAWN).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & silhouette.seen
+    for picture, residual, told in zip(drawn, rest, known, strict=True):
+        near = (cv2.dilate((picture > _DRAWN).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & told
         smooth = cv2.GaussianBlur(residual, (0, 0), _SMOOTH_PX)
-        far = silhouette.seen & ~near
+        far = told & ~near
         if near.any() and far.any():
             left.append(float(np.mean(smooth[near] ** 2)))
             covered.append(float(np.mean(picture[near] ** 2)))

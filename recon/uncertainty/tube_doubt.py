@@ -202,13 +202,13 @@ class _Rest:
         if seen.light:  # what does not stand out from the noise is none
             far *= np.stack([picture.coverage > 0.0 for picture in seen.silhouettes])
         fills, missing = [], []
-        for picture, beyond, close in zip(seen.silhouettes, far, near, strict=True):
+        for picture, beyond, close, free in zip(seen.silhouettes, far, near, known, strict=True):
             rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
             if not len(rows):
                 continue
             (top, bottom), (left, right) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
             zone = np.s_[top : bottom + 1, left : right + 1]
-            fills.append(float(np.where(picture.seen, picture.coverage, 0.0)[zone].mean()))
+            fills.append(float(np.where(free, picture.coverage, 0.0)[zone].mean()))
             inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
             width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
             if seen.mu_per_mm is None:
@@ -216,11 +216,14 @@ class _Rest:
             else:  # faint roots absorb light by their volume
                 volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
             missing.append(volume / max(1.0 - float(close[zone].mean()), _LEAST_FREE))
+        whole = area + sum(
+            float((picture.coverage * picture.seen * ~free).sum()) for picture, free in zip(seen.silhouettes, known, strict=True)
+        )
         beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
         return _Rest(
             variance=float(np.mean(rest[near] ** 2)) if near.any() else 0.0,
             balance=float((rest * near).sum(dtype=np.float64)) / max(area, 1.0),
             missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
-            unexplained=beyond_px2 / max(area + beyond_px2, 1.0),
+            unexplained=beyond_px2 / max(whole + beyond_px2, 1.0),
             fill=float(np.median(fills)) if fills else 0.0,
         )

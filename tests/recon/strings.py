@@ -57,6 +57,7 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, core_mm: np.ndarray | None = 
         tubes=found,
         buried=no_nodes,
         organ=no_nodes,
+        solid=no_nodes,
         core_mm=np.zeros((0, 3)) if core_mm is None else core_mm,
         margin_mm=0.6,
         px_a_mm=px_a_mm,

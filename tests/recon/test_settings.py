@@ -26,7 +26,6 @@ def test_what_a_file_leaves_out_has_its_default(tmp_path: Path) -> None:
     assert found.voxel_mm == 0.2
     assert found.hull.finest_mm == 0.1
     assert found.hull.slack_px == Settings().hull.slack_px
-    assert found.roots == Settings().roots
 
 
 def test_what_a_result_records_gives_the_same_settings() -> None:

@@ -26,7 +26,7 @@ def _judged(system: tubes.Tubes, worse: dict[int, tuple[float, float]]) -> np.nd
     for k, (shown, share) in worse.items():
         visible[system.own(k)], left[system.own(k)] = shown, share
     none = np.zeros(len(system.radius_mm), bool)
-    return ghosts.doubtful_ends(system, visible, proof.Proof(1.0 - left, left), none)
+    return ghosts.doubtful_ends(system, visible, proof.Proof(1.0 - left, left, left), none)
 
 
 def _laterals() -> list[np.ndarray]:
@@ -64,7 +64,7 @@ def test_what_stands_out_by_less_than_its_diameter_is_a_bulge_and_has_no_tip():
     system = tubes.moved(system, system.centre_mm, radius)
     good, everything = np.full(len(radius), 0.5), np.ones(len(radius), bool)
     for organ in (everything, ~everything):
-        judged = ghosts.doubtful_ends(system, good, proof.Proof(good, 0.02 * good), organ)
+        judged = ghosts.doubtful_ends(system, good, proof.Proof(good, 0.02 * good, good), organ)
         np.testing.assert_array_equal(judged, system.owner == 1)
 
 
@@ -89,3 +89,27 @@ def test_what_stands_in_the_corners_of_the_cut_top_is_the_tops():
     assert len(kept.branches) == 2
     np.testing.assert_allclose(kept.centre_mm[kept.branches[1][-1]], [6.0, 0.0, -24.0])
     assert len(system.keep(system.staying(ghosts.inside_another(system, none, 0.0))).branches) == 3
+
+
+def test_a_second_tube_of_a_root_is_dispensable_and_a_root_beside_it_is_not():
+    def hanging(x: float) -> np.ndarray:
+        return np.concatenate([line((0.0, 0.0, -26.0), (x, 0.0, -28.0)), line((x, 0.0, -28.0), (x, 0.0, -48.0))[1:]])
+
+    truth = strung(TRUNK, hanging(0.7), radius_mm=0.3)
+    seen, found = pictured(truth), strung(TRUNK, hanging(0.7), hanging(0.1), radius_mm=0.3)
+    found = tubes.moved(found, found.centre_mm, np.where(found.owner == 2, 0.1, 0.3))
+    none = np.zeros(len(found.radius_mm), bool)
+
+    def unexplained(drawn: tubes.Tubes) -> np.ndarray:
+        depth = tube_picture.optical_depth(seen, drawn, seen.project(drawn.centre_mm), 0.0)
+        return np.nansum(tube_profiles.misfit(seen, found, tube_picture.unexplained(seen, depth)), axis=0)
+
+    at = seen.project(found.centre_mm)
+    depth = tube_picture.optical_depth(seen, found, at, 0.0)
+    proved = proof.weigh(seen, found, at, depth, tube_picture.unexplained(seen, depth), 0.0)
+    np.testing.assert_array_equal(ghosts.doubted(found, proved, none), found.owner == 2)
+    without = found.owner > 0
+    more = unexplained(found.keep(found.staying(without))) - unexplained(found)
+    np.testing.assert_array_equal(np.unique(found.owner[ghosts.dispensable(found, without & (found.owner == 1), more, proved.alone)]), [])
+    more = unexplained(found.keep(found.staying(found.owner == 2))) - unexplained(found)
+    np.testing.assert_array_equal(ghosts.dispensable(found, found.owner == 2, more, proved.alone), found.owner == 2)

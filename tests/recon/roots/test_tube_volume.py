@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.hull.carve import Grid, Leaves
+from rhizotwin.recon.hull.parsimony import Balls, Trimmed
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes
 from tests.recon.lines import line
@@ -34,15 +35,16 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     index = np.array([[64, 64, 200]], np.int32)
     solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
+    trimmed = Trimmed(solid, Balls(np.zeros((0, 3)), np.zeros(0)), np.zeros(1, np.float32))
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
     found = at_rest(system, px_a_mm=4.0, core_mm=core, blur_px=0.3)
-    united = tube_volume.unite(solid, found)
-    assert united.thick_mm3 == pytest.approx(1.0)
+    united = tube_volume.unite(trimmed, found)
+    assert united.thick.leaves.volume_mm3() == pytest.approx(1.0)
     assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0, rel=0.01)
     far = replace(found, core_mm=core + 5.0)
-    assert tube_volume.unite(solid, far).thick_mm3 == 0.0
+    assert tube_volume.unite(trimmed, far).thick.leaves.volume_mm3() == 0.0
 
 
 @pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.6, 1.05), (0.75, 1.05), (0.75, 1.6)])

@@ -128,3 +128,16 @@ def test_what_a_tube_covers_in_vain_counts_in_full_and_what_it_lacks_little():
     inward, outward = pulled(narrow, wide), pulled(wide, narrow)
     assert inward.max() < 0.0 < outward.min()
     assert -inward.mean() > 4.0 * outward.mean()
+
+
+def test_a_lateral_leaves_its_parents_axis_where_its_course_points_to():
+    """Its path ran down inside the thick parent, where no picture says where it should not; now it is as long as two straight lines."""
+    parent = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
+    inner, outer = line((0.0, 0.0, -25.0), (1.2, 0.0, -33.0)), line((1.2, 0.0, -33.0), (12.0, 0.0, -33.0))
+    system = tubes.string(
+        [parent, np.concatenate([inner, outer[1:]])], [np.full(len(parent), 1.5), np.full(len(inner) + len(outer) - 1, 0.3)]
+    )
+    found = tubes.from_axes(system)
+    np.testing.assert_allclose(found.centre_mm[found.branches[1][0]], (0.0, 0.0, -33.0), atol=0.7)
+    assert system.length_mm > 30.0 + 17.5
+    assert found.length_mm == pytest.approx(30.0 + 12.0, abs=0.7)
