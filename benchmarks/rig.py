@@ -28,7 +28,6 @@ from rhizotwin.rig.twin.stepper import ACCELERATION_DEG_PER_S2
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import files
 from rhizotwin.scenes.board import CharucoBoard
-from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.model import CapturePlan, Ring
 from rhizotwin.sim.board import simulate_board
 
@@ -161,7 +160,7 @@ def _scanned() -> list[Metric]:
     twin = Twin(scene, seed=0, profile_name="bench", pictures="render")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-rig-") as working:
         folder, result = Path(working) / "dataset", Path(working) / "result"
-        dataset = _scan(twin, folder)
+        dataset = rig_faults.scan_of(twin, folder)
         result.mkdir()
         reconstruct(folder).save(result)
         twin.write_truth(folder, dataset.frames)
@@ -170,12 +169,3 @@ def _scanned() -> list[Metric]:
         Metric(key="rig/scan/volume_error", value=found["volume_error"], unit="1", direction="zero", abs_tol=0.01),
         Metric(key="rig/scan/iou", value=found["iou"], unit="1", direction="up", abs_tol=0.01),
     ]
-
-
-def _scan(twin: Twin, folder: Path) -> Dataset:
-    scene = twin.calibrated_scene()
-    devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
-    try:
-        return scan(devices, scene, folder, seed=twin.seed, say=lambda _: None)
-    finally:
-        devices.close()

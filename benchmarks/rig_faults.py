@@ -125,7 +125,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     ended, stop = "complete", ""
     kept: dict[str, str] = {}
     try:
-        dataset = _scan(twin, folder, resume=False)
+        dataset = scan_of(twin, folder)
     except RigError as error:
         ended, stop = "stopped", str(error)
         if not any(name in stop for name in DEVICES):
@@ -135,7 +135,7 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
         shots = len(twin.record.shots)
         twin.repair()
         try:
-            dataset = _scan(twin, folder, resume=True)
+            dataset = scan_of(twin, folder, resume=True)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
             return ended, stop, [*problems, f"cannot be finished: {type(error).__name__}: {error}"]
         if len(dataset.frames) - len(kept) > len(twin.record.shots) - shots:
@@ -149,7 +149,8 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
     return ended, stop, problems
 
 
-def _scan(twin: Twin, folder: Path, *, resume: bool) -> Dataset:
+def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
+    """Scan an emulated rig."""
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:

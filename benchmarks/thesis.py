@@ -39,7 +39,7 @@ def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: f
         untrimmed_mm3=counted,
         monitor=monitor,
     )
-    recorded = {"method": "thesis", "voxel_mm": voxel_mm, "finest_mm": solid.finest_mm}
+    recorded = {"method": "thesis", "voxel_mm": voxel_mm}
     warnings = (*cameras.warnings, *solid.warnings)
     result = gather(dataset, cameras, coverage, solid, warnings=warnings, settings=recorded, monitor=monitor)
     result.save(result_folder)

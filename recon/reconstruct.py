@@ -26,6 +26,7 @@ from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, picture_checks, root_doubt, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.recon.uncertainty.root_doubt import Estimate
 from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Listener, Monitor
@@ -77,43 +78,43 @@ def reconstruct(
     settings, monitor = settings or Settings(), Monitor.of(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)
-    cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
-    stages.keep("cameras", cameras)
-    coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
-    stages.keep("coverage", coverage)
+    cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
+    coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
     hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     stages.keep("hull", hull, leave=_ON_DEVICE)
     tree = shaping.find_roots(hull, coverage, monitor=monitor)
     roots = None
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
-        cameras, roots = tree.cameras, rooting.settle(tree, monitor=monitor)
-        stages.keep("roots", roots, leave=_ON_DEVICE)
+        cameras, roots = tree.cameras, stages.keep("roots", rooting.settle(tree, monitor=monitor), leave=_ON_DEVICE)
         if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
             hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
             stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
-    solid = shaping.make_solid(hull, roots, coverage, settings, monitor=monitor)
-    stages.keep("solid", solid)
+    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = (*_checks(pictures, cameras, coverage, settings.trust), *solid.checks)
-    failed = checks.failed(checked)
-    if failed:
-        solid = replace(solid, volume=solid.volume.distrusted(failed))
+    solid = _judged(solid, checked)
     shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
-    said = () if solid.volume.trusted else (solid.volume.verdict,)
-    warnings = (
-        *pictures.warnings,
-        *cameras.warnings,
-        *(() if roots is None else roots.law.warnings()),
-        *solid.warnings,
-        *said,
-        *shoot_said,
-    )
-    recorded = to_plain(settings) | {"finest_mm": solid.finest_mm}
-    found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=recorded, monitor=monitor)
+    roots_said = () if roots is None else roots.law.warnings()
+    warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *shoot_said)
+    found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
+    return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), shoot=shoot)
+
+
+def _judged(solid: Solid, checked: tuple[Check, ...]) -> Solid:
+    """Return a solid whose volume is not trusted where a check failed."""
+    failed = checks.failed(checked)
+    return replace(solid, volume=solid.volume.distrusted(failed)) if failed else solid
+
+
+def _lost(solid: Solid) -> tuple[str, ...]:
+    """Return why a volume is not trusted."""
+    return () if solid.volume.trusted else (solid.volume.verdict,)
+
+
+def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
+    """Estimate length, tips and mean diameter, with intervals and verdicts of their own."""
     with monitor.stage("compare roots"):
-        carved, lost = hull.carved, () if solid.volume.trusted else (solid.volume.verdict,)
-        told = root_doubt.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=lost)
-    return replace(found, mass_g=mass_g, estimates=told, shoot=shoot)
+        return root_doubt.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
@@ -161,7 +162,7 @@ def gather(
         checks=checked,
         timings_s=dict(monitor.timings_s),
         peak_memory_mib=peak_memory_mib(),
-        settings=settings,
+        settings=settings | {"finest_mm": solid.finest_mm},
         versions=versions(_VERSIONED),
         silhouettes={files[k]: silhouette for k, silhouette in coverage.silhouettes.items()},
     )

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import trimesh
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes import atomic
 
+T = TypeVar("T")
 STAGES = ("cameras", "coverage", "hull", "roots", "hull_calibrated", "solid")
 """What there is, in the order in which it is made; the first hull is carved again where the roots told of the
 cameras."""
@@ -41,8 +42,8 @@ class StageFolder:
                     (kept.folder / f"{name}{suffix}").unlink(missing_ok=True)
         return kept
 
-    def keep(self, stage: str, value: object, *, leave: tuple[str, ...] = ()) -> None:
-        """Write a stage's value; its ``.json`` comes last, so that a stage with one is whole.
+    def keep(self, stage: str, value: T, *, leave: tuple[str, ...] = ()) -> T:
+        """Write a stage's value and hand it on; its ``.json`` comes last, so that a stage with one is whole.
 
         Parameters
         ----------
@@ -54,6 +55,11 @@ class StageFolder:
             Names of fields that are left out wherever they stand: what comes from an earlier stage, or is made from it
             on the device.
 
+        Returns
+        -------
+        dataclass
+            The value.
+
         Raises
         ------
         UserError
@@ -62,13 +68,14 @@ class StageFolder:
         if stage not in STAGES:
             raise ValueError(f"{stage=} is none of {STAGES}")
         if self.folder is None:
-            return
+            return value
         arrays: dict[str, NDArray[Any]] = {}
         plain = _plain(value, stage, frozenset(leave), arrays)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
         atomic.write_bytes(self.folder / f"{stage}.npz", buffer.getvalue())
         atomic.write_json(self.folder / f"{stage}.json", plain)
+        return value
 
 
 def _plain(value: object, at: str, leave: frozenset[str], arrays: dict[str, NDArray[Any]]) -> object:

@@ -20,7 +20,9 @@ from rhizotwin.scenes.model import CapturePlan, Scene
 
 if TYPE_CHECKING:
     from rhizotwin.rig.devices import Camera
+    from rhizotwin.rig.open import Devices
     from rhizotwin.rig.rig_file import RigFile
+    from rhizotwin.rig.serial_line.recording import Recorder
 
 TWIN = "twin"
 TWIN_SCENE = "printed_8ml"
@@ -71,6 +73,16 @@ class Bench:
             return camera
         lens = self.scene.camera
         return open_camera(self.rig.camera, image_wh=lens.image_wh, bits=lens.bits, clock=self.clock)
+
+    def open_devices(self, recorder: "Recorder | None", stack: ExitStack) -> "Devices":
+        """Open every device until the stack is left; a closed terminal leaves it, too."""
+        from rhizotwin.rig.open import open_devices
+
+        stack.enter_context(hang_up_stops())
+        camera = None if self.twin is None else self.open_camera()
+        devices = open_devices(self.rig, self.scene, clock=self.clock, camera=camera, recorder=recorder)
+        stack.callback(devices.close)
+        return devices
 
 
 def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:

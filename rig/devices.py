@@ -65,6 +65,19 @@ class Lights(Protocol):
         """Switch both off."""
 
 
+def check_levels(*, panel: float, front: float) -> None:
+    """Refuse levels of lamps that are no fractions.
+
+    Raises
+    ------
+    ValueError
+        Where one is below 0 or above 1.
+    """
+    for name, level in (("panel", panel), ("front", front)):
+        if not 0.0 <= level <= 1.0:
+            raise ValueError(f"{name}={level} but expected 0 to 1")
+
+
 class Arm(Protocol):
     """The arm that holds the camera. Joint angles in degrees, base to wrist roll, zero with all links in line along the base's axis."""
 

@@ -7,7 +7,7 @@ diameter) is refused with the option that supplies it.
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +16,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
@@ -47,6 +48,11 @@ class Root:
     label: str = ""
     tip_seen: bool = True
     """Whether its last point is where it ends; False: others hide where it ends or goes on."""
+
+
+def length_mm(roots: Iterable[Root]) -> float:
+    """Return the length of all roots together."""
+    return float(sum(polyline.length_mm(root.points_mm) for root in roots))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,14 +292,14 @@ class _Reader:
             return np.full(len(points_mm), values[0])
         if by_point:
             raise UserError(f"{self.path}: {what} has {len(values)} samples for {len(points_mm)} points; it must have one for each")
-        length_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+        way_mm = polyline.way_mm(points_mm)
         if None in positions:
-            at_mm = np.linspace(0.0, length_mm[-1], len(values))
+            at_mm = np.linspace(0.0, way_mm[-1], len(values))
         else:
             at_mm = np.array([self._number(position, f"position in {what}") for position in positions]) * self.step_mm
             if np.any(np.diff(at_mm) < 0.0):
                 raise UserError(f"{self.path}: the positions of the {what} do not rise")
-        along: Array = np.interp(length_mm, at_mm, values)
+        along: Array = np.interp(way_mm, at_mm, values)
         return along
 
     def _checked(self, diameters_mm: Array, name: str) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
@@ -71,7 +72,7 @@ def tube_mm3(roots: Sequence[Root]) -> float:
     """Return the sum of the roots' volumes as truncated cones, overlaps counted twice."""
     total = 0.0
     for root in roots:
-        length = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+        length = polyline.steps_mm(root.points_mm)
         a, b = root.diameters_mm[:-1] / 2.0, root.diameters_mm[1:] / 2.0
         total += float(np.sum(np.pi / 3.0 * length * (a**2 + a * b + b**2)))
     return total

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root, RsmlFile
 
 Array = NDArray[np.float64]
@@ -56,9 +57,9 @@ class _Line:
     @staticmethod
     def of(root: Root) -> "_Line":
         """Return a root at steps of `STEP_MM`."""
-        along_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        along_mm = polyline.way_mm(root.points_mm)
         at_mm = np.linspace(0.0, along_mm[-1], max(2, int(np.ceil(along_mm[-1] / STEP_MM)) + 1))
-        points = np.stack([np.interp(at_mm, along_mm, root.points_mm[:, axis]) for axis in range(3)], axis=1)
+        points = polyline.between(root.points_mm, along_mm, at_mm)
         return _Line(points, np.interp(at_mm, along_mm, root.diameters_mm))
 
 
@@ -98,11 +99,7 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
             kept.append(replace(root, points_mm=points_mm, diameters_mm=diameters_mm, parent=above, order=order, tip_seen=seen_tip))
             seen.add(_Line(*piece), len(kept) - 1)
         owner.append(first if runs else host if host is not None else parent)
-    return tuple(kept), _length_mm(roots) - _length_mm(kept)
-
-
-def _length_mm(roots: Sequence[Root]) -> float:
-    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
+    return tuple(kept), rsml.length_mm(roots) - rsml.length_mm(kept)
 
 
 class _Seen:

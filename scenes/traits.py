@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -235,7 +236,7 @@ def _emergence_deg(roots: Sequence[Root]) -> Array:
         parent = roots[root.parent].points_mm
         nearest = int(np.argmin(np.sum((parent - root.points_mm[0]) ** 2, axis=1)))
         along = parent[min(nearest + 1, len(parent) - 1)] - parent[max(nearest - 1, 0)]
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        way = polyline.way_mm(root.points_mm)
         reach = min(EMERGENCE_MM, float(way[-1]))
         end = np.array([np.interp(reach, way, root.points_mm[:, axis]) for axis in range(3)])
         lateral = end - root.points_mm[0]

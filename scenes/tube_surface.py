@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -37,15 +38,15 @@ def stations(roots: Sequence[Root]) -> Stations:
     """Cut roots into pieces of 0.3 mm or a little less."""
     centre, along, length, radius, owner = [], [], [], [], []
     for index, root in enumerate(roots):
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        way = polyline.way_mm(root.points_mm)
         if way[-1] <= 0.0:
             continue
         edges = np.linspace(0.0, way[-1], max(1, int(np.ceil(way[-1] / _STEP_MM))) + 1)
         middle = (edges[1:] + edges[:-1]) / 2.0
-        at = np.stack([np.interp(edges, way, root.points_mm[:, axis]) for axis in range(3)], axis=1)
+        at = polyline.between(root.points_mm, way, edges)
         step = np.diff(at, axis=0)
         size = np.linalg.norm(step, axis=1)
-        centre.append(np.stack([np.interp(middle, way, root.points_mm[:, axis]) for axis in range(3)], axis=1))
+        centre.append(polyline.between(root.points_mm, way, middle))
         along.append(step / np.maximum(size, 1e-12)[:, None])
         length.append(np.diff(edges))
         radius.append(np.interp(middle, way, root.diameters_mm / 2.0))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, NetPot
 from rhizotwin.scenes.rsml import Root
@@ -277,7 +278,7 @@ def _bud_on(
 ) -> _Bud:
     """Return a bud on a root at a distance along it, turned from the root by azimuth and insertion angle."""
     azimuth_rad, insertion_rad = turn_rad
-    ladder_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+    ladder_mm = polyline.way_mm(root.points_mm)
     segment = int(np.clip(np.searchsorted(ladder_mm, at_mm, side="right") - 1, 0, len(ladder_mm) - 2))
     part = np.clip((at_mm - ladder_mm[segment]) / (ladder_mm[segment + 1] - ladder_mm[segment]), 0.0, 1.0)
     along = root.points_mm[segment + 1] - root.points_mm[segment]

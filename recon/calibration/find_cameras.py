@@ -63,14 +63,7 @@ def find_cameras(
             bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
         lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
         return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), warnings=bare.notes(scene)))
-    with monitor.stage("markers"):
-        known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
-
-        def find(k: int) -> markers.Markers:
-            kept: markers.Markers | None = known.get(k)
-            return markers.detect_markers(pictures.images[k], scene.strip, measure=measure) if kept is None else kept
-
-        detected = monitor.each(find, "markers", range(len(pictures.images)))
+    detected = _markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)
     lens = scene.camera.focused(solved.focal_scale)
@@ -92,6 +85,18 @@ def find_cameras(
         warnings=(*solved.warnings, *left_out),
     )
     return _usable(pictures, cameras)
+
+
+def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
+    """Find every picture's markers, but for those that were measured already."""
+    known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
+
+    def find(k: int) -> markers.Markers:
+        kept = known.get(k)
+        return markers.detect_markers(pictures.images[k], pictures.dataset.scene.strip, measure=measure) if kept is None else kept
+
+    with monitor.stage("markers"):
+        return monitor.each(find, "markers", range(len(pictures.images)))
 
 
 def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:

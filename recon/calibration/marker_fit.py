@@ -182,9 +182,8 @@ def _gauss_newton(
     Long sums go through `_products`: a threaded BLAS would fight over the cores with the threads that measure other
     pictures.
     """
-    warp = np.append(_homography_through(window.start), np.zeros(3))
+    warp, xy, light = np.append(_homography_through(window.start), np.zeros(3)), window.xy, window.light
     table, tabled, rows = scratch.table, np.zeros(2), np.empty((19, 0))
-    xy, light = window.xy, window.light
     s, t = _start_st(warp, xy)
     for iteration in range(MOST_STEPS):
         if iteration < 2:
@@ -230,12 +229,28 @@ def _gauss_newton(
             break
     variance, spread = float(left @ products @ left) / (len(light) - 18), float(np.var(light))
     correlation = float(np.sqrt(max(0.0, 1.0 - variance / spread))) if spread > 0.0 else 0.0
-    between = 4.0 * contrast * pattern * (1.0 - pattern)
-    common = rows @ between  # with the model's own columns, which share some of it, and with the picture
     inverse = np.linalg.pinv(normal)
-    alone = float(between @ between - common[:18] @ inverse @ common[:18])
-    bend = float(left @ np.append(common[:18], common[18])) / alone if alone > 0.0 else 0.0
+    bend = _bend(rows, left, np.asarray(inverse, np.float64), 4.0 * contrast * pattern * (1.0 - pattern))
     return warp, blur, np.asarray(inverse * variance, np.float64), correlation, bend
+
+
+def _bend(rows: Array, left: Array, inverse: Array, between: Array) -> float:
+    """Return how much brighter half-way greys are than the model, as `MarkerFit.bend`.
+
+    Parameters
+    ----------
+    rows : (19, P) float64 array
+        The model's columns and the picture.
+    left : (19,) float64 array
+        What gives the residual picture, times the rows.
+    inverse : (18, 18) float64 array
+        Of the normal equations.
+    between : (P,) float64 array
+        What a bend of one would add to each pixel.
+    """
+    common = rows @ between  # with the model's own columns, which share some of it, and with the picture
+    alone = float(between @ between - common[:18] @ inverse @ common[:18])
+    return float(left @ np.append(common[:18], common[18])) / alone if alone > 0.0 else 0.0
 
 
 def _products(rows: Array) -> Array:

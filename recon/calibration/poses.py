@@ -230,17 +230,7 @@ def _together(
     sigma = np.sqrt(np.diag(fit.offset_covariance))
     return Poses(
         views=tuple(views),
-        rings=tuple(
-            Ring(
-                ring=ring,
-                placement=placement,
-                cam_from_rig=fit.rig.cam_from_rig[r],
-                covariance=fit.ring_covariance[r],
-                own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
-                own_mm=float(fit.rig.spread[r, 1]),
-            )
-            for r, (ring, placement) in enumerate(first.stations)
-        ),
+        rings=_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
         table_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
@@ -250,6 +240,21 @@ def _together(
         before_px=float(np.median([view_fit.linearise(seen[k], first.rig.rig_pose(i)).rms_px for i, k in enumerate(keys)])),
         after_px=float(np.median([local.rms_px for local in fit.views])),
         warnings=first.warnings,
+    )
+
+
+def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
+    """Return the camera of each station (ring and placement), and how much its views moved about it."""
+    return tuple(
+        Ring(
+            ring=ring,
+            placement=placement,
+            cam_from_rig=fit.rig.cam_from_rig[r],
+            covariance=fit.ring_covariance[r],
+            own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
+            own_mm=float(fit.rig.spread[r, 1]),
+        )
+        for r, (ring, placement) in enumerate(stations)
     )
 
 

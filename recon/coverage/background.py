@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.coverage.coarse_lines import CoarseLines
 from rhizotwin.recon.optics import cameras, refraction
 from rhizotwin.recon.optics.refraction import Array, Optics
 from rhizotwin.recon.robust import MAD
@@ -64,17 +65,12 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
     surface, and the base, as far out as the outer wall. How far a line of sight stays clear of these is computed for
     one pixel in four each way and interpolated.
     """
-    width, height = view.camera.image_wh
-    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
-    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-    inside = np.where(np.abs(w) < _FLANK * optics.w_limit, 1.0, np.nan)
-    clear = (inside * _clearance_mm(view, optics, scene, np.clip(w, -_FLANK, _FLANK), p_z)).reshape(u.shape).astype(np.float32)
-    wide = (clear.shape[1] * _STEP, clear.shape[0] * _STEP)
-    known = cv2.resize(np.isfinite(clear).astype(np.uint8), wide, interpolation=cv2.INTER_NEAREST) > 0
-    fine = cv2.resize(np.nan_to_num(clear, nan=-1.0), wide, interpolation=cv2.INTER_LINEAR)
+    lines = CoarseLines.of(view, optics, step=_STEP)
+    inside = np.where(np.abs(lines.w) < _FLANK * optics.w_limit, 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, np.clip(lines.w, -_FLANK, _FLANK), lines.p_z)).astype(np.float32)
+    known = lines.enlarged(np.isfinite(clear), nearest=True) > 0
     half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
-    return (known & (fine > _MARGIN_MM + half_px_mm))[:height, :width]
+    return np.asarray(known & (lines.enlarged(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
 
 
 def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_z: Array) -> Array:
@@ -102,14 +98,8 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     Where the canister turns about another axis than its own, its flanks wander in the picture: the backlight is
     estimated without them.
     """
-    width, height = view.camera.image_wh
-    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width, _STEP), np.arange(0.5 * _STEP - 0.5, height, _STEP))
-    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-    light = refraction.transmittance(optics, np.clip(w, -_FLANK, _FLANK) * optics.w_limit, p_z).reshape(u.shape)
-    wide = (u.shape[1] * _STEP, u.shape[0] * _STEP)
-    fine = cv2.resize(light.astype(np.float32), wide, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(fine[:height, :width])
+    lines = CoarseLines.of(view, optics, step=_STEP)
+    return lines.enlarged(refraction.transmittance(optics, np.clip(lines.w, -_FLANK, _FLANK) * optics.w_limit, lines.p_z))
 
 
 def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> tuple[Image, Mask]:

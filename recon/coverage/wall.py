@@ -9,16 +9,18 @@ long things stay: they are roots on the wall.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from rhizotwin.recon.coverage.coarse_lines import CoarseLines
 from rhizotwin.recon.coverage.silhouettes import Image, Mask
-from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.monitor import Monitor
 
@@ -73,12 +75,8 @@ def shape(optics: Optics) -> tuple[int, int]:
 
 def crossings(view: View, optics: Optics) -> Crossings:
     """Follow a view's pixels to where they enter and leave the water; outside of it the coordinates mean nothing."""
-    width, height = view.camera.image_wh
-    u, v = np.meshgrid(np.arange(0.5 * _STEP - 0.5, width + _STEP, _STEP), np.arange(0.5 * _STEP - 0.5, height + _STEP, _STEP))
-    w, p_z = refraction.invariants(
-        view.rho_mm, optics.outer_radius_mm, cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
-    )
-    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -1.0, 1.0) * optics.w_limit, p_z)
+    lines = CoarseLines.of(view, optics, step=_STEP, beyond=True)
+    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(lines.w, -1.0, 1.0) * optics.w_limit, lines.p_z)
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
     x, y, _ = view.centre_mm
     rows, columns = shape(optics)
@@ -90,15 +88,8 @@ def crossings(view: View, optics: Optics) -> Crossings:
         z = line.entry_z_mm + line.slope * (1.0 + side) * half
         column = azimuth * columns / (2.0 * np.pi) - 0.5
         row = (optics.water_z_mm - z) * rows / (optics.water_z_mm - optics.floor_z_mm) - 0.5
-        found.append((_enlarged(column, u.shape, (width, height)), _enlarged(row, u.shape, (width, height))))
+        found.append((lines.enlarged(column), lines.enlarged(row)))
     return Crossings((found[0][0], found[1][0]), (found[0][1], found[1][1]))
-
-
-def _enlarged(values: Array, coarse: tuple[int, ...], image_wh: tuple[int, int]) -> Image:
-    """Interpolate from one pixel in `_STEP` each way to all."""
-    wide = (coarse[1] * _STEP, coarse[0] * _STEP)
-    fine = cv2.resize(values.reshape(coarse).astype(np.float32), wide, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(fine[: image_wh[1], : image_wh[0]])
 
 
 def look_up(panorama: Image, column: Image, row: Image) -> Image:
@@ -141,46 +132,44 @@ def study(
     sampled = np.s_[::step, ::step]
     depth = {k: -np.log1p(-np.minimum(picture[sampled], _OPAQUE)) for k, picture in opacity.items()}
     keys, film = list(opacity), np.zeros((rows, columns), np.float32)
-
-    def place(k: int) -> NDArray[np.int32]:
-        """Return the texels (2, h, w) that a view's sampled pixels look through, near and far.
-
-        -1 where nothing is seen.
-        """
-        sides = []
-        for side in (0, 1):
-            row, column = (np.rint(at[side][sampled]).astype(np.int32) for at in (where[k].row, where[k].column))
-            here = seen[k][sampled] & (row >= 0) & (row < rows)
-            sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
-        return np.stack(sides)
-
-    places = dict(zip(keys, monitor.each(place, "wall", keys), strict=True))
-
-    def observed(k: int) -> Image:
-        """Return the mean optical depth (2, rows * columns) of the places a view sees, other side's film taken off.
-
-        NaN elsewhere.
-        """
-        sides = []
-        for side in (0, 1):
-            here = places[k][side] >= 0
-            at, other = places[k][side][here], places[k][1 - side][here]
-            value = depth[k][here] - np.where(other >= 0, film.ravel()[other], 0.0)
-            number = np.bincount(at, minlength=rows * columns)
-            total = np.bincount(at, weights=value, minlength=rows * columns)
-            sides.append(np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32))
-        return np.stack(sides)
-
+    found = monitor.each(lambda k: _texels(where[k], seen[k], sampled, (rows, columns)), "wall", keys)
+    places = dict(zip(keys, found, strict=True))
     for _ in range(_ROUNDS):
-        views = np.concatenate(monitor.each(observed, "wall", keys))
+        views = np.concatenate(monitor.each(partial(_observed, places, depth, film), "wall", keys))
         dark = _quantile(views).reshape(rows, columns)
-        faint = np.where(
-            dark > settings.film_most, 0.0, dark
-        )  # roots on the wall are no film, nor is what the opening leaves of their fringe
+        # roots on the wall are no film, nor is what the opening leaves of their fringe
+        faint = np.where(dark > settings.film_most, 0.0, dark)
         broad = ndimage.grey_opening(faint, size=_NARROWEST_TEXELS, mode="wrap")
         broad = np.minimum(faint, ndimage.grey_dilation(broad, size=3, mode="wrap"))  # the opening squares the edges
         film = np.where(broad > settings.film_depth, broad, 0.0).astype(np.float32)
     return Wall(film, _bubbles(dark - film, (views - film.ravel()).reshape(-1, rows, columns), settings.bubble_depth))
+
+
+def _texels(where: Crossings, seen: Mask, sampled: tuple[slice, slice], size: tuple[int, int]) -> NDArray[np.int32]:
+    """Return the texels (2, h, w) that a view's sampled pixels look through, near and far; -1 where nothing is seen."""
+    rows, columns = size
+    sides = []
+    for side in (0, 1):
+        row, column = (np.rint(at[side][sampled]).astype(np.int32) for at in (where.row, where.column))
+        here = seen[sampled] & (row >= 0) & (row < rows)
+        sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
+    return np.stack(sides)
+
+
+def _observed(places: dict[int, NDArray[np.int32]], depth: dict[int, Image], film: Image, k: int) -> Image:
+    """Return the mean optical depth (2, texels) of the places that view ``k`` sees, the other side's film taken off.
+
+    NaN elsewhere.
+    """
+    sides = []
+    for side in (0, 1):
+        here = places[k][side] >= 0
+        at, other = places[k][side][here], places[k][1 - side][here]
+        value = depth[k][here] - np.where(other >= 0, film.ravel()[other], 0.0)
+        number = np.bincount(at, minlength=film.size)
+        total = np.bincount(at, weights=value, minlength=film.size)
+        sides.append(np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32))
+    return np.stack(sides)
 
 
 def _quantile(observed: Image) -> Image:

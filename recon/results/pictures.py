@@ -261,13 +261,38 @@ def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") 
     return drawn
 
 
-def _box(points_mm: Floats, side: shading.Side) -> Box:
-    """Return (left, right, bottom, top) round the points with a margin, neither very narrow nor very flat."""
+def box_around(points_mm: Floats, side: shading.Side, *, margin_mm: float, narrowest: float, flattest: float) -> Box:
+    """Return left, right, bottom and top round points seen from a side.
+
+    Parameters
+    ----------
+    points_mm : (P, 3) float64 array
+        In the canister's frame.
+    side : Side
+        From where they are seen.
+    margin_mm : float
+        Room about them.
+    narrowest, flattest : float
+        Least width over height, and least height over width.
+    """
     flat = points_mm @ side.axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
-    middle, half = (low + high) / 2.0, (high - low) / 2.0 + 4.0
-    half = np.maximum(half, [0.75 * half[1], 0.6 * half[0]])
+    middle, half = (low + high) / 2.0, (high - low) / 2.0 + margin_mm
+    half = np.maximum(half, [narrowest * half[1], flattest * half[0]])
     return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
+
+
+def put_axes(axes: Axes, side: shading.Side, box: Box) -> None:
+    """Give axes the limits of a box and the names of a side."""
+    axes.set_xlim(box[0], box[1])
+    axes.set_ylim(box[2], box[3])
+    axes.set_aspect("equal")
+    axes.set_xlabel(side.right_label)
+    axes.set_ylabel("z (mm)")
+
+
+def _box(points_mm: Floats, side: shading.Side) -> Box:
+    return box_around(points_mm, side, margin_mm=4.0, narrowest=0.75, flattest=0.6)
 
 
 def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
@@ -293,8 +318,4 @@ def _show(axes: Axes, scene: Scene, side: shading.Side, box: Box, picture: NDArr
     """Put a rendering into its place in the canister."""
     _canister_outline(axes, scene)
     axes.imshow(picture, extent=box, origin="upper", zorder=5, interpolation="antialiased")
-    axes.set_xlim(box[0], box[1])
-    axes.set_ylim(box[2], box[3])
-    axes.set_aspect("equal")
-    axes.set_xlabel(side.right_label)
-    axes.set_ylabel("z (mm)")
+    put_axes(axes, side, box)

@@ -85,11 +85,7 @@ def length_plots(traits: Traits) -> Figure:
 
 def _box(points_mm: Floats, side: shading.Side) -> pictures.Box:
     """Return the roots' frame with a margin, at least half as wide as high and half as high as wide."""
-    flat = points_mm @ side.axes[:2].T
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    middle, half = (low + high) / 2.0, (high - low) / 2.0 + MARGIN_MM
-    half = np.maximum(half, 0.5 * half[::-1])
-    return float(middle[0] - half[0]), float(middle[0] + half[0]), float(middle[1] - half[1]), float(middle[1] + half[1])
+    return pictures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
 
 
 def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: pictures.Box, scale: ScalarMappable | None) -> None:
@@ -112,11 +108,7 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: picture
             list(np.concatenate(pieces)[far_first]), colors=[shades[k] for k in far_first], linewidths=width[far_first], capstyle="round"
         )
     )
-    axes.set_xlim(box[0], box[1])
-    axes.set_ylim(box[2], box[3])
-    axes.set_aspect("equal")
-    axes.set_xlabel(side.right_label)
-    axes.set_ylabel("z (mm)")
+    pictures.put_axes(axes, side, box)
 
 
 def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: Json, dataset: Dataset) -> None:

@@ -84,7 +84,7 @@ class Solid:
     @property
     def length_mm(self) -> float:
         """Total length of the roots."""
-        return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in self.roots))
+        return rsml.length_mm(self.roots)
 
 
 @dataclass(frozen=True, kw_only=True)

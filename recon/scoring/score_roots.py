@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     near = away < NEAR_MM
     ratio = found_radius[near] / np.maximum(true_radius[nearest[near]], 1e-9)
     tips, true_tips = (np.array([root.points_mm[-1] for root in roots if root.tip_seen]).reshape(-1, 3) for roots in (found, true))
-    length, true_length = _length(found), _length(true)
+    length, true_length = rsml.length_mm(found), rsml.length_mm(true)
     return RootScore(
         length_mm=length,
         length_true_mm=true_length,
@@ -71,16 +72,12 @@ def _near_share(these: Array, others: Array) -> float:
     return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0
 
 
-def _length(roots: Sequence[Root]) -> float:
-    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
-
-
 def _dense(roots: Sequence[Root]) -> tuple[Array, Array]:
     """Return points (P, 3) every 0.1 mm along the roots, and the radii (P,) there."""
     points, radii = [], []
     for root in roots:
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+        along = polyline.way_mm(root.points_mm)
         at = (np.arange(max(1, round(along[-1] / _STEP_MM))) + 0.5) * along[-1] / max(1, round(along[-1] / _STEP_MM))
-        points.append(np.stack([np.interp(at, along, root.points_mm[:, axis]) for axis in range(3)], axis=1))
+        points.append(polyline.between(root.points_mm, along, at))
         radii.append(np.interp(at, along, root.diameters_mm / 2.0))
     return np.concatenate(points), np.concatenate(radii)

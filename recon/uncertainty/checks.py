@@ -62,6 +62,11 @@ def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advi
     return stated(name, state, value, unit, limits, found, "" if state == "good" else advice)
 
 
+def foremost(*made: Check) -> Check:
+    """Return the first check that is not good, or else the last."""
+    return next((check for check in made if check.state != "good"), made[-1])
+
+
 def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
     """Return a check of what the pictures do not show."""
     return stated(name, "untold", None, unit, limits, found, advice)

@@ -14,7 +14,7 @@ from rhizotwin.recon.calibration.curve import MOST_BEND
 from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.pictures import CurveFound
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, State, judged, state_of, stated, untold
+from rhizotwin.recon.uncertainty.checks import Check, State, foremost, judged, stated, untold
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.model import Canister
 
@@ -44,14 +44,14 @@ def of_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings())
         said = "no bare panel is seen beside the canister, so that the pictures' exposure cannot be told"
         return untold("exposure", said, "use a panel wider than the canister, or fix the exposure")
     clipped, level, wander = float(found.clipped.max()), float(np.nanmin(found.level)), found.wander
-    if state_of(clipped, *trust.clipped) != "good":
-        said = f"{100.0 * clipped:.2g} % of the panel are at full scale in the worst picture"
-        return judged("exposure", clipped, "share", trust.clipped, said, "expose less: the panel at 0.8 of full scale")
-    if state_of(level, *trust.dim) != "good":
-        said = f"the panel reaches only {100.0 * level:.2g} % of full scale"
-        return judged("exposure", level, "share", trust.dim, said, "expose longer: the panel at 0.8 of full scale")
+    full = f"{100.0 * clipped:.2g} % of the panel are at full scale in the worst picture"
+    dim = f"the panel reaches only {100.0 * level:.2g} % of full scale"
     said = f"the exposure wanders by {100.0 * wander:.2g} % from picture to picture, which was divided out"
-    return judged("exposure", wander, "share", trust.wander, said, "set exposure and gain by hand")
+    return foremost(
+        judged("exposure", clipped, "share", trust.clipped, full, "expose less: the panel at 0.8 of full scale"),
+        judged("exposure", level, "share", trust.dim, dim, "expose longer: the panel at 0.8 of full scale"),
+        judged("exposure", wander, "share", trust.wander, said, "set exposure and gain by hand"),
+    )
 
 
 def of_curve(found: CurveFound | None) -> Check:
@@ -85,14 +85,15 @@ def of_markers(inset_px: float | None, corners_px: float | None, trust: TrustSet
     """Check that the markers are as large as they were printed, and where the cameras put them."""
     if inset_px is None or corners_px is None:
         return untold("markers", "the cameras were given: no markers were measured", unit="px", limits=trust.inset_px)
-    if state_of(corners_px, *trust.corners_px) != "good":
-        said = f"the markers' corners lie {corners_px:.2f} px from where the cameras put them"
-        advice = "check strip, net pot and lens in the scene; print the strip to scale and put it on without a gap"
-        return judged("markers", corners_px, "px", trust.corners_px, said, advice)
+    apart = f"the markers' corners lie {corners_px:.2f} px from where the cameras put them"
+    scene = "check strip, net pot and lens in the scene; print the strip to scale and put it on without a gap"
     larger = "larger" if inset_px > 0 else "smaller"
     said = f"the markers look {abs(inset_px):.3f} px {larger} on each side than they were printed"
     advice = "state the camera's transfer, switch its sharpening off, and measure the print with a ruler"
-    return judged("markers", abs(inset_px), "px", trust.inset_px, said, advice)
+    return foremost(
+        judged("markers", corners_px, "px", trust.corners_px, apart, scene),
+        judged("markers", abs(inset_px), "px", trust.inset_px, said, advice),
+    )
 
 
 def of_canister(pose: CanisterPose | None, canister: Canister, trust: TrustSettings = TrustSettings()) -> Check:
@@ -101,15 +102,15 @@ def of_canister(pose: CanisterPose | None, canister: Canister, trust: TrustSetti
         said = "the canister's edges are not seen before the panel, so that its radius and place are those of the drawing"
         return untold("canister", said, "use a panel wider than the canister", unit="mm", limits=trust.edge_mm)
     share = abs(pose.radius_excess_mm) / canister.outer_radius_mm
-    if state_of(share, *trust.radius_share) != "good":
-        said = f"the canister's edges lie {pose.radius_excess_mm:+.2f} mm from its drawing"
-        advice = "measure its outer diameter (and its wall) with callipers and put them into the scene"
-        return judged("canister", share, "share", trust.radius_share, said, advice)
-    if state_of(pose.oval_mm, *trust.oval_mm) != "good":
-        said = f"the canister is an oval whose radius is {pose.oval_mm:.2f} mm larger one way and smaller across"
-        return judged("canister", pose.oval_mm, "mm", trust.oval_mm, said, "take another tube, or stiffen it with a ring")
+    other = f"the canister's edges lie {pose.radius_excess_mm:+.2f} mm from its drawing"
+    measure = "measure its outer diameter (and its wall) with callipers and put them into the scene"
+    oval = f"the canister is an oval whose radius is {pose.oval_mm:.2f} mm larger one way and smaller across"
     said = f"the canister's edges lie {pose.after_mm:.3f} mm (median) about a circle, {pose.oval_mm:.2f} mm of oval taken off"
-    return judged("canister", pose.after_mm, "mm", trust.edge_mm, said, "the tube is out of shape: take another")
+    return foremost(
+        judged("canister", share, "share", trust.radius_share, other, measure),
+        judged("canister", pose.oval_mm, "mm", trust.oval_mm, oval, "take another tube, or stiffen it with a ring"),
+        judged("canister", pose.after_mm, "mm", trust.edge_mm, said, "the tube is out of shape: take another"),
+    )
 
 
 def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:
@@ -127,8 +128,9 @@ def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, 
     used, out = len(azimuth_deg), 1.0 - len(azimuth_deg) / max(1, pictures)
     order = np.sort(np.mod(np.asarray(azimuth_deg, np.float64), 360.0))
     gap_deg = float(np.max(np.diff(np.append(order, order[0] + 360.0)))) if used else 360.0
-    if state_of(out, *trust.left_out) != "good":
-        said = f"{pictures - used} of {pictures} pictures could not be used"
-        return judged("views", out, "share", trust.left_out, said, "see why each was left out, and take them again")
+    lost = f"{pictures - used} of {pictures} pictures could not be used"
     said = f"{used} views, the largest step between neighbours {gap_deg:.0f} degrees"
-    return judged("views", gap_deg, "deg", trust.gap_deg, said, "take more views, evenly round the turn")
+    return foremost(
+        judged("views", out, "share", trust.left_out, lost, "see why each was left out, and take them again"),
+        judged("views", gap_deg, "deg", trust.gap_deg, said, "take more views, evenly round the turn"),
+    )

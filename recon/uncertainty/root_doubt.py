@@ -25,6 +25,7 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import NINETY
+from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traced import once
 
@@ -115,8 +116,8 @@ def estimates(
         lost = (*lost, few)
     pairs = [(_tell(s.coverage, s.seen), _tell(picture, s.seen)) for s, picture in zip(silhouettes[:count], drawn, strict=True)]
     pairs = [(taken, made) for taken, made in pairs if made.line > 0.0 and made.ends > 0.0 and taken.line > 0.0]
-    length_mm = _length_mm(roots)
-    shared = length_mm - _length_mm(once(roots)[0])
+    length_mm = rsml.length_mm(roots)
+    shared = length_mm - rsml.length_mm(once(roots)[0])
     diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     by_line = [_LEVEL * (taken.line / made.line - 1.0) for taken, made in pairs]
@@ -157,13 +158,9 @@ _WORDS = {
 }
 
 
-def _length_mm(roots: Sequence[Root]) -> float:
-    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
-
-
 def _mean(root: Root) -> float:
     """Return a root's length times its mean diameter."""
-    steps = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+    steps = polyline.steps_mm(root.points_mm)
     return float(steps @ (root.diameters_mm[:-1] + root.diameters_mm[1:]) / 2.0)
 
 
@@ -195,7 +192,7 @@ class _Places:
     def of(roots: Sequence[Root], bank: ViewBank) -> _Places:
         """Project roots into all views."""
         points = np.concatenate([root.points_mm for root in roots])
-        step = np.concatenate([[*np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1), 0.0] for root in roots])
+        step = np.concatenate([[*polyline.steps_mm(root.points_mm), 0.0] for root in roots])
         view = dr.repeat(dr.arange(mi.UInt32, bank.count), len(points))
         at = projection.project(bank, view, mi.Point3f(*(dr.tile(numbers(part), bank.count) for part in points.T)), mi.Bool(True))
         shape = (bank.count, len(points))

@@ -77,11 +77,8 @@ def check(
 def _walk(bench: rigs.Bench, folder: Path, recorder: Any, wrong: int, stack: ExitStack) -> int:
     """Walk a person through the first day; return how many things are wrong."""
     from rhizotwin.rig.first_day import FirstDay
-    from rhizotwin.rig.open import open_devices
 
-    stack.enter_context(rigs.hang_up_stops())
-    devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
-    stack.callback(devices.close)
+    devices = bench.open_devices(recorder, stack)
     findings = FirstDay(devices, bench.scene, ask=_answer, say=print, folder=folder).walk(wrong_devices=wrong)
     print(f"wrote {folder}/first_day.md and first_day.json; send the folder back with what you saw")
     return sum(one.verdict == "wrong" for one in findings)
@@ -125,15 +122,11 @@ def jog(
     rhizotwin rig jog twin
     """
     from rhizotwin.rig.jog import Jog
-    from rhizotwin.rig.open import open_devices
 
     bench = rigs.open_bench(rig, scene, errors=twin)
     typed = sys.stdin.isatty()
     with ExitStack() as stack:
-        stack.enter_context(rigs.hang_up_stops())
-        recorder = rigs.recorder(record, stack)
-        devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
-        stack.callback(devices.close)
+        devices = bench.open_devices(rigs.recorder(record, stack), stack)
         if typed:
             print("type help for the commands, quit to end")
         Jog(devices, bench.scene, say=print).run(_typed_lines() if typed else sys.stdin, stop_at_mistake=not typed)

@@ -98,7 +98,6 @@ def scan(
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
-    from rhizotwin.rig.open import open_devices
     from rhizotwin.rig.scanning.scan import scan as take
 
     emulated = rig == rigs.TWIN
@@ -112,11 +111,8 @@ def scan(
     # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before, too
     rendered = emulated and twin.fidelity == "render"
     with ExitStack() as stack:
-        stack.enter_context(rigs.hang_up_stops())
         onlooker = _onlooker(bench.scene, watching, stack)
-        recorder = rigs.recorder(course.record, stack)
-        devices = open_devices(bench.rig, bench.scene, clock=bench.clock, camera=bench.twin and bench.open_camera(), recorder=recorder)
-        stack.callback(devices.close)
+        devices = bench.open_devices(rigs.recorder(course.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
             devices,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -52,12 +53,12 @@ class Line:
     @property
     def way_mm(self) -> Array:
         """Return how far along each point (N,) lies."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1))])
+        return polyline.way_mm(self.points_mm)
 
     @property
     def length_mm(self) -> float:
         """Return its length."""
-        return float(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1).sum())
+        return polyline.length_mm(self.points_mm)
 
     def nearest_mm(self, point_mm: Sequence[float]) -> float:
         """Return how far along the point nearest to another lies."""
@@ -73,7 +74,7 @@ class Line:
         way = self.way_mm
         inner = way[(way > begin_mm + 1e-9) & (way < end_mm - 1e-9)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
-        points = np.stack([np.interp(at, way, self.points_mm[:, axis]) for axis in range(3)], axis=1)
+        points = polyline.between(self.points_mm, way, at)
         pieces, before = [], 0.0
         for piece in self.pieces:
             low, high = max(begin_mm - before, 0.0), min(end_mm - before, piece.length_mm)

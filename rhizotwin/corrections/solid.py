@@ -19,6 +19,7 @@ from rhizotwin.corrections.lines import Piece
 from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.tubes import filling
 from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -111,7 +112,7 @@ class Solid:
 
     def length_mm(self, source: int) -> float:
         """Return a source's length."""
-        return float(np.linalg.norm(np.diff(self.sources[source][0], axis=0), axis=1).sum())
+        return polyline.length_mm(self.sources[source][0])
 
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
         """Add sources, and voxels for what lies outside the others; return their numbers."""
@@ -283,7 +284,7 @@ def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
 
 def _dense(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index, Array]:
     """Return points close together on a line, with radius, number and how far along."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+    way = polyline.way_mm(points_mm)
     at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.15)) + 1))
-    centre = np.stack([np.interp(at, way, points_mm[:, axis]) for axis in range(3)], axis=1)
+    centre = polyline.between(points_mm, way, at)
     return centre, np.interp(at, way, diameters_mm / 2.0), np.full(len(at), number), at

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rhizotwin.scenes import frames
+from rhizotwin.scenes import frames, polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -44,10 +44,10 @@ class Aligned:
 
 def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
     """Return points (N, 3) about ``step_mm`` apart along a root, and the unit direction (N, 3) at each."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1))])
+    way = polyline.way_mm(root.points_mm)
     count = max(2, int(np.ceil(way[-1] / step_mm)) + 1)
     at = np.linspace(0.0, way[-1], count)
-    points = np.stack([np.interp(at, way, root.points_mm[:, axis]) for axis in range(3)], axis=1)
+    points = polyline.between(root.points_mm, way, at)
     along = np.gradient(points, axis=0)
     return points, along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 

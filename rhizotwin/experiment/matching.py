@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from rhizotwin.experiment.alignment import STEP_MM, Aligned, align, points_of
+from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -116,7 +117,8 @@ def follow(days: Sequence[Day]) -> Followed:
                 tracks[own[k]] = Track(name=own[k], parent=parent, order=root.order, absent_day=moved[-1].day if moved else 0.0)
             track = tracks[own[k]]
             first_mm = track.sights[0].length_mm if track.sights else np.inf
-            track.sights.append(Sight(day=now.day, root=root, length_mm=_length(root), diameter_mm=_diameter(root, first_mm)))
+            length_mm, diameter_mm = polyline.length_mm(root.points_mm), _diameter(root, first_mm)
+            track.sights.append(Sight(day=now.day, root=root, length_mm=length_mm, diameter_mm=diameter_mm))
             latest[own[k]] = root
         moved.append(here)
         names.append(tuple(own))
@@ -158,7 +160,7 @@ def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[in
     np.maximum.at(best, a * len(today) + theirs.owner[b], worth)
     score = np.zeros((len(known), len(today)))
     np.add.at(score, mine.owner, best.reshape(-1, len(today)))
-    length = np.array([_length(root) for root in known]) + STEP_MM
+    length = np.array([polyline.length_mm(root.points_mm) for root in known]) + STEP_MM
     score *= (length / np.bincount(mine.owner, minlength=len(known)))[:, None]  # a short line may lie on a root by chance: length counts
     rows, columns = linear_sum_assignment(-score)
     least = 0.5 * LEAST_SHARE * length  # a point at the farthest allowed is worth a half
@@ -171,13 +173,9 @@ def _new_name(tracks: dict[str, Track], parent: str) -> str:
     return f"{parent}.{count + 1}" if parent else str(count + 1)
 
 
-def _length(root: Root) -> float:
-    return float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum())
-
-
 def _diameter(root: Root, first_mm: float) -> float:
     """Return the mean diameter over the first part of a root."""
-    step = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+    step = polyline.steps_mm(root.points_mm)
     way = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, min(first_mm, float(way[-1])), 20)
     return float(np.interp(at, way, root.diameters_mm).mean())

@@ -7,7 +7,7 @@ never by a program that has just started; then the markers tell it.
 import numpy as np
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
+from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, check_levels
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.rig_file import HatPart, LightsPart, TurntablePart
 from rhizotwin.rig.table.hat_pins import Pins, Pixels
@@ -147,9 +147,7 @@ class HatLights:
 
     def set(self, *, panel: float, front: float) -> None:
         """Set both lamps, as fractions 0 to 1 of the rig file's colours, and wait until they burn steadily."""
-        for name, level in (("panel", panel), ("front", front)):
-            if not 0.0 <= level <= 1.0:
-                raise ValueError(f"{name}={level} but expected 0 to 1")
+        check_levels(panel=panel, front=front)
         self._fill(panel, front)
         self._clock.sleep(self._part.settle_s)
 

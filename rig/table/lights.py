@@ -1,6 +1,7 @@
 """The lamps: two NeoPixel strips of a Marlin board."""
 
 from rhizotwin.rig.clock import Clock
+from rhizotwin.rig.devices import check_levels
 from rhizotwin.rig.errors import LostError, NoAnswerError
 from rhizotwin.rig.rig_file import LightsPart
 from rhizotwin.rig.table.marlin import MarlinLink
@@ -25,9 +26,7 @@ class MarlinLights:
         panel, front
             0 to 1, as fractions of the colours in the rig file.
         """
-        for name, level in (("panel", panel), ("front", front)):
-            if not 0.0 <= level <= 1.0:
-                raise ValueError(f"{name}={level} but expected 0 to 1")
+        check_levels(panel=panel, front=front)
         if not self._link.ready:
             self._link.start()
         self._show(panel, front)

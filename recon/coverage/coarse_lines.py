@@ -1,0 +1,55 @@
+"""Lines of sight of one pixel in so many each way, and what is found along them for every pixel: it is smooth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Array, Optics
+
+
+@dataclass(frozen=True)
+class CoarseLines:
+    """Where a view's lines of sight meet the canister, by the invariants of `recon.optics.refraction`."""
+
+    w: Array
+    """(N,) impact parameter over the outer radius."""
+    p_z: Array
+    """(N,) climb."""
+    shape: tuple[int, int]
+    """Rows and columns of the N."""
+    step: int
+    image_wh: tuple[int, int]
+
+    @staticmethod
+    def of(view: View, optics: Optics, *, step: int, beyond: bool = False) -> CoarseLines:
+        """Follow the lines of sight of a view.
+
+        Parameters
+        ----------
+        view : View
+            Camera and pose.
+        optics : Optics
+            The canister's.
+        step : int
+            One pixel in so many each way, in the middle of its square.
+        beyond : bool
+            A step beyond the picture's right and lower border, too, so that nothing there is carried over.
+        """
+        width, height = view.camera.image_wh
+        more, first = step if beyond else 0, 0.5 * step - 0.5
+        u, v = np.meshgrid(np.arange(first, width + more, step), np.arange(first, height + more, step))
+        directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
+        w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
+        return CoarseLines(w, p_z, (u.shape[0], u.shape[1]), step, view.camera.image_wh)
+
+    def enlarged(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
+        """Return for every pixel (H, W) what was found for the lines (N,): interpolated, or the nearest line's."""
+        wide, how = (self.shape[1] * self.step, self.shape[0] * self.step), cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+        fine = cv2.resize(values.reshape(self.shape).astype(np.float32), wide, interpolation=how)
+        return np.asarray(fine[: self.image_wh[1], : self.image_wh[0]])

@@ -1,0 +1,36 @@
+"""Lines of points in space: how long they are, how far along each point lies, and what lies between."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def steps_mm(points_mm: Array) -> Array:
+    """Return the lengths (N - 1,) of a line's pieces between its points (N, 3)."""
+    return np.asarray(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))
+
+
+def length_mm(points_mm: Array) -> float:
+    """Return the length of a line of points (N, 3)."""
+    return float(steps_mm(points_mm).sum())
+
+
+def way_mm(points_mm: Array) -> Array:
+    """Return how far along a line each of its points (N, 3) lies: (N,), 0 at the first."""
+    return np.concatenate([[0.0], np.cumsum(steps_mm(points_mm))])
+
+
+def between(points_mm: Array, way: Array, at: Array) -> Array:
+    """Return the points (M, 3) at places along a line.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) float64 array
+        The line's points.
+    way : (N,) float64 array
+        How far along each of them lies, as `way_mm`.
+    at : (M,) float64 array
+        Places on the same scale; beyond the ends they are the ends.
+    """
+    return np.stack([np.interp(at, way, points_mm[:, axis]) for axis in range(3)], axis=1)

@@ -1,0 +1,20 @@
+"""Lines of points against their closed form."""
+
+import numpy as np
+
+from rhizotwin.scenes import polyline
+
+CORNER = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 2.0]])
+
+
+def test_a_corner_is_as_long_as_its_legs() -> None:
+    assert polyline.steps_mm(CORNER).tolist() == [5.0, 2.0]
+    assert polyline.length_mm(CORNER) == 7.0
+    assert polyline.way_mm(CORNER).tolist() == [0.0, 5.0, 7.0]
+    assert polyline.length_mm(CORNER[:1]) == 0.0
+
+
+def test_places_between_lie_on_the_legs() -> None:
+    way = polyline.way_mm(CORNER)
+    found = polyline.between(CORNER, way, np.array([-1.0, 2.5, 6.0, 9.0]))
+    assert np.allclose(found, [[0.0, 0.0, 0.0], [1.5, 2.0, 0.0], [3.0, 4.0, 1.0], [3.0, 4.0, 2.0]])
