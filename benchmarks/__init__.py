@@ -1,1 +1,4 @@
-"""The accuracy ladder and the speed of rhizotwin, with committed baselines and a gate: ``python -m benchmarks --help``."""
+"""The accuracy ladder and the speed of rhizotwin, with committed baselines and a gate.
+
+See ``python -m benchmarks --help``.
+"""

@@ -1,4 +1,7 @@
-"""The accuracy ladder: render (or take from the cache), reconstruct, score; each in a process of its own, finished cases kept."""
+"""The accuracy ladder: render (or take from the cache), reconstruct, score.
+
+Each in a process of its own, finished cases kept.
+"""
 
 import json
 import statistics
@@ -34,9 +37,12 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
 
     Parameters
     ----------
-    afresh : measure also what an earlier run with the same sources, settings and versions measured.
-    change : what is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
-    projection : measure also the projection, which no picture changes.
+    afresh : bool
+        Measure also what an earlier run with the same sources, settings and versions measured.
+    change : str
+        What is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    projection : bool
+        Measure also the projection, which no picture changes.
     """
     say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
     measured = worker.start(["projection"], device=device)["metrics"] if projection else []
@@ -62,7 +68,10 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
 
 
 def kept(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
-    """Return what an earlier run measured of a case, with sources, settings and versions as they are now; None where none did."""
+    """Return what an earlier run measured of a case, with sources, settings and versions as they are now.
+
+    None where none did.
+    """
     path = _kept_path(case, device=device, change=change)
     if not path.is_file():
         return None
@@ -137,7 +146,8 @@ def percent(fraction: float | None) -> str:
 def metrics(case: Case, record: Record) -> list[Metric]:
     """Return the gated numbers of one score; a stage that gave none yields NaN, which fails the gate."""
     found = record["score"]
-    # (where, unit, direction, rel_tol, abs_tol): the tolerances are for cases whose scatter is not measured (`benchmarks.scatter`).
+    # (where, unit, direction, rel_tol, abs_tol): the tolerances are for cases whose scatter is not measured
+    # (`benchmarks.scatter`).
     volume, voxels = (0.005, 0.01) if case.pictures.is_plant else (0.002, 0.004)
     rows: dict[str, tuple[str, str, Direction, float, float]] = {
         "volume_error": ("volume_error", "1", "zero", 0.0, volume),

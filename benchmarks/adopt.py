@@ -12,11 +12,13 @@ from rhizotwin.scenes.errors import UserError
 
 
 def adopt(folder: Path) -> Path:
-    """Put a dataset into the cache under its key and return its place there; the files are linked where the disk allows it.
+    """Put a dataset into the cache under its key and return its place there.
 
-    It fits when the simulator takes it up as a set of its own (scene, plant, profile, seed, libraries), renders the first view of each ring
-    anew, and ends with the same manifest, which holds the hash of every picture: then plant, disturbances and renderer do the same as
-    when it was made. The truth is written anew.
+    The files are linked where the disk allows it.
+
+    It fits when the simulator takes it up as a set of its own (scene, plant, profile, seed, libraries), renders the
+    first view of each ring anew, and ends with the same manifest, which holds the hash of every picture: then plant,
+    disturbances and renderer do the same as when it was made. The truth is written anew.
 
     Raises
     ------
@@ -38,7 +40,10 @@ def adopt(folder: Path) -> Path:
 
 
 def pictures_of(dataset: Dataset) -> Pictures:
-    """Return what a dataset should be a rendering of, by its manifest; UserError where that is nothing of the ladder's kind."""
+    """Return what a dataset should be a rendering of, by its manifest.
+
+    UserError where that is nothing of the ladder's kind.
+    """
     scene, origin = dataset.scene, dataset.origin
     rings = len(scene.plan.rings)
     if dataset.seed is None or not isinstance(origin.get("profile"), str) or rings not in (1, 2):
@@ -54,7 +59,10 @@ def pictures_of(dataset: Dataset) -> Pictures:
 
 
 def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
-    """Let the simulator render the first view of each ring of a copy again and write its truth; UserError where something differs."""
+    """Let the simulator render the first view of each ring of a copy again and write its truth.
+
+    UserError where something differs.
+    """
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     before = load_dataset(copy)
@@ -73,7 +81,10 @@ def _render_firsts(copy: Path, dataset: Dataset, pictures: Pictures) -> None:
 
 
 def _link(source: str, target: str) -> None:
-    """Give a file a second name, or copy it where that is not possible; pictures are replaced and never written into."""
+    """Give a file a second name, or copy it where that is not possible.
+
+    Pictures are replaced and never written into.
+    """
     try:
         os.link(source, target)
     except OSError:

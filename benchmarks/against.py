@@ -1,9 +1,11 @@
-"""What the code does against another commit, on the same machine in the same minutes: ratios of processor time and memory.
+"""What the code does against another commit, on the same machine in the same minutes.
 
-The other commit is checked out beside (a worktree of git in the cache) and run with the same Python and libraries. Runs alternate, and
-the command line is all that both must have, so that commits long ago can be compared. Processor time is what the children used, over all
-threads; wall time on a shared machine tells mostly of the others. Peak memory is never below this process's own (about 140 MiB): Linux
-counts a child from before it has become another program.
+Ratios of processor time and memory.
+
+The other commit is checked out beside (a worktree of git in the cache) and run with the same Python and libraries. Runs
+alternate, and the command line is all that both must have, so that commits long ago can be compared. Processor time is
+what the children used, over all threads; wall time on a shared machine tells mostly of the others. Peak memory is never
+below this process's own (about 140 MiB): Linux counts a child from before it has become another program.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ class Job:
     makes: bool = True
     """Writes a folder given by ``-o``."""
     pictures: tuple[str, ...] = ()
-    """Words of ``simulate`` for the pictures that `SET` stands for; the other commit makes them, as the newer one can read them."""
+    """Words of ``simulate`` for the pictures that `SET` stands for; the other commit makes them, as the newer one can
+    read them."""
     must: float | None = None
     """Ratio of processor time to reach."""
 

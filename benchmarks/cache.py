@@ -1,4 +1,7 @@
-"""The folder that keeps what costs time: rendered datasets and scores, by the content of everything that went into them."""
+"""The folder that keeps what costs time.
+
+Rendered datasets and scores, by the content of everything that went into them.
+"""
 
 import hashlib
 import json

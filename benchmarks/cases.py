@@ -21,7 +21,8 @@ THICK_FAMILIES = ("bulb", "carrot", "radish_swollen")
 """Storage organs with roots on them."""
 FAMILIES = (*THIN_FAMILIES, *THICK_FAMILIES)
 PLANTS = ("radish_*", "fallen_plant", *FAMILIES)
-"""Scenes with roots to find one by one, of which a seed grows another specimen; prints and solids stay what they are."""
+"""Scenes with roots to find one by one, of which a seed grows another specimen; prints and solids stay what they
+are."""
 PRINTS = ("sphere_20mm", "printed_8ml")
 PROFILES = ("clean", "bench", "harsh")
 LADDER: dict[str, tuple[str, ...]] = {
@@ -34,16 +35,19 @@ LADDER: dict[str, tuple[str, ...]] = {
 """Scenes (patterns) of the ladder with the profiles in which each has a goal."""
 
 SEED_SETS: dict[str, tuple[int, ...]] = {"first": (0,), "second": (101, 102)}
-"""``second`` is looked at when all settings are final, and never while something is developed: its plants are new to the method."""
+"""``second`` is looked at when all settings are final, and never while something is developed: its plants are new to
+the method."""
 PLANT_SEEDS_APART = 1_000_003
-"""Seed s grows the specimen of the scene's own seed + s times this: 0 is the library's plant, and no other seed is one of its plants."""
+"""Seed s grows the specimen of the scene's own seed + s times this: 0 is the library's plant, and no other seed is one
+of its plants."""
 
 CAMERA_SIZES: dict[str, tuple[tuple[int, int], ...]] = {"bean": ((1014, 760), (2028, 1520))}
-"""Sizes that the recommended camera takes (a quarter and a half of 4056x3040), beside 800x600, for some scenes: clean only."""
+"""Sizes that the recommended camera takes (a quarter and a half of 4056x3040), beside 800x600, for some scenes: clean
+only."""
 
 HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
-"""Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of radish_day05a); from 10 mm
-they stand before the backlight, and half of the hull's ghosts vanish."""
+"""Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of
+radish_day05a); from 10 mm they stand before the backlight, and half of the hull's ghosts vanish."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +105,9 @@ class Case:
 
 
 def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
-    """Return the small cases that run with every change, or some: a solid, a print by both methods, a print on a real bench, thin roots.
+    """Return the small cases that run with every change, or some.
+
+    A solid, a print by both methods, a print on a real bench, thin roots.
 
     Raises
     ------
@@ -136,8 +142,8 @@ def ladder(
 ) -> list[Case]:
     """Return the cases of the full table, or the part of it that patterns of scenes, profiles, seeds and methods leave.
 
-    Plants are photographed in two rings, solids and prints in one. Clean pictures of these have nothing that a seed could change, so
-    that they are there once.
+    Plants are photographed in two rings, solids and prints in one. Clean pictures of these have nothing that a seed
+    could change, so that they are there once.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """Rendered datasets, kept between runs: a folder a key, and the key is all that decides the pictures.
 
-A changed source of the renderer or another scene, profile, seed or version of Mitsuba is another folder. Sources that only write what is
-known into the truth (`TRUTH_ONLY`) are not in the key: where they changed, the truth beside kept pictures is written anew.
+A changed source of the renderer or another scene, profile, seed or version of Mitsuba is another folder. Sources that
+only write what is known into the truth (`TRUTH_ONLY`) are not in the key: where they changed, the truth beside kept
+pictures is written anew.
 """
 
 import math
@@ -45,7 +46,8 @@ class Pictures(Protocol):
 def settings(pictures: Pictures) -> dict[str, Any]:
     """Return all that decides what a dataset looks like, besides the sources, as JSON values."""
     return {
-        "scene": {key: value for key, value in scene_to_dict(pictures.scene_to_render()).items() if key != "subject"},  # changes no picture
+        # changes no picture
+        "scene": {key: value for key, value in scene_to_dict(pictures.scene_to_render()).items() if key != "subject"},
         "profile": pictures.profile,
         "seed": pictures.seed,
         "fidelity": "backlit",
@@ -66,7 +68,10 @@ def is_ready(pictures: Pictures) -> bool:
 
 
 def make(pictures: Pictures) -> Path:
-    """Return the folder of a dataset: rendered where the cache lacks it (resuming where it was cut off), its truth up to date."""
+    """Return the folder of a dataset.
+
+    Rendered where the cache lacks it (resuming where it was cut off), its truth up to date.
+    """
     from rhizotwin.sim.simulate import simulate
 
     folder = place(pictures)

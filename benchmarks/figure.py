@@ -1,4 +1,4 @@
-"""The ladder's figure: errors of volume and length against the plants' age, and the thesis's method on the same pictures."""
+"""The ladder's figure: errors of volume and length against the plants' age, and the thesis's method."""
 
 import io
 import statistics

@@ -60,9 +60,10 @@ def compare(
 
     Parameters
     ----------
-    crashed
+    crashed : mapping of str or None
         What went wrong, by case; each is a failure whatever the baseline holds.
-    scatter : by how much numbers move with the last bits; where it knows a number it gives the tolerance, and not the metric.
+    scatter : Scatter or None
+        By how much numbers move with the last bits; where it knows a number it gives the tolerance, and not the metric.
     """
     findings = [
         Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")

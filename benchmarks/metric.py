@@ -25,7 +25,10 @@ class Metric:
     """Change for the worse that passes, in the unit; added to the relative part."""
 
     def worse_by(self, baseline: float) -> float:
-        """Return how much worse than a baseline this is, in the unit; negative where it is better, NaN where it failed."""
+        """Return how much worse than a baseline this is, in the unit.
+
+        Negative where it is better, NaN where it failed.
+        """
         if self.direction == "up":
             return baseline - self.value
         if self.direction == "down":

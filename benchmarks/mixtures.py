@@ -1,7 +1,10 @@
-"""How far trust can be trusted: small scans of drawn plants with drawn troubles, and how often the interval of trusted ones holds.
+"""How far trust can be trusted.
 
-Every fifth scan has the profile `camera` as it is, every fifth `real`; the others have `camera`'s pictures and of `real`'s troubles a
-drawn half, each in a drawn dose. The plants are drawn, too: no setting was ever chosen on one of them.
+Small scans of drawn plants with drawn troubles, and how often the interval of trusted ones holds.
+
+Every fifth scan has the profile `camera` as it is, every fifth `real`; the others have `camera`'s pictures and of
+`real`'s troubles a drawn half, each in a drawn dose. The plants are drawn, too: no setting was ever chosen on one of
+them.
 """
 
 import json
@@ -101,7 +104,10 @@ class Mixture:
 
 
 def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
-    """Draw a taproot with laterals of 1.5 to 5 pixels, since thinner ones are no volume in such pictures, and some of the second order."""
+    """Draw a taproot with laterals of 1.5 to 5 pixels, and some of the second order.
+
+    Thinner ones are no volume in such pictures.
+    """
     tap_mm, lateral_mm = rng.uniform(2.0, 6.0), rng.uniform(0.8, 2.2)
     length_mm = rng.uniform(50.0, 95.0)
     tap = RootOrder(
@@ -126,7 +132,8 @@ def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
         wobble_deg=rng.uniform(2.0, 5.0),
     )
     fine = replace(lateral, diameter_mm=0.7 * lateral_mm, max_length_mm=15.0)
-    # A cylinder for the taproot and some ten laterals of 20 mm: all radii are scaled to this volume, so that it need only be near.
+    # A cylinder for the taproot and some ten laterals of 20 mm: all radii are scaled to this volume, so that it need
+    # only be near.
     volume_mm3 = np.pi / 4.0 * (length_mm * (0.7 * tap_mm) ** 2 + 10.0 * 20.0 * (0.8 * lateral_mm) ** 2)
     return GrownSpecimen(
         seed=int(rng.integers(2**31)),
@@ -139,7 +146,9 @@ def drawn_plant(rng: np.random.Generator) -> GrownSpecimen:
 
 
 def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) -> list[Record]:
-    """Render, reconstruct and score mixtures, each in processes of its own; what was measured before with this code is kept.
+    """Render, reconstruct and score mixtures, each in processes of its own.
+
+    What was measured before with this code is kept.
 
     Returns
     -------

@@ -72,7 +72,8 @@ class Difference:
     better: int
     worse: int
     p_sign: float
-    """Two-sided exact sign test over the pairs that differ: the chance of a split this uneven if the change did nothing."""
+    """Two-sided exact sign test over the pairs that differ: the chance of a split this uneven if the change did
+    nothing."""
 
 
 def difference(before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool) -> Difference:

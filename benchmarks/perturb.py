@@ -1,8 +1,8 @@
 """Another machine's rounding, played on this one; and a real loss, for the gate to tell from it.
 
-Two processors render the same picture to about one part in 10^6 of full scale: where that crosses a step of the camera's converter, the
-stored number is another. So a few pixels in a thousand are moved by one step, and given camera poses by 10^-6 mm. Their kernels round
-otherwise too: Dr.Jit's are made with vectors of another width.
+Two processors render the same picture to about one part in 10^6 of full scale: where that crosses a step of the
+camera's converter, the stored number is another. So a few pixels in a thousand are moved by one step, and given camera
+poses by 10^-6 mm. Their kernels round otherwise too: Dr.Jit's are made with vectors of another width.
 """
 
 import ctypes
@@ -29,8 +29,10 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
     Parameters
     ----------
-    folder : where to; the truth in it is a link to the dataset's own.
-    seed : 1, 2, ...: each rounds otherwise. Picture k does not depend on those before it.
+    folder : path
+        Where to; the truth in it is a link to the dataset's own.
+    seed : int
+        1, 2, ...: each rounds otherwise. Picture k does not depend on those before it.
     """
 
     def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
@@ -46,10 +48,12 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
 
 def other_vectors() -> str:
-    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice), which fuse and approximate in other places.
+    """Let Dr.Jit make its LLVM kernels with vectors half as wide (of 4: twice).
 
-    It needs fused multiply and add, so that a processor without it cannot be played. ``jit_llvm_set_target`` stands in its public header
-    (``drjit-core/jit.h``), but only the C++ library has it.
+    They fuse and approximate in other places.
+
+    It needs fused multiply and add, so that a processor without it cannot be played. ``jit_llvm_set_target`` stands in
+    its public header (``drjit-core/jit.h``), but only the C++ library has it.
 
     Returns
     -------
@@ -74,13 +78,16 @@ def other_vectors() -> str:
 
 
 def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
-    """Write a rendered dataset of which one picture in twenty is mirrored left to right, from the root's top row downwards.
+    """Write a rendered dataset of which one picture in twenty is mirrored.
+
+    Left to right, from the root's top row downwards.
 
     The markers above stay as they are, so that the picture keeps its camera and carves what it should not.
 
     Parameters
     ----------
-    seed : 1, 2, ...: which of the pictures.
+    seed : int
+        1, 2, ...: which of the pictures.
     """
     count = len(load_dataset(dataset_folder).frames)
     chosen = set(np.random.default_rng(seed).choice(count, max(1, count // MIRRORED), replace=False).tolist())
@@ -96,10 +103,10 @@ def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
 
 def round_otherwise(image: Grey, rng: np.random.Generator) -> Grey:
-    """Return a picture (H, W), uint8 or uint16, whose light differed by up to `LIGHT` of full scale before it was rounded.
+    """Return a picture (H, W) whose light differed by up to `LIGHT` of full scale before it was rounded.
 
-    The converter's step is the lowest bit that the picture uses. A number changes by one step with the chance that a border between two
-    steps lies within the difference: on average half of `LIGHT` over the step.
+    The converter's step is the lowest bit that the picture uses. A number changes by one step with the chance that a
+    border between two steps lies within the difference: on average half of `LIGHT` over the step.
     """
     full = np.iinfo(image.dtype).max
     used = int(np.bitwise_or.reduce(image, axis=None)) or 1

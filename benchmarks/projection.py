@@ -1,4 +1,7 @@
-"""The closed-form projection against brute-force ray tracing: vector Snell at each wall, which shares nothing with `recon`."""
+"""The closed-form projection against brute-force ray tracing.
+
+Vector Snell at each wall, which shares nothing with `recon`.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +62,10 @@ def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random
 
 
 def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, rays: int = 40001) -> NDArray[np.int64]:
-    """Count the images (N,) of points at the camera's own height by a dense sweep of horizontal rays over the canister's width."""
+    """Count the images (N,) of points at the camera's own height.
+
+    A dense sweep of horizontal rays over the canister's width finds them.
+    """
     centre = view.centre_mm
     inward = -centre[:2] / np.linalg.norm(centre[:2])
     sine = np.sin(np.linspace(-np.pi / 2, np.pi / 2, rays))[1:-1] * optics.outer_radius_mm / view.rho_mm

@@ -1,4 +1,4 @@
-"""The rig: faults survived, kills survived, kinematics, the scan's own time, the lens, and a scan of the twin reconstructed."""
+"""The rig: faults and kills survived, kinematics, the scan's own time, the lens, and a scan reconstructed."""
 
 import tempfile
 import time

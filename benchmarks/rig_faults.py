@@ -1,7 +1,10 @@
-"""Scans of an emulated rig on which things go wrong: each must end complete, or stopped with its cause named and fit to be finished.
+"""Scans of an emulated rig on which things go wrong.
 
-A run scans a small plan with one or two faults of the menu at random moments. Where it stops, the faults are taken away, as a person
-would, and the scan is taken up. What the twin's camera really saw is then held against what the dataset says.
+Each must end complete, or stopped with its cause named and fit to be finished.
+
+A run scans a small plan with one or two faults of the menu at random moments. Where it stops, the faults are taken
+away, as a person would, and the scan is taken up. What the twin's camera really saw is then held against what the
+dataset says.
 """
 
 import itertools
@@ -32,7 +35,8 @@ RINGS = (Ring(views=4), Ring(views=2, height_mm=-60.0, first_deg=30.0))
 MOST_WALL_S = 120.0
 MOST_VIRTUAL_S = 3600.0
 SAME_STAND_DEG = 0.35
-"""Most that angles of one placement may differ from the true ones, one against the other: micro-steps, play, the zero found by markers."""
+"""Most that angles of one placement may differ from the true ones, one against the other: micro-steps, play, the zero
+found by markers."""
 ZERO_DEG = 3.0
 """Most that the zero may be off: where the arm really holds the camera."""
 DEVICES = ("turntable", "lights", "arm", "camera", "markers", "board")

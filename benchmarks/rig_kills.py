@@ -1,8 +1,10 @@
-"""Scans that are killed (SIGKILL) at random moments and taken up: the finished dataset against one that nobody disturbed.
+"""Scans that are killed (SIGKILL) at random moments and taken up.
 
-The emulated rig runs in this process on pseudo-terminals; the scans are processes of their own, as on a bench. On a tripod the camera
-stands still whatever happens, so that the two datasets must agree in every pixel; an arm is placed anew after each kill, which shows in
-``Frame.placement`` and in the pictures.
+The finished dataset against one that nobody disturbed.
+
+The emulated rig runs in this process on pseudo-terminals; the scans are processes of their own, as on a bench. On a
+tripod the camera stands still whatever happens, so that the two datasets must agree in every pixel; an arm is placed
+anew after each kill, which shows in ``Frame.placement`` and in the pictures.
 """
 
 import random

@@ -1,7 +1,8 @@
 """How processor time and memory of a reconstruction grow with views, pixels, roots and finer voxels, one at a time.
 
-Each point is `rhizotwin reconstruct` in a process of its own, on pictures that are rendered once and kept in the cache. The exponent is the
-slope of a straight line through the logarithms: the start and what does not grow are in it, so that it tells what a person waits for.
+Each point is `rhizotwin reconstruct` in a process of its own, on pictures that are rendered once and kept in the cache.
+The exponent is the slope of a straight line through the logarithms: the start and what does not grow are in it, so that
+it tells what a person waits for.
 """
 
 from __future__ import annotations

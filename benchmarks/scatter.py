@@ -1,4 +1,6 @@
-"""How far every number moves when only the last bits do: many runs of the ladder on pictures as other machines may have rounded them.
+"""How far every number moves when only the last bits do.
+
+Many runs of the ladder on pictures as other machines may have rounded them.
 
 The gate's tolerances come from it: a number counts as changed when it leaves `FACTOR` times the range of these runs.
 """
@@ -22,7 +24,8 @@ RUNS = 20
 LEAST_RUNS = 5
 """Fewer runs tell no range: that of two is next to nothing once in twenty times."""
 FACTOR = 2.0
-"""Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million times."""
+"""Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million
+times."""
 DIGITS = 6
 """Significant digits of the numbers in a baseline."""
 

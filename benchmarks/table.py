@@ -63,7 +63,10 @@ class Line:
 
 
 def lines(records: Iterable[Record]) -> list[Line]:
-    """Return every number of the table that the runs allow, group by group; runs of the thesis's method stand beside ours."""
+    """Return every number of the table that the runs allow, group by group.
+
+    Runs of the thesis's method stand beside ours.
+    """
     everything = list(records)
     ours = [record for record in everything if record["case"]["method"] == "coverage"]
     theirs = {_pictures(record): record for record in everything if record["case"]["method"] == "thesis"}

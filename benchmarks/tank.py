@@ -24,10 +24,10 @@ AZIMUTHS, RADII = 180, 72
 
 
 def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]]:
-    """Return radii (R,) in mm, and by name the share (R,) of directions from which a point of that radius is seen exactly once.
+    """Return radii (R,) in mm, and by name the share (R,) of directions that see a point there exactly once.
 
-    Points lie in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the canister brings
-    every azimuth before the camera, so that the share of azimuths is the share of views.
+    Points lie in the horizontal plane of a level camera, where a sweep of rays counts the images of each; a turn of the
+    canister brings every azimuth before the camera, so that the share of azimuths is the share of views.
     """
     optics = Optics.of(scene)
     radius = (np.arange(RADII) + 0.5) / RADII * optics.inner_radius_mm

@@ -1,8 +1,9 @@
 """The thesis's own method, put together from the reconstruction's stages: the baseline to beat.
 
-Corners as OpenCV returns them and a pose a picture (T3.4.1); silhouettes by Otsu's threshold, hysteresis on the Sobel gradient and opening
-(T3.4.2); rays refracted through the canister (T3.4.3); a strict AND over all views, so that a view that does not see a voxel carves it
-(T3.4.4, fig. 4.4); the volume by counting leaves (T3.5). The pictures' unseen parts are left out here too: the thesis masks them.
+Corners as OpenCV returns them and a pose a picture (T3.4.1); silhouettes by Otsu's threshold, hysteresis on the Sobel
+gradient and opening (T3.4.2); rays refracted through the canister (T3.4.3); a strict AND over all views, so that a view
+that does not see a voxel carves it (T3.4.4, fig. 4.4); the volume by counting leaves (T3.5). The pictures' unseen parts
+are left out here too: the thesis masks them.
 """
 
 from pathlib import Path

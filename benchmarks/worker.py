@@ -1,4 +1,7 @@
-"""One job of the benchmarks in a process of its own, so that its memory is its own; the last line of output is its numbers as JSON."""
+"""One job of the benchmarks in a process of its own, so that its memory is its own.
+
+The last line of output is its numbers as JSON.
+"""
 
 import argparse
 import json
@@ -21,7 +24,9 @@ LAST_WORDS = 4000
 
 
 def start(arguments: Sequence[str], *, device: str) -> dict[str, Any]:
-    """Run one job in a new process; returns its numbers and the process's wall time ``wall`` (start and imports included).
+    """Run one job in a new process.
+
+    Return its numbers and the process's wall time ``wall`` (start and imports included).
 
     Raises
     ------
@@ -58,7 +63,10 @@ def pictures_of(text: str) -> Pictures | Mixture:
 
 
 def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any]:
-    """Return the seconds of the first view (scene and kernels made) and of each one more, of `printed_8ml` at 800x600."""
+    """Return the seconds of the first view and of each one more, of `printed_8ml` at 800x600.
+
+    The first makes scene and kernels.
+    """
     from rhizotwin.scenes.model import CapturePlan
     from rhizotwin.sim.simulate import simulate
 
@@ -94,7 +102,8 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
 
     Parameters
     ----------
-    change : what is done to the dataset before, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    change : str
+        What is done to the dataset before, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     """
     from benchmarks import perturb
     from benchmarks.thesis import reconstruct_thesis

@@ -9,7 +9,8 @@
     result.save("my_result")
     print(rt.score(result, dataset).table())
 
-Importing it loads nothing: each name is loaded when it is used, and what computes is chosen by the first call that needs it.
+Importing it loads nothing: each name is loaded when it is used, and what computes is chosen by the first call that
+needs it.
 """
 
 from importlib import import_module

@@ -13,7 +13,8 @@ signal.signal(signal.SIGINT, signal.SIG_DFL)
 from rhizotwin.cli import main  # noqa: E402 - first the signal
 from rhizotwin.scenes.said import DEBUG_VARIABLE  # noqa: E402
 
-if not os.environ.get(DEBUG_VARIABLE):  # what libraries have to say to programmers; what a person must know is said in a sentence
+# what libraries have to say to programmers; what a person must know is said in a sentence
+if not os.environ.get(DEBUG_VARIABLE):
     logging.captureWarnings(True)  # not a filter, which libraries change when they are loaded
     logging.getLogger("py.warnings").setLevel(logging.CRITICAL)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)

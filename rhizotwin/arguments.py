@@ -1,6 +1,7 @@
 """What commands share: the types of their arguments, each with the limits that it keeps and the sentence that says so.
 
-A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the typed text and raises ValueError with the limits.
+A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the typed text and raises ValueError with the
+limits.
 """
 
 from collections.abc import Callable
@@ -200,7 +201,8 @@ class Placing:
     """How a specimen's file is put into the water; None leaves what the scene says."""
 
     place: Literal["given", "auto"] | None = None
-    """Where the specimen's file goes: where its coordinates say (given), or upright below the net pot's grid in the middle (auto)."""
+    """Where the specimen's file goes: where its coordinates say (given), or upright below the net pot's grid in the \
+middle (auto)."""
     flip: Flag | None = None
     """Turn it upside down first: for files whose z points down."""
     scale: Annotated[float, option(lambda text: between(text, SCALE_LIMITS, ""), "S")] | None = None
@@ -243,13 +245,15 @@ class SceneChanges:
     """What the command line changes in a scene."""
 
     profile: Profile | None = None
-    """What the rig gets wrong: clean (nothing), bench (a good rig), camera (and an ordinary camera), harsh (a bad day), \
-real (a first scan of a plant), or a file; default: the scene's own."""
+    """What the rig gets wrong: clean (nothing), bench (a good rig), camera (and an ordinary camera), harsh (a bad \
+day), real (a first scan of a plant), or a file; default: the scene's own."""
     specimen: Annotated[Path | None, named("FILE")] = None
-    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) in millimetres, or traced roots (RSML), in the canister frame: \
-origin on the axis in the plane of the rim, z up, roots below 0; for files in a frame of their own see --place."""
+    """Put this in place of the scene's root: a closed mesh (PLY, STL, OBJ) in millimetres, or traced roots (RSML), in \
+the canister frame: origin on the axis in the plane of the rim, z up, roots below 0; for files in a frame of their own \
+see --place."""
     specimen_unit: Annotated[str | None, named("UNIT")] = None
-    """Unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such as '0.1 mm'."""
+    """Unit of an RSML file's coordinates, where the file does not say or is wrong: mm, cm, m, um, inch, or a step such\
+ as '0.1 mm'."""
     specimen_diameter_mm: DiameterMm | None = None
     """Diameter of the roots for which an RSML file gives none."""
     placing: Placing = Placing()

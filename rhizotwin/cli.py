@@ -32,7 +32,10 @@ ASK_AGAIN_S = 0.05
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0 done, 1 failed, 2 what the user can put right, 130 stopped by Ctrl-C."""
+    """Run the command line and return its exit code.
+
+    0 done, 1 failed, 2 what the user can put right, 130 stopped by Ctrl-C.
+    """
     stops: list[float] = []
     command = ""
 
@@ -68,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _loading(frame: FrameType | None) -> bool:
-    """Tell whether Python is loading a module: libraries that are stopped then swallow it, or report an error of their own."""
+    """Tell whether Python is loading a module.
+
+    Libraries that are stopped then swallow it, or report an error of their own.
+    """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -84,7 +90,8 @@ def _fail(sentence: str, code: int) -> int:
         sys.stderr.write("\n")  # behind the terminal's ^C
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
-    shown = "".join(letter if letter.isprintable() else "?" for letter in " ".join(sentence.split()))  # names may steer it
+    # names may steer it
+    shown = "".join(letter if letter.isprintable() else "?" for letter in " ".join(sentence.split()))
     sys.stderr.write(f"rhizotwin: {shown}\n")
     return code
 

@@ -1,4 +1,4 @@
-"""The command line: the table of commands as a cyclopts application, their help, and each mistake in typing as one sentence."""
+"""The command line: the commands as a cyclopts application, their help, and mistakes in typing."""
 
 import inspect
 import re
@@ -56,7 +56,10 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 
 
 def build(words: Sequence[str] = ()) -> App:
-    """Return the application. Of the commands only the one that the words name is loaded, whose help is its docstring."""
+    """Return the application.
+
+    Of the commands only the one that the words name is loaded, whose help is its docstring.
+    """
     asked = [" ".join(words[:count]) for count in (1, 2)]
     app = App(
         name="rhizotwin",
@@ -92,8 +95,8 @@ def build(words: Sequence[str] = ()) -> App:
 def _help(source: Any) -> tuple[str, str]:
     """Return what the docstring of a module or function tells, and its examples as they are typed.
 
-    Lines of a paragraph are joined, so that the terminal's width breaks them, and indented ones stay; so are those of the parameters, which
-    cyclopts reads from the docstring itself.
+    Lines of a paragraph are joined, so that the terminal's width breaks them, and indented ones stay; so are those of
+    the parameters, which cyclopts reads from the docstring itself.
     """
     about, *sections = _SECTION.split(inspect.getdoc(source) or "")
     typed = [section.splitlines()[2:] for section in sections if section.startswith("Examples\n")]

@@ -77,7 +77,10 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
 
 
 def _clear(folder: Path) -> None:
-    """Remove a finished demonstration, of a stopped one all but its dataset; refuse a folder that holds anything else."""
+    """Remove a finished demonstration, of a stopped one all but its dataset.
+
+    Refuse a folder that holds anything else.
+    """
     known = {"dataset", "result", "score.json"}
     if any(name not in known for name in contents(folder)):
         raise UserError(f"{folder} holds something that is no earlier demo; choose another folder with -o")
@@ -91,7 +94,10 @@ def _clear(folder: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, and what a stop left of an earlier removal; a stop leaves nothing half-removed under the name."""
+    """Remove a folder, and what a stop left of an earlier removal.
+
+    A stop leaves nothing half-removed under the name.
+    """
     if folder.exists():
         folder.rename(beside(folder))
     for path in folder.parent.glob(".*.tmp"):

@@ -1,7 +1,7 @@
 """Choose what computes: LLVM on the CPU or CUDA on an NVIDIA GPU, before Mitsuba is first used.
 
-Dr.Jit loads LLVM at run time, and versions 14, 15 and 16 abort the whole process at the first kernel on AVX-512 processors, so
-the library is chosen here, by version, and never left to Dr.Jit's own search.
+Dr.Jit loads LLVM at run time, and versions 14, 15 and 16 abort the whole process at the first kernel on AVX-512
+processors, so the library is chosen here, by version, and never left to Dr.Jit's own search.
 """
 
 import ctypes
@@ -30,10 +30,10 @@ _FOLDER_VERSION = re.compile(r"^(?:llvm-)?(\d+)(?:\.\d+)*(?:_\d+)?$")
 
 
 def llvm_version(library: Path) -> int | None:
-    """Return the major LLVM version that a library's name tells, or None when neither its name nor its link target does.
+    """Return the major LLVM version that a library's name, or its link target's, tells; None when neither does.
 
-    Names in use: ``libLLVM.so.19.1`` (Debian and Ubuntu since 18), ``libLLVM-17.so.1`` and ``libLLVM-14.0.6.so.1`` (before),
-    ``llvm-19/lib/libLLVM.so`` (links), ``Cellar/llvm/19.1.7/lib/libLLVM.dylib`` (Homebrew).
+    Names in use: ``libLLVM.so.19.1`` (Debian and Ubuntu since 18), ``libLLVM-17.so.1`` and ``libLLVM-14.0.6.so.1``
+    (before), ``llvm-19/lib/libLLVM.so`` (links), ``Cellar/llvm/19.1.7/lib/libLLVM.dylib`` (Homebrew).
     """
     for path in (library, library.resolve()):
         match = _FILE_VERSION.match(path.name)
@@ -47,7 +47,10 @@ def llvm_version(library: Path) -> int | None:
 
 
 def usual_folders() -> list[Path]:
-    """Return the folders in which package managers put LLVM's shared library; the first is where ``rhizotwin[llvm]`` and conda do."""
+    """Return the folders in which package managers put LLVM's shared library.
+
+    The first is where ``rhizotwin[llvm]`` and conda do.
+    """
     machine = {"arm64": "aarch64", "amd64": "x86_64"}.get(platform.machine().lower(), platform.machine().lower())
     folders = [
         Path(sys.prefix) / "lib",
@@ -63,7 +66,10 @@ def usual_folders() -> list[Path]:
 
 
 def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
-    """Return the newest LLVM shared library of at least version 17 in the folders, and its version; None if there is none."""
+    """Return the newest LLVM shared library of at least version 17 in the folders, and its version.
+
+    None if there is none.
+    """
     found: list[tuple[int, Path]] = []
     for folder in folders:
         for pattern in ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib"):
@@ -97,7 +103,10 @@ def has_llvm_wheel() -> bool:
 
 
 def apt_packages() -> list[str]:
-    """Return what to install by apt: the first LLVM of `APT_LLVM` that apt offers (the first of all if it knows none), and libatomic1."""
+    """Return what to install by apt.
+
+    The first LLVM of `APT_LLVM` that apt offers (the first of all if it knows none), and libatomic1.
+    """
     names = [f"libllvm{version}{suffix}" for version in APT_LLVM for suffix in ("", "t64")]
     offered: list[str] = []
     apt_cache = shutil.which("apt-cache")
@@ -135,7 +144,10 @@ def choose_llvm(given: str | None, folders: Iterable[Path]) -> tuple[Path, int]:
 
 
 def _ask_version(library: Path) -> int | None:
-    """Return the major version that the library itself reports (LLVM 16 and newer can), None when it cannot be asked."""
+    """Return the major version that the library itself reports, None when it cannot be asked.
+
+    LLVM 16 and newer can.
+    """
     try:
         get_version = ctypes.CDLL(str(library)).LLVMGetVersion
     except (OSError, AttributeError):
@@ -150,7 +162,7 @@ def start(device: str = "auto") -> str:
 
     Parameters
     ----------
-    device
+    device : str
         ``"cpu"`` (LLVM), ``"cuda"`` (an NVIDIA GPU), or ``"auto"``: the GPU if one is usable, otherwise the CPU.
 
     Raises

@@ -1,8 +1,10 @@
-"""A result in the files of other programs: meshes, voxels, roots, traits, and cameras in the forms of nerfstudio and COLMAP.
+"""A result in the files of other programs.
 
-The cameras are the true ones, in air. Programs that follow straight rays from them see the root through the canister's wall and the water
-as if it were magnified and bent: their pictures can be undistorted by no lens model. Cameras serve to look at the rig, the strip and the
-shoot, or for programs that trace the refraction themselves; each file says so.
+Meshes, voxels, roots, traits, and cameras in the forms of nerfstudio and COLMAP.
+
+The cameras are the true ones, in air. Programs that follow straight rays from them see the root through the canister's
+wall and the water as if it were magnified and bent: their pictures can be undistorted by no lens model. Cameras serve
+to look at the rig, the strip and the shoot, or for programs that trace the refraction themselves; each file says so.
 """
 
 import io
@@ -38,15 +40,17 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
 
     Parameters
     ----------
-    output : .ply, .stl, .glb (surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (nerfstudio's cameras) or a folder
-        (COLMAP's cameras).
-    roots : "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
+    output : path
+        .ply, .stl, .glb (surface), .nrrd (voxels), .rsml (centre lines), .csv (traits), .json (nerfstudio's cameras) or
+        a folder (COLMAP's cameras).
+    roots : str or None
+        "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
 
     Raises
     ------
     UserError
-        For a damaged result, an unknown suffix, a file that is there already, roots where none were found, or cameras without the dataset
-        (which has the lens).
+        For a damaged result, an unknown suffix, a file that is there already, roots where none were found, or cameras
+        without the dataset (which has the lens).
     """
     suffix = output.suffix.lower()
     writers: dict[str, Callable[[Path, Path], list[Path]]] = {
@@ -169,7 +173,10 @@ def _nerfstudio(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.
 
 
 def _colmap(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
-    """Write COLMAP's text model: FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points."""
+    """Write COLMAP's text model.
+
+    A FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points.
+    """
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     numbers = (fx, fy, cx + 0.5, cy + 0.5, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)

@@ -1,7 +1,7 @@
 """The front door for Python: each step as one call, with the device chosen on first use.
 
-`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct`` and ``rt.score``; the command line
-calls the same.
+`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct`` and
+``rt.score``; the command line calls the same.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def load_scene(
     specimen_diameter_mm : float, optional
         Diameter of the roots for which an RSML file gives none.
     placing : Placing, optional
-        Where a specimen's file goes: ``Placing(place="auto")`` hangs it below the net pot's grid; ``flip``, ``scale``, ``shift_mm``.
+        Where a specimen's file goes: ``Placing(place="auto")`` hangs it below the net pot's grid; ``flip``, ``scale``,
+        ``shift_mm``.
     views : int, optional
         Pictures in every ring; default: the scene's.
     image_wh : tuple of int, optional
@@ -195,7 +196,8 @@ def score(
     dataset : Dataset or path, optional
         The simulated dataset that the result was made from, as `simulate` or `load_dataset` gives it, or its folder.
     truth : path, optional
-        A closed mesh (PLY, STL, OBJ) of the part that was scanned, in mm, anywhere and turned anyhow: it is laid onto the result.
+        A closed mesh (PLY, STL, OBJ) of the part that was scanned, in mm, anywhere and turned anyhow: it is laid onto
+        the result.
     volume_ml : float, optional
         The specimen's volume, as it was measured by displacement or weight.
 
@@ -207,8 +209,8 @@ def score(
     Raises
     ------
     UserError
-        If none or several of the three are given, the dataset has no truth, the result is of another dataset, or a file is missing or
-        damaged.
+        If none or several of the three are given, the dataset has no truth, the result is of another dataset, or a file
+        is missing or damaged.
     """
     if (dataset is not None) + (truth is not None) + (volume_ml is not None) != 1:
         raise UserError(

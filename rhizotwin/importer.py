@@ -22,7 +22,8 @@ from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
 
 MOST_CLIPPED = 0.05
-"""Share of a picture's pixels at full scale above which it is overexposed, as before a scan (`rig.scanning.preflight`)."""
+"""Share of a picture's pixels at full scale above which it is overexposed, as before a scan
+(`rig.scanning.preflight`)."""
 MASK_MARGIN = 0.1
 """Grey values this near to black or white, as a fraction of the range, pass for black or white in a silhouette."""
 MASK_GREYS = 0.05
@@ -53,26 +54,28 @@ def import_pictures(
     Parameters
     ----------
     folder : Path
-        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw ones (DNG), taken in the natural order of their names (view_2 before view_10).
+        PNG, JPG or TIFF pictures of 8 or 16 bits, or raw ones (DNG), taken in the natural order of their names (view_2
+        before view_10).
     scene : Scene
         The rig that they were taken on. Its camera must have the pictures' size, unless ``cameras`` brings one.
     out : Path
         The dataset's folder; new or empty. It appears whole or not at all.
     cameras : Path or None
-        A transforms.json in nerfstudio's form (see `rhizotwin.nerfstudio`), whose world is the canister frame in mm. Pictures
-        without a camera are left out and named. None: the poses are to be found from the marker strip.
+        A transforms.json in nerfstudio's form (see `rhizotwin.nerfstudio`), whose world is the canister frame in mm.
+        Pictures without a camera are left out and named. None: the poses are to be found from the marker strip.
     masks : bool
         The pictures are silhouettes: white root on black. They need ``cameras``, since they show no markers.
     no_strip : bool
-        There is no marker strip: the cameras are to be found from the canister's edges and the roots (a telecentric camera, one ring).
+        There is no marker strip: the cameras are to be found from the canister's edges and the roots (a telecentric
+        camera, one ring).
     monitor : Monitor, optional
         Hears how far it is.
 
     Raises
     ------
     UserError
-        For an unreadable, damaged or differently sized picture, silhouettes without cameras or with greys, or cameras that do not
-        fit.
+        For an unreadable, damaged or differently sized picture, silhouettes without cameras or with greys, or cameras
+        that do not fit.
     """
     refuse_tank(scene, "import")
     if masks and cameras is None:
@@ -199,7 +202,10 @@ def _curve_note(paths: list[Path], scene: Scene) -> str:
 
 
 def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
-    """Return what is stored of a picture: the file as it is, with its word on its curve; silhouettes as PNG, stretched to 0..255 grey."""
+    """Return what is stored of a picture.
+
+    The file as it is, with its word on its curve; silhouettes as PNG, stretched to 0..255 grey.
+    """
     data, grey = _read(path, scene)
     if white is None:
         return data
@@ -212,10 +218,14 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
 
 
 def _clipped(data: bytes, path: Path) -> float:
-    """Return the share of a picture's pixels at the largest number of its depth, or of the depth that its numbers fill (12 bits in 16)."""
+    """Return the share of a picture's pixels at the largest number of its depth.
+
+    Or of the depth that its numbers fill (12 bits in 16).
+    """
     grey = decode_grey(data, where=str(path))
     largest = int(grey.max())
-    full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}  # as whole numbers, and 10, 12 and 14 bits shifted up to 16
+    # as whole numbers, and 10, 12 and 14 bits shifted up to 16
+    full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}
     return float((grey == largest).mean()) if largest in full else 0.0
 
 
@@ -229,7 +239,10 @@ def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
 
 
 def _white_level(paths: list[Path], scene: Scene) -> int:
-    """Return the grey value that means white in a set of silhouettes: the largest in use (some programs write 0 and 1)."""
+    """Return the grey value that means white in a set of silhouettes.
+
+    The largest in use (some programs write 0 and 1).
+    """
     white = max(int(_read(path, scene)[1].max()) for path in paths)
     if white == 0:
         raise UserError(f"{paths[0].parent}: every silhouette is empty (all black); white must be root")

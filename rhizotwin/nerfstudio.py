@@ -1,8 +1,9 @@
 """Read camera poses and a lens from a transforms.json in nerfstudio's form.
 
-Nerfstudio's conventions (docs.nerf.studio, "Data conventions"): ``transform_matrix`` is camera-to-world with OpenGL axes (x right, y up,
-z backward); pixel coordinates have their origin at the corner of the first pixel, so that its centre is (0.5, 0.5). The project's are
-OpenCV's: x right, y down, z forward, and pixel centres at integers. The file's world is the canister frame, in millimetres.
+Nerfstudio's conventions (docs.nerf.studio, "Data conventions"): ``transform_matrix`` is camera-to-world with OpenGL
+axes (x right, y up, z backward); pixel coordinates have their origin at the corner of the first pixel, so that its
+centre is (0.5, 0.5). The project's are OpenCV's: x right, y down, z forward, and pixel centres at integers. The file's
+world is the canister frame, in millimetres.
 """
 
 import json
@@ -40,7 +41,8 @@ def read_cameras(path: Path, camera: Camera) -> GivenCameras:
     Raises
     ------
     UserError
-        For a missing or damaged file, a lens that is not OpenCV's, a lens per frame, or a matrix that is no rigid motion.
+        For a missing or damaged file, a lens that is not OpenCV's, a lens per frame, or a matrix that is no rigid
+        motion.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -98,7 +100,10 @@ def _read_frame(frame: Any, canister_from_world: frames.Array, *, where: str) ->
 
 
 def _canister_from_world(given: dict[str, Any], path: Path) -> frames.Array:
-    """Return the inverse of what nerfstudio applied to the poses (``applied_transform``); identity when it applied nothing."""
+    """Return the inverse of what nerfstudio applied to the poses (``applied_transform``).
+
+    Identity when it applied nothing.
+    """
     if _number(given, "applied_scale", path, default=1.0) != 1.0:
         raise UserError(f"{path}: applied_scale is not 1; the file's world must be the canister frame in millimetres")
     applied = given.get("applied_transform")

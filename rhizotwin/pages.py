@@ -76,7 +76,8 @@ class PageOptions:
     portrait: Flag = False
     """Stand the page upright."""
     printed_ruler_mm: Annotated[tuple[float, float], option(read_printed_ruler, "MM|MMxMM")] = (100.0, 100.0)
-    """What 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8; put right in the drawing."""
+    """What 100 mm became on your printer, across and down the page, such as 99.6 or 99.6x99.8; put right in the \
+drawing."""
 
     def paper(self) -> "Paper":
         """Return the paper.

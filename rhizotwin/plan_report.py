@@ -60,7 +60,10 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
-    """Draw errors, and what was found, against all pictures of a plan; a line for each set of rings and picture size."""
+    """Draw errors, and what was found, against all pictures of a plan.
+
+    A line for each set of rings and picture size.
+    """
     from rhizotwin.recon.results.pictures import figure
 
     has_roots = any(row.length_error is not None for row in rows)

@@ -1,7 +1,9 @@
-"""What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels - answered by the twin.
+"""What a lab asks before it builds.
 
-Every capture plan is simulated, reconstructed from its pictures alone and scored, as often as there are seeds; the same seeds for each, so
-that plans are compared and not chance. The table and the figure are in `rhizotwin.plan_report`.
+How many views, odd or even, how many rings at which heights, how many pixels - answered by the twin.
+
+Every capture plan is simulated, reconstructed from its pictures alone and scored, as often as there are seeds; the same
+seeds for each, so that plans are compared and not chance. The table and the figure are in `rhizotwin.plan_report`.
 """
 
 import itertools
@@ -31,8 +33,8 @@ VIEW_TIME_S = 2.0
 RING_TIME_S = 10.0
 """Placing the camera for another ring."""
 SECOND_RING_MM = 52.0
-"""A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which from -42 mm is seen
-before the dark net pot, stands before the backlight."""
+"""A second ring that is tried unasked stands this much above the first: from 10 mm above the rim a plant's top, which
+from -42 mm is seen before the dark net pot, stands before the backlight."""
 RUN = "unfinished"
 """Folder of the run under way; its pictures are taken up when it was stopped."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless")
@@ -52,15 +54,20 @@ def run_plans(
 
     Parameters
     ----------
-    scene : with its specimen and the profile's disturbances.
-    folder : gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; `RUN` while a run is under way.
-    seeds : runs of each variant, seeds 0, 1, ...
-    monitor : hears of each run as a stage (`stage_of`).
+    scene : Scene
+        With its specimen and the profile's disturbances.
+    folder : path
+        Gets ``scores/*.json``, ``plan.csv``, ``plan.json``, ``plan.png``; `RUN` while a run is under way.
+    seeds : int
+        Runs of each variant, seeds 0, 1, ...
+    monitor : Monitor or None
+        Hears of each run as a stage (`stage_of`).
 
     Raises
     ------
     UserError
-        For a plan that the scene does not allow, plans of which none can be reconstructed, or a folder of something else.
+        For a plan that the scene does not allow, plans of which none can be reconstructed, or a folder of something
+        else.
     """
     refuse_tank(scene, "plan")
     wanted = [variant.of(scene) for variant in variants]
@@ -120,7 +127,9 @@ def shares(variants: Sequence[Variant], seeds: int) -> dict[str, float]:
 
 
 def best(rows: Sequence[Row], *, within: float) -> Row | None:
-    """Return the plan with the fewest pixels in all pictures, then the shortest capture, whose worst volume error stays within a fraction.
+    """Return the plan with the fewest pixels whose worst volume error stays within a fraction.
+
+    Of equals that with the shortest capture.
 
     None when no plan does.
     """

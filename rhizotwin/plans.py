@@ -38,7 +38,10 @@ class Variant:
         return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene with this plan: every ring at the distance of the scene's first one, the rings' views interleaved."""
+        """Return the scene with this plan.
+
+        Every ring at the distance of the scene's first one, the rings' views interleaved.
+        """
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
         rings = tuple(
@@ -75,7 +78,8 @@ class Row:
     length_error_worst: float | None
     length_errors: tuple[float, ...]
     recall: float
-    """Median share of what is there that was found: of the roots' centre lines, or of the voxels of what has no roots."""
+    """Median share of what is there that was found: of the roots' centre lines, or of the voxels of what has no
+    roots."""
     precision: float
     """Median share of what was found that is there."""
     capture_min: float

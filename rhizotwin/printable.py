@@ -13,7 +13,8 @@ from rhizotwin.sim import meshes
 from rhizotwin.sim.specimen import build_specimen
 
 SAME_VOLUME = 1e-4
-"""STL holds single precision: a coordinate of 100 mm is rounded to 4e-6 mm, a root of 1 mm with it by some millionths of its volume."""
+"""STL holds single precision: a coordinate of 100 mm is rounded to 4e-6 mm, a root of 1 mm with it by some millionths
+of its volume."""
 
 
 def write_specimen_stl(scene: str, path: Path) -> list[str]:

@@ -86,7 +86,10 @@ class Bench:
 
 
 def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | None = None) -> Bench:
-    """Return the rig that a command names, with its scene; the twin's pictures are sketches unless the errors say how they are rendered."""
+    """Return the rig that a command names, with its scene.
+
+    The twin's pictures are sketches unless the errors say how they are rendered.
+    """
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock
         from rhizotwin.rig.rig_file import load_rig

@@ -22,8 +22,10 @@ def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
 
     Parameters
     ----------
-    roots : one or more.
-    colour : "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
+    roots : sequence of Root
+        One or more.
+    colour : str
+        "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
     """
     parts = [tube(root.points_mm, root.diameters_mm) for root in roots]
     counts = [len(vertices) for vertices, _ in parts]
@@ -44,14 +46,18 @@ def tube(points: Array, diameters_mm: Array, *, around: int = AROUND) -> tuple[A
 
     Parameters
     ----------
-    points : (N, 3) from base to tip.
+    points : (N, 3) float64 array
+        From base to tip.
     diameters_mm : (N,)
-    around : corners of its cross-section.
+    around : int
+        Corners of its cross-section.
 
     Returns
     -------
-    vertices : (N * around + 2, 3), rings from base to tip, then the middles of both ends.
-    faces : triangles, counter-clockwise from outside.
+    vertices : (N * around + 2, 3) float64 array
+        Rings from base to tip, then the middles of both ends.
+    faces : (F, 3) int64 array
+        Triangles, counter-clockwise from outside.
     """
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]

@@ -1,4 +1,7 @@
-"""Which of our source files decide something: the modules that an entry point imports, and theirs, read from the sources themselves."""
+"""Which of our source files decide something.
+
+The modules that an entry point imports, and theirs, read from the sources themselves.
+"""
 
 import ast
 import hashlib
@@ -18,7 +21,9 @@ _Import = tuple[int, str, tuple[str, ...]]
 
 
 def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> list[str]:
-    """Return the names of all modules of ours that the entries import, directly or through others, sorted, the entries included.
+    """Return the names of all modules of ours that the entries import, sorted, the entries included.
+
+    Directly or through others.
 
     Imports anywhere in a file count, in functions too. Modules ``without`` neither count nor are followed.
 
@@ -44,7 +49,10 @@ def closure(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str
 
 
 def digest(entries: Iterable[str], *, root: Path = ROOT, without: frozenset[str] = frozenset()) -> str:
-    """Return one SHA-256 over the code of a closure (comments and docstrings left out) and over the data files of its packages."""
+    """Return one SHA-256 over the code of a closure and over the data files of its packages.
+
+    Comments and docstrings are left out.
+    """
     total = hashlib.sha256()
     modules = closure(entries, root=root, without=without)
     for name, file in ((name, _file(name, root)) for name in modules):
@@ -72,7 +80,10 @@ def _package(module: str) -> str:
 
 
 def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:
-    """Return the names that a module imports; ``from a import b`` gives both a and a.b, of which one may be no module."""
+    """Return the names that a module imports.
+
+    ``from a import b`` gives both a and a.b, of which one may be no module.
+    """
     for level, base, names in imports:
         above = [*importer.split(".")[:-level]] if level else []
         full = ".".join([*above, *([base] if base else [])])
@@ -82,7 +93,10 @@ def _imported(importer: str, imports: Iterable[_Import]) -> Iterator[str]:
 
 @cache
 def _read(source: bytes) -> tuple[str, tuple[_Import, ...]]:
-    """Return a module's code without comments, layout and docstrings (what cannot change what it does), and its imports."""
+    """Return a module's code without comments, layout and docstrings, and its imports.
+
+    These cannot change what it does.
+    """
     tree = ast.parse(source)
     imports: list[_Import] = []
     for node in ast.walk(tree):

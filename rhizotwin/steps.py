@@ -35,7 +35,8 @@ SHARES = {
     "surface": 0.3,
     "pictures": 6.0,
 }
-"""Seconds that the stages of a reconstruction take (radish_day05b, 20 views of 400x300, 2 cores); they tell how far it is."""
+"""Seconds that the stages of a reconstruction take (radish_day05b, 20 views of 400x300, 2 cores); they tell how far it
+is."""
 
 
 def start_engine(device: str, *, quiet: bool = False) -> None:
@@ -63,7 +64,9 @@ def reconstruct_whole(
     keep_stages: bool = False,
     progress: Progress = Progress(),
 ) -> list[Path]:
-    """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all. Return the pictures' paths.
+    """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all.
+
+    Return the pictures' paths.
 
     Parameters
     ----------
@@ -103,7 +106,8 @@ def reconstruct_whole(
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
-    loaded = load_dataset(dataset)  # once: what happens to the folder meanwhile does not change what the result was made from
+    # once: what happens to the folder meanwhile does not change what the result was made from
+    loaded = load_dataset(dataset)
     with new_folder(output, replaces=RESULT_NAMES) as building:
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None

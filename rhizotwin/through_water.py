@@ -96,7 +96,10 @@ class Pictures(Cameras):
 
 
 def _flanks(pictures: Pictures, place: int, lines: Mapping[int, Line], pixels: Array) -> list[Array]:
-    """Return where both flanks of roots show: the centre lines, moved by the radius across the line of sight and the root."""
+    """Return where both flanks of roots show.
+
+    The centre lines, moved by the radius across the line of sight and the root.
+    """
     centre = pictures.views[place].centre_mm
     moved = []
     for line in lines.values():

@@ -1,4 +1,7 @@
-"""Looks at every device of a rig for a person on the bench, each by itself: what is well, or what is wrong and what to do."""
+"""Looks at every device of a rig for a person on the bench, each by itself.
+
+What is well, or what is wrong and what to do.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -36,13 +39,17 @@ def check(
 ) -> int:
     """Look at every device of a rig, one line each; nothing moves. Lamps are off at the end.
 
-    The table's motor stays on only where the board knows its angle; the arm's torque goes off only where the arm is at rest.
+    The table's motor stays on only where the board knows its angle; the arm's torque goes off only where the arm is at
+    rest.
 
     Parameters
     ----------
-    scene : strip and camera, for what the pictures must show.
-    open_camera : opens the rig's camera, or the twin's.
-    folder : where scans would be written.
+    scene : Scene
+        Strip and camera, for what the pictures must show.
+    open_camera : callable
+        Opens the rig's camera, or the twin's.
+    folder : path
+        Where scans would be written.
 
     Returns
     -------
@@ -136,7 +143,10 @@ def _camera(open_camera: Callable[[], Camera]) -> tuple[Camera, str]:
 
 
 def _look_at_pictures(report: _Report, camera: Camera, lights: Lights | None, rig: RigFile, scene: Scene) -> None:
-    """Take a picture without and with the lamps; an arm at rest may look anywhere, so that there only the lamps are judged."""
+    """Take a picture without and with the lamps.
+
+    An arm at rest may look anywhere, so that there only the lamps are judged.
+    """
     if lights is None:
         report.look("picture", lambda: (None, preflight.check_picture(camera.capture().image, scene.camera)))
         return

@@ -1,7 +1,7 @@
 """What the scan asks of each device; the drivers and nothing else know how it is done.
 
-Every method raises a `rig.errors.RigError` when the device fails after its retries. Devices are context managers in spirit: whoever opened
-one calls ``close`` on every way out.
+Every method raises a `rig.errors.RigError` when the device fails after its retries. Devices are context managers in
+spirit: whoever opened one calls ``close`` on every way out.
 """
 
 from dataclasses import dataclass
@@ -79,13 +79,19 @@ def check_levels(*, panel: float, front: float) -> None:
 
 
 class Arm(Protocol):
-    """The arm that holds the camera. Joint angles in degrees, base to wrist roll, zero with all links in line along the base's axis."""
+    """The arm that holds the camera.
+
+    Joint angles in degrees, base to wrist roll, zero with all links in line along the base's axis.
+    """
 
     def describe(self) -> str:
         """Say what answers: voltage, warmest servo."""
 
     def prepare(self) -> None:
-        """Connect: find the servos, check voltage and temperature, switch the torque on where the arm stands, without a jump."""
+        """Connect, and switch the torque on where the arm stands, without a jump.
+
+        The servos are found first, and voltage and temperature checked.
+        """
 
     def read_joints(self) -> tuple[float, ...]:
         """Read the five joint angles back."""

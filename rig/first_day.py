@@ -1,4 +1,7 @@
-"""The first day of a real rig: a person is walked through what no emulation can tell, and a report is written to be sent back."""
+"""The first day of a real rig.
+
+A person is walked through what no emulation can tell, and a report is written to be sent back.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -21,7 +24,8 @@ from rhizotwin.scenes.schema import to_plain
 
 TURN_DEG, JOINT_DEG = 9.0, 5.0
 TURN_TOLERANCE_DEG = 1.0
-"""A single picture tells the table's angle to a few tenths; a wrong direction is 18 degrees off, a wrong gear ratio several."""
+"""A single picture tells the table's angle to a few tenths; a wrong direction is 18 degrees off, a wrong gear ratio
+several."""
 BLOCKS_XY = (16, 12)
 LEAST_EVEN = 0.6
 """Darkest over brightest part of the panel: the reconstruction divides it out, but photons are lost."""
@@ -205,7 +209,10 @@ class FirstDay:
         return read_strip(self._jog.shot(), self._scene)
 
     def _cell_px(self) -> float:
-        """Return how many pixels a cell of a marker has from the first ring; a marker has 8 cells with its border (AprilTag 36h11: 10)."""
+        """Return how many pixels a cell of a marker has from the first ring.
+
+        A marker has 8 cells with its border (AprilTag 36h11: 10).
+        """
         from rhizotwin.scenes.markers import dictionary_named
 
         lens, ring, strip = self._scene.camera.as_pinhole(), self._scene.plan.rings[0], self._scene.strip
@@ -252,7 +259,9 @@ def report(findings: Sequence[Finding], name: str) -> str:
 
 
 def edge_width_px(image: Grey) -> float:
-    """Return how wide the picture's sharpest upright edges are, in px: the step from dark to bright over the steepest slope.
+    """Return how wide the picture's sharpest upright edges are, in px.
+
+    The step from dark to bright over the steepest slope.
 
     The 99.9th percentile of the slopes stands for the steepest, so that single noisy pixels do not count.
     """
@@ -263,7 +272,10 @@ def edge_width_px(image: Grey) -> float:
 
 
 def panel_evenness(image: Grey) -> float:
-    """Return the light of the panel's darker parts (5th percentile) over its brighter ones' (95th), in blocks that are mostly panel."""
+    """Return the light of the panel's darker parts over its brighter ones', in blocks that are mostly panel.
+
+    The 5th percentile over the 95th.
+    """
     height, width = image.shape
     rows, columns = np.array_split(np.arange(height), BLOCKS_XY[1]), np.array_split(np.arange(width), BLOCKS_XY[0])
     blocks = np.array([[np.median(image[np.ix_(row, column)]) for column in columns] for row in rows])

@@ -60,8 +60,10 @@ class Jog:
 
         Parameters
         ----------
-        lines : typed by a person, or from a pipe.
-        stop_at_mistake : raise the first error, as for a pipe; otherwise it is said, and the next line is done.
+        lines : iterable of str
+            Typed by a person, or from a pipe.
+        stop_at_mistake : bool
+            Raise the first error, as for a pipe; otherwise it is said, and the next line is done.
         """
         try:
             for line in lines:
@@ -96,7 +98,10 @@ class Jog:
             raise UserError(f"{' '.join(words)!r} is not understood, write: {word.usage}") from None
 
     def leave(self) -> None:
-        """Leave the rig safe: lamps off, the arm parked and let go; the table's motor stays on where its angle is known."""
+        """Leave the rig safe: lamps off, the arm parked and let go.
+
+        The table's motor stays on where its angle is known.
+        """
         table = self._devices.table
         known = False
         try:

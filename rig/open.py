@@ -52,9 +52,12 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
     Parameters
     ----------
-    scene : its camera says the size and depth of the pictures.
-    camera : the twin's; None: the rig file's.
-    recorder : keeps every byte on the wire.
+    scene : Scene
+        Its camera says the size and depth of the pictures.
+    camera : Camera or None
+        The twin's; None: the rig file's.
+    recorder : Recorder or None
+        Keeps every byte on the wire.
 
     Raises
     ------

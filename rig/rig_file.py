@@ -1,4 +1,7 @@
-"""The rig file: what the devices are, how they are connected, and where the arm stands. TOML, validated, unknown keys refused."""
+"""The rig file: what the devices are, how they are connected, and where the arm stands.
+
+TOML, validated, unknown keys refused.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +17,14 @@ LSC_BAUD = 9600
 
 @dataclass(frozen=True, kw_only=True)
 class TurntablePart:
-    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees; or this Raspberry Pi's own pins."""
+    """Turntable and lights: one Marlin 2.1 board on one serial line, axis X in degrees.
+
+    Or this Raspberry Pi's own pins.
+    """
 
     kind: Literal["marlin", "hat"] = "marlin"
-    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``); ``port`` and ``baud`` are not used."""
+    """marlin: a board at ``port``. hat: a DRV8825 and NeoPixels on this computer's pins (``hat``); ``port`` and
+    ``baud`` are not used."""
     port: str = "/dev/ttyUSB0"
     """A serial port, or any URL of pyserial such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
@@ -25,18 +32,23 @@ class TurntablePart:
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
     """Table angle of one full step of the motor."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
-    """Moves against the direction of approach go this far beyond and come back, so that play is always taken up on one side."""
+    """Moves against the direction of approach go this far beyond and come back, so that play is always taken up on one
+    side."""
     tolerance_deg: float = bounded(0.02, 1e-4, 5.0)
     """Largest difference between the commanded angle and the one read back."""
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Rest after a move before a picture: the water must be still."""
     rest: Literal["given", "measured"] = "given"
-    """measured: a scan turns once before its first picture, watches how long the picture moves, rests so long, ``settle_s`` at least."""
+    """measured: a scan turns once before its first picture, watches how long the picture moves, rests so long,
+    ``settle_s`` at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightsPart:
-    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE): the backlight panel and the front light over the markers."""
+    """Two NeoPixel strips on the same board (NEOPIXEL2_SEPARATE).
+
+    The backlight panel and the front light over the markers.
+    """
 
     panel_strip: int = bounded(0, 0, 1)
     front_strip: int = bounded(1, 0, 1)
@@ -108,12 +120,15 @@ class ArmPart:
     links_mm: tuple[float, float, float, float] = bounded((61.0, 101.6, 96.4, 95.0), 0.0, 2000.0)
     """Base plate to shoulder axis, shoulder to elbow, elbow to wrist pitch, wrist pitch to the camera's centre."""
     position_mm: tuple[float, float, float] = bounded((650.0, 0.0, -50.0), -5000.0, 5000.0)
-    """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root and shoot."""
+    """Centre of the base plate's underside in the rig frame; by default 145 mm above the floor, to reach rings of root
+    and shoot."""
     rotation_deg: tuple[float, float, float] = bounded((0.0, 0.0, 180.0), -360.0, 360.0)
-    """Rotation vector from the arm's frame (+z along the base's axis, +x where the arm leans at positive shoulder angles) to the rig's."""
+    """Rotation vector from the arm's frame (+z along the base's axis, +x where the arm leans at positive shoulder
+    angles) to the rig's."""
     max_speed_deg_per_s: float = bounded(60.0, 1.0, 270.0)
     tolerance_deg: float = bounded(3.0, 0.1, 30.0)
-    """Largest difference between commanded and read angles (sag and dead band included) that still counts as arrived."""
+    """Largest difference between commanded and read angles (sag and dead band included) that still counts as
+    arrived."""
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
     """Where the arm rests before its torque goes off; the way to the first ring begins and ends here."""
@@ -126,7 +141,10 @@ class ArmPart:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPart:
-    """The camera: on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer that runs `rhizotwin camera` (http)."""
+    """The camera.
+
+    It is on this Raspberry Pi (picamera2), on USB (v4l2), or on another computer that runs `rhizotwin camera` (http).
+    """
 
     kind: Literal["picamera2", "v4l2", "http"] = "picamera2"
     address: str = "0"
@@ -183,7 +201,8 @@ def load_rig(path: Path | str) -> RigFile:
     Raises
     ------
     UserError
-        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or parts that do not fit each other.
+        For a missing file, an unknown key, a wrong type, a value beyond its limits (with the line), or parts that do
+        not fit each other.
     """
     table, text = read_toml(Path(path))
     place = Place(str(path), text)

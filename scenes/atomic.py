@@ -1,6 +1,7 @@
 """Files that appear whole or not at all: a temporary name beside the goal, flushed to the disk, then renamed.
 
-On any exit before the rename, Ctrl-C included, the temporary file is removed; what a kill left is removed by the next writer of the name.
+On any exit before the rename, Ctrl-C included, the temporary file is removed; what a kill left is removed by the next
+writer of the name.
 """
 
 import errno
@@ -23,11 +24,13 @@ TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
 
 
 def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
-    """Write a file atomically; missing parent folders are made, a link is followed, a device or pipe is written to as it is.
+    """Write a file atomically.
+
+    Missing parent folders are made, a link is followed, a device or pipe is written to as it is.
 
     Parameters
     ----------
-    new
+    new : bool
         Refuse to replace a file, also one that appears at this very moment.
 
     Raises
@@ -95,11 +98,11 @@ def write_image(path: Path | str, image: "NDArray[Any]", *, jpeg_quality: int | 
 
     Parameters
     ----------
-    path
+    path : path
         Where to.
-    image
+    image : array
         uint8 or uint16 array (H, W) grey or (H, W, 3) RGB.
-    jpeg_quality
+    jpeg_quality : int or None
         From 1 to 100, for JPG; None: OpenCV's own (95).
     """
     import cv2  # here, because it takes half a second to load and much of the command line writes no picture

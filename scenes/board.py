@@ -1,4 +1,7 @@
-"""The calibration board: a chessboard with ArUco markers in its white squares (ChArUco), the same for printer, twin and calibration."""
+"""The calibration board, the same for printer, twin and calibration.
+
+It is a chessboard with ArUco markers in its white squares (ChArUco).
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +61,10 @@ def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
 
 
 def black_parts(board: CharucoBoard) -> Array:
-    """Return the black squares and black parts of the markers as rectangles (N, 4), mm: left, top, right, bottom in the board's frame."""
+    """Return the black squares and black parts of the markers as rectangles (N, 4), mm.
+
+    Left, top, right, bottom in the board's frame.
+    """
     columns, rows = board.squares_xy
     gap_mm = (board.square_mm - board.marker_mm) / 2.0
     parts, marker = [], 0

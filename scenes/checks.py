@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TELECENTRIC_TILT_DEG = 1.5
-"""Up to here the pinhole that stands for a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single precision."""
+"""Up to here the pinhole that stands for a telecentric camera (`model.FAR_MM`) is exact to 1e-4 mm in single
+precision."""
 
 
 def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
@@ -24,11 +25,11 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
 
     Parameters
     ----------
-    scene
+    scene : Scene
         To be checked; its single values are taken to be within their own limits.
-    where
+    where : str
         File or other origin, for the message.
-    text
+    text : str
         The file's TOML text, to name the line.
 
     Raises
@@ -51,9 +52,9 @@ def refuse_tank(scene: Scene, what: str) -> None:
 
     Parameters
     ----------
-    scene
+    scene : Scene
         Any scene.
-    what
+    what : str
         Who refuses, as the beginning of a sentence.
 
     Raises
@@ -69,7 +70,10 @@ def refuse_tank(scene: Scene, what: str) -> None:
 
 
 def marker_capacity(dictionary: str) -> int | None:
-    """Return how many markers an OpenCV dictionary has, named without ``DICT_``; None when there is none of that name."""
+    """Return how many markers an OpenCV dictionary has, named without ``DICT_``.
+
+    None when there is none of that name.
+    """
     aruco = _aruco()
     if not hasattr(aruco, f"DICT_{dictionary}"):
         return None

@@ -42,7 +42,8 @@ class Frame:
     table_read_deg: float | None = None
     """What the turntable answered after its move."""
     placement: int = 0
-    """Counts how often in this ring the camera was placed anew, or the table's zero found anew: within one, the camera stood still."""
+    """Counts how often in this ring the camera was placed anew, or the table's zero found anew: within one, the camera
+    stood still."""
     joints_deg: tuple[float, ...] | None = None
     """Commanded joint angles of the arm, base to wrist roll."""
     joints_read_deg: tuple[float, ...] | None = None
@@ -157,18 +158,20 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
 
     Parameters
     ----------
-    curve
+    curve : Curve or None
         From numbers to light; None: the file's own word, or where it says none what the scene's camera states.
 
     Returns
     -------
     ndarray
-        (H, W), uint8 or uint16 as in the file where its numbers are linear in light, else uint16; see `scenes.pictures.decode_light`.
+        (H, W), uint8 or uint16 as in the file where its numbers are linear in light, else uint16; see
+        `scenes.pictures.decode_light`.
 
     Raises
     ------
     UserError
-        When the picture is missing, truncated, no picture, of another size than the scene's camera, or not the recorded one.
+        When the picture is missing, truncated, no picture, of another size than the scene's camera, or not the recorded
+        one.
     """
     path = dataset.folder / frame.file
     try:

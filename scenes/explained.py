@@ -1,4 +1,7 @@
-"""What every key of a scene file means: its unit, its range and one line of why, from the descriptions in the model itself."""
+"""What every key of a scene file means.
+
+Its unit, its range and one line of why, from the descriptions in the model itself.
+"""
 
 from __future__ import annotations
 

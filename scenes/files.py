@@ -1,7 +1,8 @@
 """Scene and profile files (TOML), the library of named scenes, and scenes as plain dicts for JSON.
 
-A scene file has the sections of `scenes.model.Scene`: ``[subject] [canister] [water] [net_pot] [strip] [camera] [lights] [turntable]
-[[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is left out takes the default.
+A scene file has the sections of `scenes.model.Scene`: ``[subject] [canister] [water] [net_pot] [strip] [camera]
+[lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is left out
+takes the default.
 """
 
 import tomllib
@@ -27,7 +28,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
     Parameters
     ----------
-    name_or_path
+    name_or_path : path
         A name as `library` lists them (``radish_day15`` is short for ``radish_day15a``), or a path to a TOML file.
 
     Returns
@@ -50,7 +51,9 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene (specimen files as absolute paths), every key explained.
+    """Write a scene as a TOML file that `load_scene` reads back to an equal scene, every key explained.
+
+    Specimen files are absolute paths.
 
     With ``new`` a file that is there is not replaced.
     """
@@ -72,9 +75,9 @@ def scene_from_dict(mapping: Mapping[str, Any], *, where: str) -> Scene:
 
     Parameters
     ----------
-    mapping
+    mapping : mapping of object
         As `scene_to_dict` makes it; missing keys take the defaults.
-    where
+    where : str
         File or other origin, for messages.
 
     Raises

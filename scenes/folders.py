@@ -1,4 +1,6 @@
-"""Folders that commands make: held against others from the start, built inside, put in place at the end, mended after a kill.
+"""Folders that commands make.
+
+Held against others from the start, built inside, put in place at the end, mended after a kill.
 
 A folder that is being made may hold, beside what people see,
 
@@ -7,9 +9,9 @@ A folder that is being made may hold, beside what people see,
     .rhizotwin-whole   the same when it is whole and on the disk; the files that it replaces are being removed
     .rhizotwin-moving  the same when they are removed; its files are being moved into the folder
 
-Everything lies inside the goal, so that a mount point, a linked folder and the current folder can be goals, and a place that cannot be
-written is told before the work. A kill at any moment leaves the old files or all of the new ones; whoever opens the folder next finishes
-the move (`tidy`). What others put into the folder meanwhile stays.
+Everything lies inside the goal, so that a mount point, a linked folder and the current folder can be goals, and a place
+that cannot be written is told before the work. A kill at any moment leaves the old files or all of the new ones;
+whoever opens the folder next finishes the move (`tidy`). What others put into the folder meanwhile stays.
 """
 
 import json
@@ -36,7 +38,10 @@ Stamp = tuple[int, int, int]
 
 
 def contents(folder: Path) -> list[str]:
-    """Return the sorted names in a folder that are neither this program's own marks nor the system's; none where there is no folder."""
+    """Return the sorted names in a folder that are neither this program's own marks nor the system's.
+
+    None where there is no folder.
+    """
     if not folder.is_dir():
         return []
     return sorted(name for name in os.listdir(folder) if not _is_own(name) and name not in _SYSTEM)  # noqa: PTH208 - names are enough
@@ -83,11 +88,11 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
 
     Parameters
     ----------
-    goal
+    goal : path
         New, empty, or with nothing in it but what may be replaced.
-    replaces
-        Names that the goal may hold and that are replaced. What is there stays until the new is whole; what was not there at the start,
-        or is changed meanwhile, stays for good.
+    replaces : collection of str
+        Names that the goal may hold and that are replaced. What is there stays until the new is whole; what was not
+        there at the start, or is changed meanwhile, stays for good.
 
     Yields
     ------
@@ -97,8 +102,9 @@ def new_folder(goal: Path | str, *, replaces: Collection[str] = ()) -> Iterator[
     Raises
     ------
     UserError
-        When the goal holds anything else, another process works in it, the disk is full, or the place cannot be written; when something
-        that others put there meanwhile has the name of something new, which is then kept under another name.
+        When the goal holds anything else, another process works in it, the disk is full, or the place cannot be
+        written; when something that others put there meanwhile has the name of something new, which is then kept under
+        another name.
     """
     with held(goal) as folder:
         strange = [name for name in contents(folder) if name not in replaces]

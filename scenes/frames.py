@@ -1,6 +1,7 @@
 """Rigid transforms between the project's frames.
 
-Transforms are 4x4 float64 arrays named ``a_from_b`` with ``p_a = a_from_b @ p_b``; lengths are millimetres, angles radians.
+Transforms are 4x4 float64 arrays named ``a_from_b`` with ``p_a = a_from_b @ p_b``; lengths are millimetres, angles
+radians.
 
 Frames
 ------

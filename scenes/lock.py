@@ -1,4 +1,7 @@
-"""A file that says who works here, locked by the kernel: a run that was killed holds nothing, whatever its file still says."""
+"""A file that says who works here, locked by the kernel.
+
+A run that was killed holds nothing, whatever its file still says.
+"""
 
 import errno
 import json
@@ -28,9 +31,9 @@ def locked(path: Path, *, what: str) -> Iterator[bool]:
 
     Parameters
     ----------
-    path
+    path : path
         Of the file; it gets process, computer and time as JSON.
-    what
+    what : str
         What is locked, for messages.
 
     Yields

@@ -69,8 +69,8 @@ class NetPot:
 class MarkerStrip:
     """Strip of ArUco markers round the net pot, rows from the top, columns counter-clockwise seen from above.
 
-    Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x); the marker in row j, column k has the id
-    ``first_id + j * columns + k``. From outside, ids rise to the right.
+    Column k is centred at azimuth (k + 0.5) * 2 pi / columns from the seam (+x); the marker in row j, column k has the
+    id ``first_id + j * columns + k``. From outside, ids rise to the right.
     """
 
     dictionary: str = "APRILTAG_36h11"
@@ -80,7 +80,8 @@ class MarkerStrip:
     rows: int = bounded(2, 0, 10)
     """0: there is no strip; cameras are found from the canister's edges and the roots."""
     marker_mm: float = bounded(13.0, 1.0, 200.0)
-    """Edge of a marker's black square, measured on the print: a printer that scales by 1 % makes every length 1 % wrong."""
+    """Edge of a marker's black square, measured on the print: a printer that scales by 1 % makes every length 1 %
+    wrong."""
     row_pitch_mm: float = bounded(16.5, 1.0, 300.0)
     """From a row's lower edge to that of the row above it."""
     bottom_mm: float = bounded(-3.0, -1000.0, 500.0)
@@ -94,15 +95,17 @@ class Surroundings:
     """What stands between the camera and the canister."""
 
     n: float = bounded(1.0, 1.0, 2.0)
-    """Index: 1 is air. The liquid of a tank about the canister (near the water's index, so that the wall bends little) for a telecentric
-    camera that looks squarely through the tank's flat window: parallel rays pass such a window unbent."""
+    """Index: 1 is air. The liquid of a tank about the canister (near the water's index, so that the wall bends little)
+    for a telecentric camera that looks squarely through the tank's flat window: parallel rays pass such a window
+    unbent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tank:
     """Rectangular tank of liquid in which the canister turns (T5.3), filled to its rim.
 
-    It stands still in the rig, one wall towards the camera, which sees the roots through it and the marker strip in air above it.
+    It stands still in the rig, one wall towards the camera, which sees the roots through it and the marker strip in air
+    above it.
     """
 
     front_mm: float = bounded(100.0, 10.0, 2000.0)
@@ -122,8 +125,8 @@ class Tank:
 FAR_MM = 1.5e5
 """Distance of the pinhole that stands for a telecentric camera.
 
-What is 50 mm nearer than the axis is seen 1/3000 larger through it, by 0.08 px at 250 px from the axis. Much farther, single precision no
-longer tells heights to 1e-4 mm for a camera that is tilted by a degree.
+What is 50 mm nearer than the axis is seen 1/3000 larger through it, by 0.08 px at 250 px from the axis. Much farther,
+single precision no longer tells heights to 1e-4 mm for a camera that is tilted by a degree.
 """
 
 
@@ -146,9 +149,11 @@ class Camera:
     bits: int = bounded(12, 8, 16)
     """Depth of the converter; pictures of more than 8 bits are stored left-aligned in 16-bit PNG."""
     transfer: Literal["linear", "srgb", "table"] = "linear"
-    """How light becomes a picture's numbers where the file does not say it: in proportion, by sRGB's curve, or by ``transfer_table``."""
+    """How light becomes a picture's numbers where the file does not say it: in proportion, by sRGB's curve, or by
+    ``transfer_table``."""
     transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
-    """Light, of full scale, at equal steps of the number from 0 to full scale (`rhizotwin calibrate transfer` writes it)."""
+    """Light, of full scale, at equal steps of the number from 0 to full scale (`rhizotwin calibrate transfer` writes
+    it)."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
         """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
@@ -171,7 +176,10 @@ class Camera:
         return replace(self, kind="pinhole", focal_px=(focal, focal), distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def pinhole_pose(self, cam_from_canister: "Array") -> "Array":
-        """Return the pose (4, 4) of `as_pinhole`: for a telecentric camera moved back along its axis, which nobody can see."""
+        """Return the pose (4, 4) of `as_pinhole`.
+
+        For a telecentric camera moved back along its axis, which nobody can see.
+        """
         if self.kind == "pinhole":
             return cam_from_canister
         pose = cam_from_canister.copy()
@@ -185,12 +193,16 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Lights:
-    """Diffused backlight panel at x = -backlight_distance_mm and a strip light above the front, both in the rig frame."""
+    """A diffused backlight panel and a strip light above the front, both in the rig frame.
+
+    The panel stands at x = -backlight_distance_mm.
+    """
 
     backlight_distance_mm: float = bounded(160.0, 10.0, 5000.0)
     """From the table's axis to the panel behind the canister."""
     backlight_wh_mm: tuple[float, float] = bounded((700.0, 500.0), 1.0, 10000.0)
-    """Width and height of the lit panel: it must fill the picture behind the canister, or its edge is taken for a root."""
+    """Width and height of the lit panel: it must fill the picture behind the canister, or its edge is taken for a
+    root."""
     backlight_z_mm: float = bounded(-60.0, -5000.0, 5000.0)
     """z of the panel's middle."""
     backlight_level: float = bounded(0.75, 0.0, 1.0)
@@ -216,7 +228,8 @@ class Ring:
     """One turn of the table before a camera at rest."""
 
     views: int = bounded(40, 1, 10000)
-    """Pictures in one turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the same outline."""
+    """Pictures in one turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the
+    same outline."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
     """z of the camera in the rig frame."""
     distance_mm: float = bounded(400.0, 20.0, 10000.0)
@@ -254,11 +267,13 @@ class Disturbances:
     focus_error_mm: float = bounded(0.0, -200.0, 200.0)
     """Focus distance minus the distance from camera to the table's axis."""
     focal_error: float = bounded(0.0, -0.05, 0.05)
-    """True over given focal length, less 1: the lens was focused anew after it was calibrated; unknown to the reconstruction."""
+    """True over given focal length, less 1: the lens was focused anew after it was calibrated; unknown to the
+    reconstruction."""
     distortion: tuple[float, float, float, float, float] = bounded((0.0, 0.0, 0.0, 0.0, 0.0), -10.0, 10.0)
     """Lens distortion added to the camera's, known to the reconstruction (a calibrated lens)."""
     arm_deg: float = bounded(0.0, 0.0, 10.0)
-    """Standard deviation of the camera's orientation about each axis, drawn once a ring, unknown to the reconstruction."""
+    """Standard deviation of the camera's orientation about each axis, drawn once a ring, unknown to the
+    reconstruction."""
     arm_mm: float = bounded(0.0, 0.0, 50.0)
     """Standard deviation of the camera's position on each axis, drawn once a ring, unknown to the reconstruction."""
     table_deg: float = bounded(0.0, 0.0, 10.0)
@@ -286,7 +301,8 @@ class Disturbances:
     white_balance_wander: float = bounded(0.0, 0.0, 0.9)
     """The same for the gains of red and blue, each by itself; above 0 the pictures are in colour."""
     vignetting: float = bounded(0.0, 0.0, 0.95)
-    """Share of the light that the lens loses in the picture's corners, growing with the square of the distance from the middle."""
+    """Share of the light that the lens loses in the picture's corners, growing with the square of the distance from the
+    middle."""
     root_mu_per_mm: float | None = field(default=None, metadata={"limits": (0.01, 1000.0)})
     """Attenuation of root tissue per mm of chord. None: opaque roots."""
     root_n: float | None = field(default=None, metadata={"limits": (1.0, 2.0)})
@@ -296,11 +312,13 @@ class Disturbances:
     root_hair_mu_per_mm: float = bounded(0.0, 0.0, 100.0)
     """Attenuation in that sleeve."""
     sway_mm: float = bounded(0.0, 0.0, 20.0)
-    """Standard deviation, each way, of where the lowest tip hangs in a view; what is higher moves the less, and the top not at all."""
+    """Standard deviation, each way, of where the lowest tip hangs in a view; what is higher moves the less, and the top
+    not at all."""
     canister_radius_error_mm: float = bounded(0.0, -10.0, 10.0)
     """True minus nominal outer radius of the canister; unknown to the reconstruction, as the next three are."""
     canister_out_of_round_mm: float = bounded(0.0, 0.0, 10.0)
-    """Half the difference between the canister's largest and smallest outer radius: it is an oval that turns with it."""
+    """Half the difference between the canister's largest and smallest outer radius: it is an oval that turns with
+    it."""
     wall_error: float = bounded(0.0, -0.5, 0.5)
     """True over nominal thickness of the canister's wall, less 1."""
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
@@ -312,7 +330,8 @@ class Disturbances:
     scratches: int = bounded(0, 0, 10000)
     """Number of scratches on the canister's outside, which keep back a half of the light."""
     highlight: float = bounded(0.0, 0.0, 1.0)
-    """Light, of full scale, that a lamp's reflection in the wall adds, in a streak that stands still while the canister turns."""
+    """Light, of full scale, that a lamp's reflection in the wall adds, in a streak that stands still while the canister
+    turns."""
     algae_patches: int = bounded(0, 0, 1000)
     """Number of algae films on the inner wall (they turn with the canister)."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)

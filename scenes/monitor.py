@@ -26,8 +26,8 @@ class Monitor:
     Parameters
     ----------
     progress : type of tqdm, callable, or None
-        A class of tqdm's shows bars: ``tqdm.tqdm`` on a terminal's stderr, ``tqdm.notebook.tqdm`` or ``tqdm.auto.tqdm`` in a notebook.
-        A callable is told ``(stage, done, total)`` at every step. None is silent.
+        A class of tqdm's shows bars: ``tqdm.tqdm`` on a terminal's stderr, ``tqdm.notebook.tqdm`` or ``tqdm.auto.tqdm``
+        in a notebook. A callable is told ``(stage, done, total)`` at every step. None is silent.
 
     Attributes
     ----------

@@ -11,8 +11,8 @@ ALIKE = 0.6
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known name that was probably meant, or None.
 
-    A name that the word begins comes first (``wall``: ``wall_mm``, not ``n_wall``), zeros before numbers left aside (``radish_day5``:
-    ``radish_day05a``, not ``radish_day15a``); then the one with most letters in common.
+    A name that the word begins comes first (``wall``: ``wall_mm``, not ``n_wall``), zeros before numbers left aside
+    (``radish_day5``: ``radish_day05a``, not ``radish_day15a``); then the one with most letters in common.
     """
     names = list(known)
     typed = _plain(word)

@@ -1,7 +1,10 @@
-"""Is a picture's file whole, and how large is it: told from its bytes before it is decoded, by its own checksums and strict decoders.
+"""Is a picture's file whole, and how large is it.
 
-OpenCV's decoders repair silently: what is missing comes back grey or black. PNG has a CRC a chunk and one over all pixels, and Deflate in
-TIFF too; JPEG, LZW and PackBits have none, and there what their coding forbids is found; bare pixels in a TIFF can be too few, no more.
+Told from its bytes before it is decoded, by its own checksums and strict decoders.
+
+OpenCV's decoders repair silently: what is missing comes back grey or black. PNG has a CRC a chunk and one over all
+pixels, and Deflate in TIFF too; JPEG, LZW and PackBits have none, and there what their coding forbids is found; bare
+pixels in a TIFF can be too few, no more.
 """
 
 import io
@@ -46,9 +49,9 @@ def checked(data: bytes, *, image_wh: tuple[int, int] | None = None) -> bytes:
 
     Parameters
     ----------
-    data
+    data : bytes
         Content of a PNG, JPEG or TIFF.
-    image_wh
+    image_wh : tuple of int or None
         The size it must have; None: any up to `MOST_PIXELS`.
 
     Returns
@@ -160,7 +163,10 @@ def _inflated(packed: list[memoryview], count: int) -> np.ndarray[tuple[int], np
 
 
 def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
-    """Walk the segments and scans of a JPEG up to its end marker (ITU-T T.81, annex B), then have it decoded strictly."""
+    """Walk the segments and scans of a JPEG up to its end marker, then have it decoded strictly.
+
+    ITU-T T.81, annex B.
+    """
     truncated = DamagedError("truncated (the JPEG file ends too early)")
     at = 2
     while True:

@@ -1,4 +1,7 @@
-"""Pictures from bytes, refusing what OpenCV would silently repair: a truncated file comes back padded, not as an error."""
+"""Pictures from bytes, refusing what OpenCV would silently repair.
+
+A truncated file comes back padded, not as an error.
+"""
 
 import struct
 import zlib
@@ -11,13 +14,17 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.picture_damage import UnfitError, checked
 from rhizotwin.scenes.transfer import LINEAR, Curve
 
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # OpenCV's own complaints: `decode_grey` says them in a sentence
+# OpenCV's own complaints: `decode_grey` says them in a sentence
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Grey = np.ndarray[tuple[int, int], np.dtype[np.uint8 | np.uint16]]
 
 
 def encode_png(image: Grey) -> bytes:
-    """Encode a picture; OpenCV's own setting (a filter, then little compression) is the fastest and the smallest for noisy pictures."""
+    """Encode a picture.
+
+    OpenCV's own setting (a filter, then little compression) is the fastest and the smallest for noisy pictures.
+    """
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
     if not encoded:
         raise ValueError(f"OpenCV cannot encode {image.shape=} {image.dtype=} as PNG")
@@ -25,7 +32,10 @@ def encode_png(image: Grey) -> bytes:
 
 
 def encode_light_png(light: Grey) -> bytes:
-    """Encode light as a PNG whose own word is that its numbers are light: a gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2)."""
+    """Encode light as a PNG whose own word is that its numbers are light.
+
+    A gAMA chunk of 1 (ISO/IEC 15948, 11.3.3.2).
+    """
     data, name = encode_png(light), b"gAMA" + struct.pack(">I", 100000)
     first = 8 + 25  # the signature, and IHDR, which comes first
     return data[:first] + struct.pack(">I", 4) + name + struct.pack(">I", zlib.crc32(name)) + data[first:]
@@ -36,11 +46,11 @@ def decode_grey(data: bytes, *, where: str, image_wh: tuple[int, int] | None = N
 
     Parameters
     ----------
-    data
+    data : bytes
         Content of a PNG, JPEG or TIFF file.
-    where
+    where : str
         File name, for messages.
-    image_wh
+    image_wh : tuple of int or None
         The size that it must have, which is looked at before anything is decoded.
 
     Returns
@@ -64,16 +74,16 @@ def decode_light(data: bytes, curve: Curve, *, where: str, image_wh: tuple[int, 
 
     Parameters
     ----------
-    data, where, image_wh
+    data, where, image_wh : bytes, str, tuple of int or None
         As in `decode_grey`.
-    curve
+    curve : Curve
         What its numbers stand for.
 
     Returns
     -------
     ndarray
-        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours weigh as in `decode_grey`, each as light; where one is
-        at full scale, the pixel is, as its light is not known.
+        (H, W), uint16, or for a linear curve uint8 or uint16 as in the file. Colours weigh as in `decode_grey`, each as
+        light; where one is at full scale, the pixel is, as its light is not known.
 
     Raises
     ------

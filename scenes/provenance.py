@@ -12,7 +12,7 @@ def versions(names: Iterable[str] = ()) -> dict[str, str]:
 
     Parameters
     ----------
-    names
+    names : iterable of str
         Distributions as pip names them, such as ``opencv-python-headless``.
 
     Returns

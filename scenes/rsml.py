@@ -1,7 +1,9 @@
-"""Roots as polylines with diameters, and RSML files (Root System Markup Language, Lobet et al. 2015, Plant Physiol. 167:617).
+"""Roots as polylines with diameters, and RSML files (Root System Markup Language, Lobet et al. 2015, Plant Physiol.
 
-Files in the wild depart from the schema in many ways; what can be understood is read, and what cannot be known (the unit, the
-diameter) is refused with the option that supplies it.
+167:617).
+
+Files in the wild depart from the schema in many ways; what can be understood is read, and what cannot be known (the
+unit, the diameter) is refused with the option that supplies it.
 """
 
 import math
@@ -70,21 +72,22 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
 
     Parameters
     ----------
-    path
+    path : path
         The file.
-    unit
-        Of the file's coordinates and unmarked diameters: mm, cm, m, um or inch, or a number and one of these for the size of
-        one step, as in ``0.1 mm``; None: as the file says. The file's resolution, where it is not 1, means steps per unit
-        when above 1 (inch with 300: 300 dpi) and units per step when below (m with 0.0001: steps of 0.1 mm).
-    diameter_mm
+    unit : str or None
+        Of the file's coordinates and unmarked diameters: mm, cm, m, um or inch, or a number and one of these for the
+        size of one step, as in ``0.1 mm``; None: as the file says. The file's resolution, where it is not 1, means
+        steps per unit when above 1 (inch with 300: 300 dpi) and units per step when below (m with 0.0001: steps of 0.1
+        mm).
+    diameter_mm : float or None
         Diameter of every root for which the file gives none; None: such a file is refused.
 
     Returns
     -------
     tuple of Root
-        In the file's order, parents before children; all plants together. Coordinates are the file's x, y, z in mm, neither
-        turned nor shifted. 2-D points, drawn on a picture with y down, get depth 0 and hang down: (x, 0, -y). Roots with fewer
-        than two points are left out, and their children go to the next root above.
+        In the file's order, parents before children; all plants together. Coordinates are the file's x, y, z in mm,
+        neither turned nor shifted. 2-D points, drawn on a picture with y down, get depth 0 and hang down: (x, 0, -y).
+        Roots with fewer than two points are left out, and their children go to the next root above.
 
     Raises
     ------
@@ -127,20 +130,20 @@ def write_rsml(
 ) -> None:
     """Write roots as one plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
 
-    Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property ``parent-node``, the index of
-    its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots have 0 there, because both want a number for every
-    root. Roots whose tips nobody saw have the property ``tip-seen``, false. `read_rsml` gives the roots back depth first, which is their
-    order here only if it was so.
+    Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property
+    ``parent-node``, the index of its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots
+    have 0 there, because both want a number for every root. Roots whose tips nobody saw have the property ``tip-seen``,
+    false. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
 
     Parameters
     ----------
-    path
+    path : path
         Where to.
-    roots
+    roots : tuple of Root or list of Root
         Parents as indices into this sequence.
-    modified
+    modified : datetime or None
         Time for the metadata; None: now.
-    moment
+    moment : Moment or None
         Of a series, whose files have the labels of roots as their ids: the format's time sequence, unified.
 
     Raises

@@ -1,4 +1,7 @@
-"""What people read: numbers with the digits that their uncertainty leaves them and without exponents, and an error as one sentence."""
+"""What people read: numbers and errors.
+
+Numbers have the digits that their uncertainty leaves them and no exponents; an error is one sentence.
+"""
 
 import errno
 import math
@@ -11,7 +14,10 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def decimals(half: float) -> int:
-    """Return how many decimals a number has whose 90 % interval reaches this far: the second digit of the reach is the last told."""
+    """Return how many decimals a number has whose 90 % interval reaches this far.
+
+    The second digit of the reach is the last told.
+    """
     return 3 if not half > 0.0 else min(6, max(0, 1 - math.floor(math.log10(half))))
 
 

@@ -1,7 +1,10 @@
-"""Frozen dataclasses from plain mappings (TOML, JSON) and back, strictly: one clear sentence for each thing that is wrong.
+"""Frozen dataclasses from plain mappings (TOML, JSON) and back, strictly.
 
-Understood types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested dataclasses, Any, and
-unions of dataclasses named ``...Specimen``, told apart by the key ``kind`` (``SphereSpecimen`` is kind "sphere").
+One clear sentence for each thing that is wrong.
+
+Understood types: bool, int, float, str, Literal, X | None, tuples of fixed or any length, dict[str, X], nested
+dataclasses, Any, and unions of dataclasses named ``...Specimen``, told apart by the key ``kind`` (``SphereSpecimen`` is
+kind "sphere").
 """
 
 import math
@@ -170,7 +173,10 @@ def _shown(value: Any) -> str:
 
 
 def _named(path: tuple[str | int, ...]) -> tuple[str, str]:
-    """Split a path into the section and the key: ("plan.rings 2", "views") or ("camera", "image_wh element 1"); counts from 1."""
+    """Split a path into the section and the key.
+
+    ("plan.rings 2", "views") or ("camera", "image_wh element 1"); counts from 1.
+    """
     depth = max((i for i, step in enumerate(path) if isinstance(step, str)), default=-1)
     if depth < 0:
         return "", ""

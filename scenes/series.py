@@ -1,7 +1,9 @@
-"""Series of a grown plant: older and younger, treated otherwise, others of its kind. The older plant of a seed holds the younger.
+"""Series of a grown plant: older and younger, treated otherwise, others of its kind.
 
-Radii of a series are scaled by one factor, that of the scene's own plant: the volume at another age is the scene's times the ratio of the
-plants' tube volumes.
+The older plant of a seed holds the younger.
+
+Radii of a series are scaled by one factor, that of the scene's own plant: the volume at another age is the scene's
+times the ratio of the plants' tube volumes.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +37,10 @@ def grown(scene: Scene) -> GrownSpecimen:
 
 
 def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
-    """Return a scene with another plant of the same kind; number 0 is the scene's own, unless another ``seed`` is given than its number."""
+    """Return a scene with another plant of the same kind.
+
+    Number 0 is the scene's own, unless another ``seed`` is given than its number.
+    """
     plant = grown(scene)
     told = replace(scene.subject, plant=f"{scene.subject.plant or scene.name}-{number + 1}", replicate=number + 1)
     return replace(scene, specimen=replace(plant, seed=plant.seed + SEEDS_APART * (number if seed is None else seed)), subject=told)
@@ -57,8 +62,10 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
 
     Parameters
     ----------
-    grow : grows a plant's centre lines (`sim.growth.grow`).
-    like : plant that has the scene's volume at its age; None: the scene's own. Its radii's factor is kept.
+    grow : Grow
+        Grows a plant's centre lines (`sim.growth.grow`).
+    like : GrownSpecimen or None
+        Plant that has the scene's volume at its age; None: the scene's own. Its radii's factor is kept.
     """
     plant = grown(scene)
     reference = like or plant

@@ -7,10 +7,12 @@ from rhizotwin.scenes.limits import bounded
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
-    """A shoot with leaves in a spiral, described by its oldest leaf; younger ones are smaller and stand steeper, seeded.
+    """A shoot with leaves in a spiral, described by its oldest leaf.
 
-    The defaults are a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus sativus are 0.25 to
-    0.35 mm thick).
+    Younger ones are smaller and stand steeper, seeded.
+
+    The defaults are a radish of two weeks: blades of 40 by 24 mm and 0.3 mm, petioles of 35 mm (leaves of Raphanus
+    sativus are 0.25 to 0.35 mm thick).
     """
 
     seed: int = bounded(0, 0, 2**63 - 1)

@@ -18,7 +18,10 @@ class SphereSpecimen:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedFile:
-    """A file in millimetres of its own frame, and how it is put into the canister frame: turned over, then scaled, then shifted."""
+    """A file in millimetres of its own frame, and how it is put into the canister frame.
+
+    Turned over, then scaled, then shifted.
+    """
 
     file: str
     """Path, relative to the scene file's folder or absolute."""
@@ -83,7 +86,9 @@ class RootOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class BasalRoots(RootOrder):
-    """Growth parameters of roots that begin side by side at the top of the taproot: basal, seminal, nodal or adventitious roots.
+    """Growth parameters of roots that begin side by side at the top of the taproot.
+
+    They are basal, seminal, nodal or adventitious.
 
     They bear laterals as the taproot does, the second of ``specimen.orders``.
     """
@@ -126,9 +131,11 @@ class GrownSpecimen:
     hypocotyl_length_mm: float = bounded(10.0, 0.1, 500.0)
     """Length over which the thickened top fades into the taproot."""
     hypocotyl_shape: Literal["fading", "globe"] = "fading"
-    """``fading``: thickest where it begins, as a carrot; ``globe``: thickest in its middle, as a bulb or a round radish."""
+    """``fading``: thickest where it begins, as a carrot; ``globe``: thickest in its middle, as a bulb or a round
+    radish."""
     buried_mm: float = bounded(1000.0, 0.0, 1000.0)
-    """Laterals begin on their parent's axis, but no deeper below its surface than this: a storage root's tissue is laid down about them."""
+    """Laterals begin on their parent's axis, but no deeper below its surface than this: a storage root's tissue is laid
+    down about them."""
     wall_margin_mm: float = bounded(0.5, 0.0, 100.0)
     """Water left free between a root's surface and the inner wall."""
     floor_margin_mm: float = bounded(0.5, 0.0, 1000.0)

@@ -1,4 +1,7 @@
-"""Progress on a terminal: one bar for the whole work with its stage's name and the time left; a line a stage where nobody watches."""
+"""Progress on a terminal: one bar for the whole work with its stage's name and the time left.
+
+A line a stage where nobody watches.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,8 @@ class OneBar(Monitor):
     Parameters
     ----------
     shares : mapping of str to float
-        About how much of the time each stage takes, in any unit. The bar is moved by them; what is left is told from the time that was
-        taken for what is done.
+        About how much of the time each stage takes, in any unit. The bar is moved by them; what is left is told from
+        the time that was taken for what is done.
     quiet : bool
         Show nothing.
     verbose : bool

@@ -1,4 +1,7 @@
-"""Roots as people trace them: gaps to the parent are closed where the file says how, and what several roots share is counted once."""
+"""Roots as people trace them.
+
+Gaps to the parent are closed where the file says how, and what several roots share is counted once.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +16,11 @@ from rhizotwin.scenes.rsml import Root, RsmlFile
 Array = NDArray[np.float64]
 
 FARTHEST = 2.0
-"""A parent's node that is named but lies farther than this times the nearest one's distance is counted otherwise than here: no joint."""
+"""A parent's node that is named but lies farther than this times the nearest one's distance is counted otherwise than
+here: no joint."""
 SHARED = 0.5
-"""Lines nearer than this times the thinner one's radius are one root: two real roots are a radius apart at the least."""
+"""Lines nearer than this times the thinner one's radius are one root: two real roots are a radius apart at the
+least."""
 LEAST_SHARED_MM = 2.0
 """Shorter stretches are roots that cross or leave each other, beyond any width of root that is traced apart."""
 MOST_LATEST = 2000
@@ -66,8 +71,8 @@ class _Line:
 def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
     """Take away what a root shares with others before it in the list: truth counts a stretch once, whoever traced it.
 
-    A root of which only a part is shared goes on from there, as a lateral of the root that it shares it with; one that is shared whole is
-    left out, and its laterals go to that root.
+    A root of which only a part is shared goes on from there, as a lateral of the root that it shares it with; one that
+    is shared whole is left out, and its laterals go to that root.
 
     Parameters
     ----------
@@ -103,7 +108,10 @@ def once(roots: Sequence[Root]) -> tuple[tuple[Root, ...], float]:
 
 
 class _Seen:
-    """The lines so far, and the nearest point of them; a tree of most of them is kept, and one of the latest is made anew."""
+    """The lines so far, and the nearest point of them.
+
+    A tree of most of them is kept, and one of the latest is made anew.
+    """
 
     def __init__(self) -> None:
         self._old: tuple[cKDTree, Array, NDArray[np.int64]] | None = None
@@ -116,7 +124,10 @@ class _Seen:
         self._owners.append(np.full(len(line.points_mm), owner))
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return for points (N, 3) how far the nearest point of a line is (inf: there is none), how thick, and whose."""
+        """Return how far the nearest point of a line is from points (N, 3), how thick it is, and whose.
+
+        Infinite where there is none.
+        """
         found = np.full(len(points_mm), np.inf), np.zeros(len(points_mm)), np.full(len(points_mm), -1)
         trees = [] if self._old is None else [self._old]
         if self._lines:
@@ -152,6 +163,7 @@ def _alone(line: _Line, seen: _Seen) -> tuple[list[tuple[int, int]], int | None]
     if not long:
         return [(0, count)], None
     host = int(np.bincount(with_whom[np.concatenate([np.arange(a, b) for a, b in long])]).argmax())
-    bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]  # the joint with the shared stretch stays
+    # the joint with the shared stretch stays
+    bounds = [0, *(place for a, b in long for place in (a + 1, b - 1)), count]
     runs = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > least]
     return runs, host

@@ -1,8 +1,10 @@
-"""Traits of a root system from its centre lines and its solid, by the field's definitions; the truth and the result use the same code.
+"""Traits of a root system from its centre lines and its solid, by the field's definitions.
 
-Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), carried from pictures to space as Rangarajan et al. 2021
-(Plant Phenomics 2021:6953197, table 1) do; DynamicRoots (Symonova et al. 2015, PLoS ONE 10:e0127657) for branches and their angles.
-`scenes.trait_table` says each definition in words.
+The truth and the result use the same code.
+
+Sources: GiA Roots (Galkovskyi et al. 2012, BMC Plant Biology 12:116, table 1), carried from pictures to space as
+Rangarajan et al. 2021 (Plant Phenomics 2021:6953197, table 1) do; DynamicRoots (Symonova et al. 2015, PLoS ONE
+10:e0127657) for branches and their angles. `scenes.trait_table` says each definition in words.
 """
 
 from collections.abc import Sequence
@@ -20,7 +22,8 @@ Array = NDArray[np.float64]
 SLICE_MM = 1.0
 """Distance of the horizontal planes that count roots."""
 MOST_PERCENT = 84.0
-"""The largest number of roots is this percentile of the planes' counts (GiA Roots): one whorl of laterals does not decide it."""
+"""The largest number of roots is this percentile of the planes' counts (GiA Roots): one whorl of laterals does not
+decide it."""
 UPPER_SHARE = 1.0 / 3.0
 """The lower part of a root system begins at this share of its depth (GiA Roots)."""
 EMERGENCE_MM = 5.0
@@ -97,10 +100,14 @@ def measure_traits(
 
     Parameters
     ----------
-    roots : parents before children, points from base to tip, canister frame (z up); none where no centre lines are known.
-    vertices_mm : (V, 3) points of the solid's surface.
-    volume_mm3, surface_mm2 : of the solid, overlaps of roots counted once.
-    mass_g : mass of the roots, if it was weighed.
+    roots : sequence of Root
+        Parents before children, points from base to tip, canister frame (z up); none where no centre lines are known.
+    vertices_mm : (V, 3) float64 array
+        Points of the solid's surface.
+    volume_mm3, surface_mm2 : float
+        Of the solid, overlaps of roots counted once.
+    mass_g : float or None
+        Mass of the roots, if it was weighed.
 
     Raises
     ------
@@ -200,12 +207,15 @@ def _hull(points_mm: Array) -> tuple[float, float]:
     except QhullError:  # on a line: its ends are farthest apart
         along = np.linalg.svd(level - level.mean(axis=0), full_matrices=False)[2][0]
         corners = level[[int(np.argmin(level @ along)), int(np.argmax(level @ along))]]
-    widest = max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners)  # corners of a flat hull are few
+    # corners of a flat hull are few
+    widest = max(float(np.max(np.sum((corners - corner) ** 2, axis=1))) for corner in corners)
     return volume, widest**0.5
 
 
 def _root_counts(pieces: _Segments) -> tuple[float, float]:
-    """Count the centre lines that cross each horizontal plane, and return the largest (84th percentile) and the median number.
+    """Count the centre lines that cross each horizontal plane; return the largest and the median number.
+
+    The largest is the 84th percentile.
 
     Planes that meet none do not count; at least one root is met.
     """

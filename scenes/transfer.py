@@ -1,7 +1,7 @@
 """From a picture's numbers to light: the curve that its file states, or else the scene's camera.
 
-Cameras bend light into numbers (sRGB, a gamma, a curve of their own); the reconstruction needs light itself. A file's own word is an ICC
-profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or gamma.
+Cameras bend light into numbers (sRGB, a gamma, a curve of their own); the reconstruction needs light itself. A file's
+own word is an ICC profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or gamma.
 """
 
 import io
@@ -110,7 +110,10 @@ def _of_gamma(exponent: float) -> Curve:
 
 
 def _of_profile(profile: bytes) -> Curve | None:
-    """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18); None for profiles of tables."""
+    """Return the curve of an ICC profile's green or grey channel (ICC.1:2022, 7.3, 10.6 and 10.18).
+
+    None for profiles of tables.
+    """
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
         tags = {profile[at : at + 4]: struct.unpack_from(">II", profile, at + 4) for at in range(132, 132 + 12 * min(count, 200), 12)}

@@ -1,4 +1,6 @@
-"""What the simulator knows and the reconstruction must not: nothing that finds the shape opens a dataset's ``truth`` folder.
+"""What the simulator knows and the reconstruction must not.
+
+Nothing that finds the shape opens a dataset's ``truth`` folder.
 
 `score` compares a result with it, and once a result is written, the command line draws the true solid beside the shape.
 
@@ -44,7 +46,8 @@ class Truth:
     traits: dict[str, Any] = field(default_factory=dict)
     """Fields of `scenes.traits.Traits`; None where they need centre lines and the specimen has none."""
     shoot: dict[str, float] = field(default_factory=dict)
-    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot; empty: nothing does."""
+    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot; empty: nothing
+    does."""
     drawn: dict[str, Any] = field(default_factory=dict)
     """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 
@@ -54,7 +57,7 @@ def load_truth(folder: Path | str) -> Truth:
 
     Parameters
     ----------
-    folder
+    folder : path
         The dataset's folder (not its ``truth``).
 
     Raises
@@ -79,9 +82,9 @@ def save_truth(folder: Path | str, truth: Truth) -> None:
 
     Parameters
     ----------
-    folder
+    folder : path
         The dataset's folder (not its ``truth``).
-    truth
+    truth : Truth
         ``drawn`` must hold plain JSON values.
 
     Raises

@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 _STEP_MM = 0.3
 _AROUND = 8
 _NEIGHBOURS = 24
-"""Stations that may hide a point: those of its own tube are among them, which leaves others out beside organs over 7 mm thick."""
+"""Stations that may hide a point: those of its own tube are among them, which leaves others out beside organs over 7 mm
+thick."""
 _AT_ONCE = 10_000
 """Stations looked at together, which keeps memory below 200 MB."""
 
@@ -55,7 +56,10 @@ def stations(roots: Sequence[Root]) -> Stations:
 
 
 def outside_mm2(tubes: Stations) -> Array:
-    """Return the area (N,) of each piece's skin that lies in no other root, from eight points round each; ends are left open."""
+    """Return the area (N,) of each piece's skin that lies in no other root, from eight points round each.
+
+    Ends are left open.
+    """
     tree = cKDTree(tubes.centre_mm)
     count = len(tubes.centre_mm)
     hidden = [_hidden(tubes, tree, slice(first, first + _AT_ONCE)) for first in range(0, count, _AT_ONCE)]

@@ -1,7 +1,8 @@
 """The fast deterministic fidelity: only the primary refracted path of a camera ray, no random numbers.
 
-A ray crosses every interface by its transmitted branch (reflected only in total reflection), weighted by what the interface lets
-through, until it meets a light, something opaque, or nothing. The same walk tells whether the ray met the specimen, and which way it went.
+A ray crosses every interface by its transmitted branch (reflected only in total reflection), weighted by what the
+interface lets through, until it meets a light, something opaque, or nothing. The same walk tells whether the ray met
+the specimen, and which way it went.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
 STEP_MM = 0.01
-"""How far along itself a ray goes on after an interface: along the ray nothing shifts sideways, and it clears rounding errors."""
+"""How far along itself a ray goes on after an interface: along the ray nothing shifts sideways, and it clears rounding
+errors."""
 AMBIENT = 0.065
 """Radiance, in units of full scale, that a white thing in the canister shows: what path tracing gives on average."""
 LEAST_SPAN_MM = 1.0
-"""A shorter stretch of a way through the room of fine things holds none: behind a film on the wall there is 0.05 mm of water."""
+"""A shorter stretch of a way through the room of fine things holds none: behind a film on the wall there is 0.05 mm of
+water."""
 
 
 class Room(NamedTuple):
@@ -123,7 +126,8 @@ class Backlit:
                 _, _, sigma_t = medium.get_scattering_coefficients(mei, inside)
                 beta[inside] *= dr.exp(-sigma_t * (si.t + STEP_MM))
 
-            # ---- the transmitted branch: a first sample of almost 1 is above every reflectance but that of total reflection
+            # ---- the transmitted branch: a first sample of almost 1 is above every reflectance but that of total
+            # reflection
             bs, weight = si.bsdf().sample(context, si, 1.0 - 1e-6, mi.Point2f(0.5), active)
             smooth = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
 

@@ -1,4 +1,4 @@
-"""Pictures of the calibration board before the scene's camera, in air and evenly lit, with the true lens beside them."""
+"""Pictures of the calibration board in air, evenly lit, with the true lens beside them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ def simulate_board(
     Parameters
     ----------
     scene : Scene
-        Its camera, the working distance of its first ring, and its ``disturbances``: distortion, lens opening, focus and noise.
+        Its camera, the working distance of its first ring, and its ``disturbances``: distortion, lens opening, focus
+        and noise.
     board : CharucoBoard
     folder : Path
         New or empty; appears whole or not at all.
@@ -91,7 +92,10 @@ def simulate_board(
 
 
 def true_camera(scene: Scene) -> Camera:
-    """Return the scene's camera with the distortion that its lens really has; a profile's ``focal_error`` comes after the calibration."""
+    """Return the scene's camera with the distortion that its lens really has.
+
+    A profile's ``focal_error`` comes after the calibration.
+    """
     return replace(scene.camera, distortion=lens_distortion(scene))
 
 
@@ -102,7 +106,10 @@ def working_distance_mm(scene: Scene) -> float:
 
 
 def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> frames.Array:
-    """Return ``cam_from_board`` of one picture: the board turned by quarters, tilted every way, somewhere in the field."""
+    """Return ``cam_from_board`` of one picture.
+
+    The board turned by quarters, tilted every way, somewhere in the field.
+    """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm
     best = 0.0
@@ -178,7 +185,8 @@ class BoardRenderer:
     def light(self, cam_from_board: frames.Array) -> NDArray[np.float32]:
         """Return a picture of linear light (H, W), 1 the camera's full scale, black beside the board.
 
-        Light from everywhere makes the matt paper shine by its reflectance alone, so that nothing is random and nothing shades it.
+        Light from everywhere makes the matt paper shine by its reflectance alone, so that nothing is random and nothing
+        shades it.
         """
         sensor.set_pose(self.eye, cam_from_board)
         width, height = self.image_wh
@@ -221,8 +229,8 @@ def _covered(edges: frames.Array, low: float, high: float) -> tuple[slice, frame
 def _on_lens(ray: mi.UInt32) -> mi.Point2f:
     """Give every lattice ray of a pixel its place on the lens.
 
-    The place's two coordinates and the ray's in the pixel make an orthogonal array (SIDE is a prime): no two of the four go together,
-    so that blur shifts nothing.
+    The place's two coordinates and the ray's in the pixel make an orthogonal array (SIDE is a prime): no two of the
+    four go together, so that blur shifts nothing.
     """
     a, b = ray % SIDE, ray // SIDE
     return mi.Point2f((mi.Float((a + b) % SIDE) + 0.5) / SIDE, (mi.Float((a + 2 * b) % SIDE) + 0.5) / SIDE)

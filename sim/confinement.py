@@ -1,4 +1,7 @@
-"""The water that roots may grow in: they turn aside along the wall, the floor and the net pot's grid rather than leave it."""
+"""The water that roots may grow in.
+
+They turn aside along the wall, the floor and the net pot's grid rather than leave it.
+"""
 
 from dataclasses import dataclass
 
@@ -51,7 +54,8 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
         limited[:, 0] = np.minimum(local[:, 0], out_max)
         limited[:, 2] = np.clip(local[:, 2], -down_max, up_max)
         length = np.linalg.norm(limited, axis=1)
-        limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])  # head on: turn along the limit
+        # head on: turn along the limit
+        limited[:, 1] = np.where(length < 0.1, np.copysign(1.0, local[:, 1]), limited[:, 1])
         local = limited / np.linalg.norm(limited, axis=1, keepdims=True)
     return np.concatenate([local[:, :1] * outward + local[:, 1:2] * around, local[:, 2:]], axis=1)
 

@@ -1,4 +1,7 @@
-"""What does not belong in a clean canister: algae films, felt fibres and air bubbles, drawn from a scene's disturbances."""
+"""What does not belong in a clean canister.
+
+Algae films, felt fibres and air bubbles, drawn from a scene's disturbances.
+"""
 
 from dataclasses import dataclass
 
@@ -42,7 +45,10 @@ class Bubble:
 
 @dataclass(frozen=True, kw_only=True)
 class OuterDirt:
-    """What sits on the canister's outside and turns with it, as places on the unrolled wall: azimuth (rad) and z (mm)."""
+    """What sits on the canister's outside and turns with it, as places on the unrolled wall.
+
+    Azimuth (rad) and z (mm).
+    """
 
     specks: NDArray[np.float64]
     """(N, 3) azimuth, z, radius in mm."""
@@ -51,7 +57,8 @@ class OuterDirt:
 
 
 SPECK_MM = 0.05, 0.25
-"""Radii of specks of dust: what settles from a room's air and is not wiped off (household dust ends at about half a millimetre)."""
+"""Radii of specks of dust: what settles from a room's air and is not wiped off (household dust ends at about half a
+millimetre)."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
 SEAM_WIDE_MM = 1.0
 
@@ -97,7 +104,10 @@ def outer_opacity(
 
 
 def near(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Return 1 where something is painted within a square that reaches so many texels to each side, round the wall's turn, else 0."""
+    """Return 1 where something is painted within a square about a texel, else 0.
+
+    The square reaches so many texels to each side, round the wall's turn.
+    """
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
@@ -158,7 +168,8 @@ def opacity_map(
     Returns
     -------
     opacity : (rows, columns) float32
-        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter of its radius.
+        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter of
+        its radius.
     """
     low_mm, high_mm = z_range_mm
     columns = max(8, round(2.0 * np.pi * radius_mm / mm_per_texel))

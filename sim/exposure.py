@@ -1,4 +1,7 @@
-"""From linear light to the camera's numbers: lens, photons, electrons, noise, clipping, converter, the camera's curve and colours."""
+"""From linear light to the camera's numbers.
+
+Lens, photons, electrons, noise, clipping, converter, the camera's curve and colours.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -11,7 +14,8 @@ from rhizotwin.scenes import transfer
 from rhizotwin.scenes.model import Camera, Disturbances
 
 DEFAULT_FULL_WELL_E = 8000.0
-"""Electrons at full scale where a profile has read noise but no photon noise (about that of the Pi HQ camera's pixels)."""
+"""Electrons at full scale where a profile has read noise but no photon noise (about that of the Pi HQ camera's
+pixels)."""
 MANY_E = 25.0
 """From so many electrons on their quantiles are an expansion."""
 
@@ -28,13 +32,15 @@ def expose(
     camera : Camera
         Its ``bits`` are the converter's depth, its ``transfer`` its curve.
     disturbances : Disturbances
-        What the camera does besides: noise, exposure, white balance, vignetting, the depth of the stored picture, another curve.
+        What the camera does besides: noise, exposure, white balance, vignetting, the depth of the stored picture,
+        another curve.
     rng : Generator
         The picture's own.
 
     Returns
     -------
-    (H, W), or (H, W, 3) RGB where the white balance wanders; uint8, or uint16 with the numbers left-aligned where they have over 8 bits.
+    (H, W), or (H, W, 3) RGB where the white balance wanders; uint8, or uint16 with the numbers left-aligned where they
+    have over 8 bits.
     """
     wrong = disturbances
     signal = np.maximum(light.astype(np.float64), 0.0)
@@ -72,11 +78,12 @@ def _falloff(shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
 def photons(mean: NDArray[np.float64], chance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Poisson numbers (H, W) of given means: the quantiles of normal chances (H, W), each pixel's own.
 
-    A generator's own Poisson numbers are drawn by rejection: one pixel that differs in its last bit then draws once more, and every pixel
-    after it gets other noise. Here a pixel that changes by little changes by at most one electron, and no other does.
+    A generator's own Poisson numbers are drawn by rejection: one pixel that differs in its last bit then draws once
+    more, and every pixel after it gets other noise. Here a pixel that changes by little changes by at most one
+    electron, and no other does.
 
-    Few photons are counted up to the quantile. From `MANY_E` on it is Cornish and Fisher's expansion (Abramowitz and Stegun 26.2.49),
-    whose skewness is m^-1/2 and excess m^-1: less than one pixel in a hundred is one electron off.
+    Few photons are counted up to the quantile. From `MANY_E` on it is Cornish and Fisher's expansion (Abramowitz and
+    Stegun 26.2.49), whose skewness is m^-1/2 and excess m^-1: less than one pixel in a hundred is one electron off.
     """
     root, z = np.sqrt(np.maximum(mean, MANY_E)), chance
     found: NDArray[np.float64] = mean + root * z + (z**2 - 1.0) / 6.0 + ((z**3 - 3.0 * z) / 24.0 - (2.0 * z**3 - 5.0 * z) / 36.0) / root

@@ -1,9 +1,10 @@
 """Growth of a root system from the field's parameters, inside the canister's water.
 
-The model is the architectural one of the field (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant and Soil
-332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and by chance, and bear laterals acropetally at random
-distances. All roots of one order grow together as arrays; every draw of a root comes from a generator seeded by the root's path
-(child numbers from the taproot on), so that no root depends on how many others there are.
+The model is the architectural one of the field (Pages et al. 2004, Plant and Soil 258:103; Leitner et al. 2010, Plant
+and Soil 332:177): roots elongate as L(t) = k (1 - exp(-r t / k)), bend by tropism and by chance, and bear laterals
+acropetally at random distances. All roots of one order grow together as arrays; every draw of a root comes from a
+generator seeded by the root's path (child numbers from the taproot on), so that no root depends on how many others
+there are.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ HEADING_FAN_DEG = 137.5
 HEADING_FAN_SD_DEG = 40.0
 """... and its standard deviation."""
 BASAL_KIND = 1_000_000
-"""Child numbers of a kind of basal roots begin at this times the kind's number, counted from 1: beyond those of all laterals."""
+"""Child numbers of a kind of basal roots begin at this times the kind's number, counted from 1: beyond those of all
+laterals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,16 +54,17 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
 
     Parameters
     ----------
-    specimen
+    specimen : GrownSpecimen
         Seed, age and the parameters of each order. Its ``volume_ml`` is not used here.
-    canister, net_pot
+    canister, net_pot : Canister or None, NetPot or None
         What confines the roots; None: the default rig.
 
     Returns
     -------
     list of Root
-        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, the diameters before
-        they are scaled to the plant's volume. Centrelines keep their radius and the margins away from wall, floor and grid.
+        Taproot first, parents before children, points in mm in the canister frame about `STEP_MM` apart, the diameters
+        before they are scaled to the plant's volume. Centrelines keep their radius and the margins away from wall,
+        floor and grid.
 
     Raises
     ------
@@ -143,7 +146,10 @@ def _factor(rng: np.random.Generator, sd: float) -> float:
 def _grow_order(
     buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array
 ) -> list[tuple[Root | None, float, float, float]]:
-    """Grow all buds of an order; each with its length, greatest length and elongation rate (None: too short to exist)."""
+    """Grow all buds of an order.
+
+    Each comes with its length, greatest length and elongation rate; None: too short to exist.
+    """
     if not buds:
         return []
     traits = np.empty((len(buds), 3))
@@ -215,7 +221,10 @@ def _centrelines(buds: list[_Bud], order: RootOrder, lengths_mm: Array, radii_mm
 
 
 def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list[_Bud]:
-    """Place the basal roots of a kind: evenly along their zone, round the taproot by the mean azimuth between laterals."""
+    """Place the basal roots of a kind.
+
+    Evenly along their zone, round the taproot by the mean azimuth between laterals.
+    """
     basal: BasalRoots = specimen.basal[kind]
     children: list[_Bud] = []
     for number in range(basal.count):

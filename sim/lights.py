@@ -17,7 +17,10 @@ from rhizotwin.sim.world import TrueCamera, World
 
 
 def lights(scene: Scene, world: World) -> dict[str, Any]:
-    """Return the two lights of a scene, for canister and rig in line; a panel seen directly has the radiance ``backlight_level``."""
+    """Return the two lights of a scene, for canister and rig in line.
+
+    A panel seen directly has the radiance ``backlight_level``.
+    """
     level = scene.lights.backlight_level
     radiance: Any = level
     if world.backlight is not None:
@@ -78,7 +81,10 @@ class Lamps:
         dr.make_opaque(self.canister_from_lamp, self.lamp_from_canister)
 
     def meet(self, ray: Any, t: Any) -> tuple[Any, Any]:
-        """Return which light rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance; their backs are black."""
+        """Return which light rays meet before ``t`` (1 the panel, 2 the front light, 0 none) and its radiance.
+
+        Their backs are black.
+        """
         lamp, glow = mi.UInt32(0), mi.Spectrum(0.0)
         for number, to_lamp in enumerate(self.lamp_from_canister):
             o, d = _times(to_lamp, ray.o, 1.0), _times(to_lamp, ray.d, 0.0)
@@ -143,9 +149,12 @@ def rig_from_front(lights: Lights) -> NDArray[np.float64]:
 
 
 def front_radiance(scene: Scene) -> float:
-    """Return the radiance of the front light that brings white paper on the strip, facing the camera, to ``front_level``.
+    """Return the radiance of the front light that brings the strip's white paper to ``front_level``.
 
-    Paper of reflectance rho sends out ``rho / pi * E``; E is the integral of ``L cos cos' / d^2`` over the light (by midpoints).
+    The paper faces the camera.
+
+    Paper of reflectance rho sends out ``rho / pi * E``; E is the integral of ``L cos cos' / d^2`` over the light (by
+    midpoints).
     """
     middle_mm = scene.strip.bottom_mm + ((scene.strip.rows - 1) * scene.strip.row_pitch_mm + scene.strip.marker_mm) / 2.0
     paper = np.array([scene.net_pot.outer_radius_mm, 0.0, middle_mm])

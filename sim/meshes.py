@@ -19,18 +19,19 @@ LEAST_MM = 0.5
 def load_solid(path: Path) -> tuple[manifold3d.Manifold, list[str]]:
     """Read a closed surface and return it as a solid, with notes on what was repaired.
 
-    Shells that overlap are united; shells inside others with faces turned inwards are cavities; a surface that is inside out as a
-    whole is turned, and said so.
+    Shells that overlap are united; shells inside others with faces turned inwards are cavities; a surface that is
+    inside out as a whole is turned, and said so.
 
     Parameters
     ----------
-    path
+    path : path
         PLY, STL or OBJ, in millimetres in the canister frame.
 
     Raises
     ------
     UserError
-        The file is missing, unreadable, empty, not closed (with the number of open edges), joined inconsistently, or flat.
+        The file is missing, unreadable, empty, not closed (with the number of open edges), joined inconsistently, or
+        flat.
     """
     vertices, faces = _read(path)
     if len(vertices) == 0 or len(faces) == 0:
@@ -83,7 +84,10 @@ def _single_edges(faces: NDArray[np.int32]) -> int:
 
 
 def _join(path: Path, vertices: Array, faces: Faces, notes: list[str]) -> tuple[Array, Faces]:
-    """Return the surface with every edge shared: as indexed in the file, or by equal coordinates (STL, seams of OBJ)."""
+    """Return the surface with every edge shared.
+
+    As indexed in the file, or by equal coordinates (STL, seams of OBJ).
+    """
     indexed = faces[_proper(faces)]
     if len(indexed) and open_edges(indexed) == 0 and manifold_of(vertices, indexed).status() == manifold3d.Error.NoError:
         return vertices, indexed

@@ -1,6 +1,7 @@
 """The rig as a Mitsuba scene, in the canister's frame and in millimetres: one surface for every optical interface.
 
-The canister stands still; camera and lights move round it, so that turning the table rebuilds nothing but two rectangles.
+The canister stands still; camera and lights move round it, so that turning the table rebuilds nothing but two
+rectangles.
 """
 
 from __future__ import annotations
@@ -48,16 +49,18 @@ def build(
 
     Parameters
     ----------
-    scene, world
+    scene, world : Scene, World
         The nominal rig and its drawn disturbances.
     solid : SpecimenSolid or None
         Closed surface in the canister's frame, mm; None for an empty canister.
     hairs : Sleeve or None
         What the specimen's hairs reach.
     lamps : bool
-        With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for all views.
+        With the two lights, which `sim.lights.place` puts where a view has them; without them it is the same scene for
+        all views.
     dirt_reach_mm : float or None
-        The outside is opaque this far about all dirt, so that rays at this distance from each other cannot miss any; None: dirt as it is.
+        The outside is opaque this far about all dirt, so that rays at this distance from each other cannot miss any;
+        None: dirt as it is.
     """
     water, wrong = _water_medium(scene), scene.disturbances
     items: dict[str, Any] = {"type": "scene"}
@@ -87,14 +90,17 @@ def build(
 
 
 def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None = None, *, slack_mm: float) -> mi.Scene | None:
-    """Return all that can hide between the corners of a pixel, or None where there is nothing: specimen, fibres and bubbles.
+    """Return all that can hide between the corners of a pixel, or None where there is nothing.
+
+    Specimen, fibres and bubbles.
 
     Parameters
     ----------
-    world, solid, hairs
+    world, solid, hairs : World, SpecimenSolid or None, Sleeve or None
         As for `build`.
     slack_mm : float
-        Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss one.
+        Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss
+        one.
     """
     items: dict[str, Any] = {"type": "scene"}
     for number, bubble in enumerate(world.bubbles):
@@ -110,7 +116,10 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
 
 
 def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> Room:
-    """Return the room in the canister that holds the fine things and a margin round them, as far as the canister reaches."""
+    """Return the room in the canister that holds the fine things and a margin round them.
+
+    It reaches no farther than the canister.
+    """
     points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
     points += [
         np.array([[bubble.x_mm, bubble.y_mm, bubble.z_mm + side]])
@@ -124,7 +133,10 @@ def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> R
 
 
 def _load_quietly(items: dict[str, Any]) -> mi.Scene:
-    """Load a scene without Mitsuba's warning that a leaning cylinder is not round: it sees the rounding of single precision."""
+    """Load a scene without Mitsuba's warning that a leaning cylinder is not round.
+
+    It sees the rounding of single precision.
+    """
     logger = mi.logger()
     level = logger.log_level()
     logger.set_log_level(mi.LogLevel.Error)

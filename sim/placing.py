@@ -1,4 +1,7 @@
-"""Where a specimen from a file stands in the water: as its file says, as it is told, or hung below the net pot's grid."""
+"""Where a specimen from a file stands in the water.
+
+As its file says, as it is told, or hung below the net pot's grid.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -16,7 +19,8 @@ Array = NDArray[np.float64]
 TOUCH_MM = 1e-6
 """A specimen may reach this far past wall, floor or surface: rounding."""
 FREE_MM = 0.5
-"""Water left free between a specimen that is hung and the grid, as between the grid and roots that grow (`GrownSpecimen`)."""
+"""Water left free between a specimen that is hung and the grid, as between the grid and roots that grow
+(`GrownSpecimen`)."""
 _UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 """Half a turn about x: lengths, volumes and handedness stay."""
 
@@ -46,7 +50,7 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
 
     Parameters
     ----------
-    specimen
+    specimen : PlacedFile
         What is told of it.
     points_mm : (N, 3) float64
         Its surface in the file's frame, in mm.
@@ -56,8 +60,9 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
     Returns
     -------
     Placing
-        With ``place = "auto"``: traced roots that lie flat (all z alike) stand up, with their y down; roots whose base is below their
-        middle are turned over. The highest point is `FREE_MM` below the grid; the smallest circle round it is about the axis.
+        With ``place = "auto"``: traced roots that lie flat (all z alike) stand up, with their y down; roots whose base
+        is below their middle are turned over. The highest point is `FREE_MM` below the grid; the smallest circle round
+        it is about the axis.
     """
     shift = np.array(specimen.shift_mm)
     turn = np.diag(_UPSIDE_DOWN) if specimen.flip else np.eye(3)
@@ -85,7 +90,10 @@ def hung(points_mm: Array, scene: Scene) -> Array:
 
 
 def fitting_scale(points_mm: Array, scene: Scene) -> float:
-    """Return by how much points (N, 3) may be enlarged, at most, to hang in the water below the grid; three digits, rounded down."""
+    """Return by how much points (N, 3) may be enlarged, at most, to hang in the water below the grid.
+
+    Three digits, rounded down.
+    """
     height_mm = scene.net_pot.grid_z_mm - FREE_MM - scene.canister.floor_z_mm
     most = min(scene.canister.inner_radius_mm / max(_circle(points_mm)[1], 1e-12), height_mm / max(float(np.ptp(points_mm[:, 2])), 1e-12))
     digit = 10.0 ** (np.floor(np.log10(most)) - 2)

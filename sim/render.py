@@ -1,7 +1,8 @@
 """Pictures of a world: one view at a time, the same whether it is rendered alone or in a set.
 
-Most pixels of a backlit picture are smooth. Rays through the corners of all pixels tell which; only where they went different ways, where
-light bends between them, on the marker strip, and round everything that could hide between them are all rays of a pixel traced.
+Most pixels of a backlit picture are smooth. Rays through the corners of all pixels tell which; only where they went
+different ways, where light bends between them, on the marker strip, and round everything that could hide between them
+are all rays of a pixel traced.
 """
 
 from __future__ import annotations
@@ -29,15 +30,16 @@ MAX_RAYS = 8_000_000
 MAX_PATHS = 32_000_000
 """The same for path tracing, whose kernels keep nothing but the picture."""
 DIRT_REACH_PX = 3.0
-"""Dirt this many pixels (of those on the farthest wall, blur added) from a ray is looked for: at the flanks, where the wall is seen
-at 70 degrees, a pixel spans three."""
+"""Dirt this many pixels (of those on the farthest wall, blur added) from a ray is looked for: at the flanks, where the
+wall is seen at 70 degrees, a pixel spans three."""
 MOST_BEND = 1e-3
-"""Second difference of light between pixels' corners, in full scale, up to which a pixel is smooth: the mean of four corners is off by a
-twelfth of it in each direction."""
+"""Second difference of light between pixels' corners, in full scale, up to which a pixel is smooth: the mean of four
+corners is off by a twelfth of it in each direction."""
 BETWEEN = ((0, 1), (1, 3), (2, 0), (3, 2))
 """Cells of a 4 x 4 lattice, one in each row and column, through which a pixel is searched for fine things."""
 ROOM_MARGIN_MM = 3.0
-"""Margin round the fine things, wider than a pixel: where one corner's ray runs through their room and the next does not, nothing is."""
+"""Margin round the fine things, wider than a pixel: where one corner's ray runs through their room and the next does
+not, nothing is."""
 SWAYS = 5.0
 """Standard deviations that a specimen sways at most."""
 _TRACING = 21  # key of the path tracer's random stream
@@ -46,7 +48,10 @@ Image = NDArray[np.float32]
 
 
 def checked_samples(fidelity: str, samples: int | None) -> int:
-    """Return the rays a pixel to use: ``samples``, or the fidelity's default for None; `UserError` where that cannot be."""
+    """Return the rays a pixel to use.
+
+    ``samples``, or the fidelity's default for None; `UserError` where that cannot be.
+    """
     if fidelity not in DEFAULT_SAMPLES:
         raise UserError(f"fidelity {fidelity!r} is unknown, use one of {', '.join(DEFAULT_SAMPLES)}")
     count = DEFAULT_SAMPLES[fidelity] if samples is None else samples
@@ -67,7 +72,8 @@ class Renderer:
     solid : SpecimenSolid or None
         The specimen; None renders the empty canister.
     fidelity : {"backlit", "path"}
-        ``backlit`` follows the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is Mitsuba's path tracer.
+        ``backlit`` follows the primary refracted path on a regular sub-pixel lattice, without noise; ``path`` is
+        Mitsuba's path tracer.
     samples : int or None
         Rays a pixel; a square number for ``backlit``. None: the default of the fidelity.
     """
@@ -162,7 +168,8 @@ class Renderer:
             tank.place(built, self.scene, camera.rig_from_canister, radius_mm=self.world.canister.outer_radius_mm)
         self.backlit.aim(self.targets[ring])
         image, coverage, mixed = self._smooth(eye)
-        self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))  # leaves on edge are finer than pixels
+        # leaves on edge are finer than pixels
+        self._refine(eye, image, coverage, mixed | (self.targets[ring] == optics.SHOOT))
         if self.fidelity == "path":
             lights.place(self.lit_scene, self.lights, camera)
             image = self._traced(eye, stream)
@@ -209,7 +216,10 @@ class Renderer:
         return _mean_of_corners(light), _mean_of_corners(coverage), mixed
 
     def _fine_things(self, fine: mi.Scene, way: Way) -> NDArray[np.uint8]:
-        """Count in each pixel (H, W) the rays between its corners that meet a fine thing, on ways blended from the corners' ways."""
+        """Count in each pixel (H, W) the rays between its corners that meet a fine thing.
+
+        Their ways are blended from the corners' ways.
+        """
         width, height = self.image_wh
         pixel = dr.arange(mi.UInt32, width * height)
         first = pixel // width * (width + 1) + pixel % width
@@ -251,12 +261,14 @@ class Renderer:
 
 
 def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cell of the lens (column, row; each side^2) through which each ray of a pixel's lattice goes, row by row.
+    """Return the cell of the lens through which each ray of a pixel's lattice goes, row by row.
 
-    Every cell is used once, so that the lens as a whole is centred, and the places in the pixel and on the lens form an orthogonal array of
-    strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so that defocus neither shifts nor sharpens
-    an edge.
-    Sides 2, 6, 8 ... have no such array as simple; there a trace of correlation is left.
+    Column and row, side^2 of each.
+
+    Every cell is used once, so that the lens as a whole is centred, and the places in the pixel and on the lens form an
+    orthogonal array of strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so that
+    defocus neither shifts nor sharpens an edge. Sides 2, 6, 8 ... have no such array as simple; there a trace of
+    correlation is left.
     """
     i, j = np.arange(side * side) % side, np.arange(side * side) // side
     if side == 4:  # i + a j and i + (a + 1) j in the field of four elements, where a j is:
@@ -266,7 +278,10 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _blur_px(scene: Scene) -> float:
-    """Return how far the lens spreads a point to each side at most: half the circle of confusion of the panel or of the near wall."""
+    """Return how far the lens spreads a point to each side at most.
+
+    Half the circle of confusion of the panel or of the near wall.
+    """
     wrong, half = scene.disturbances, 0.0
     for ring in scene.plan.rings:
         focus_mm = ring.distance_mm / np.cos(np.deg2rad(ring.tilt_deg)) + wrong.focus_error_mm

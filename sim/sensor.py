@@ -1,6 +1,7 @@
 """An OpenCV camera inside Mitsuba: lens distortion, OpenCV's pixel rule and axes, and a thin lens when wanted.
 
-Mitsuba's film says that pixel i covers [i, i+1]; OpenCV's pixel i covers [i-0.5, i+0.5]. This module is the one place where the two meet.
+Mitsuba's film says that pixel i covers [i, i+1]; OpenCV's pixel i covers [i-0.5, i+0.5]. This module is the one place
+where the two meet.
 """
 
 from __future__ import annotations
@@ -66,7 +67,10 @@ def sensor_dict(
 
 
 def set_pose(sensor: Any, cam_from_canister: frames.Array) -> None:
-    """Put a sensor where ``cam_from_canister`` (4x4, mm, OpenCV axes) says; the kernel is compiled once for all poses."""
+    """Put a sensor where ``cam_from_canister`` (4x4, mm, OpenCV axes) says.
+
+    The kernel is compiled once for all poses.
+    """
     sensor.set_pose(frames.invert(cam_from_canister))
 
 
@@ -97,7 +101,10 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
-        """Pinhole or thin lens with OpenCV distortion, or telecentric; +z looks forward, +x right, +y down in the image."""
+        """Pinhole or thin lens with OpenCV distortion, or telecentric.
+
+        +z looks forward, +x right, +y down in the image.
+        """
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)

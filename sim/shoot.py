@@ -14,7 +14,8 @@ from rhizotwin.sim import solids
 from rhizotwin.sim.solids import Array, Faces
 
 ALONG, ACROSS = 32, 12
-"""Cells of a blade along its midrib and from edge to edge: its area is within 0.2 % of that of 64 x 24 cells (tests/sim/test_shoot.py)."""
+"""Cells of a blade along its midrib and from edge to edge: its area is within 0.2 % of that of 64 x 24 cells
+(tests/sim/test_shoot.py)."""
 TIP_SHARE = 0.02
 """Width of a blade at its two ends, as a share of the widest: a point would have no thickness."""
 GAP_MM = 0.2

@@ -50,14 +50,15 @@ def simulate(
     Parameters
     ----------
     scene : Scene
-        With the disturbances to draw; the dataset gets the nominal scene without them, but with the lens's calibrated distortion.
+        With the disturbances to draw; the dataset gets the nominal scene without them, but with the lens's calibrated
+        distortion.
     folder : Path
         New, empty, or left by an interrupted run with the same settings, whose intact frames are kept.
     profile_name : str
         Written to the dataset as where the disturbances came from.
     seed : int
         Of all noise and errors; 0 is a seed.
-    fidelity, samples
+    fidelity, samples : Fidelity, int or None
         See `sim.render.Renderer`.
     monitor : Monitor, type of tqdm, callable or None
         Hears of every view, and may stop the work; what is finished stays and is taken up by the next run.
@@ -144,7 +145,10 @@ def _render_frames(
 
 
 def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the frames that an earlier run with the same settings finished, by name; refuse a folder that holds anything else."""
+    """Return the frames that an earlier run with the same settings finished, by name.
+
+    Refuse a folder that holds anything else.
+    """
     progress_path = folder / PROGRESS_FILE
     if progress_path.is_file():
         try:

@@ -1,4 +1,7 @@
-"""Roots as one watertight solid: tubes round the centrelines, united by manifold3d, with the exact volume of the result."""
+"""Roots as one watertight solid.
+
+Tubes round the centrelines, united by manifold3d, with the exact volume of the result.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,14 +18,16 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 SIDES = 24
-"""Sides of a tube: a prism of 24 with a circle's area is 0.3 % wider than the circle, one of 16 is 0.6 %, one of 8 is 2.7 %."""
+"""Sides of a tube: a prism of 24 with a circle's area is 0.3 % wider than the circle, one of 16 is 0.6 %, one of 8 is
+2.7 %."""
 SPLIT_TURN_RAD = 2.0
 """A tube that has turned this far goes on as a new one: united, it may then cross itself."""
 KINK_RAD = 0.6
 """A single bend beyond this, or inside the tube's own radius, is a joint of two tubes with round ends."""
 
 LEAST_MM = 1e-3
-"""Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can tell."""
+"""Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can
+tell."""
 
 
 def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces]:
@@ -33,9 +38,9 @@ def tube(points_mm: Array, radii_mm: Array, *, sides: int) -> tuple[Array, Faces
     points_mm : (N, 3) float64
         Centreline, N >= 2, neighbours apart.
     radii_mm : (N,) float64
-    sides
-        Corners of a cross-section. They lie outside the circle, so that the polygon's area is the circle's: the corner radius is
-        r sqrt(2 pi / (n sin(2 pi / n))).
+    sides : int
+        Corners of a cross-section. They lie outside the circle, so that the polygon's area is the circle's: the corner
+        radius is r sqrt(2 pi / (n sin(2 pi / n))).
 
     Returns
     -------
@@ -153,13 +158,13 @@ def scale_to_volume(
 
     Parameters
     ----------
-    roots
+    roots : sequence of Root
         Parents before children.
-    volume_mm3
+    volume_mm3 : float
         Volume of the union to reach.
-    tolerance
+    tolerance : float
         Relative; the union is exact, so this is all that is left.
-    rounds
+    rounds : int
         Unions to try before giving up.
 
     Returns

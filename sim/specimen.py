@@ -88,9 +88,9 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
 
     Parameters
     ----------
-    scene
+    scene : Scene
         Its specimen, and the canister, water and net pot that hold it.
-    folder
+    folder : path or None
         Where relative paths of specimen files start; None: the working directory.
 
     Returns

@@ -35,8 +35,9 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
     Returns
     -------
     reflectance : (rows, columns) float32
-        Row 0 at the net pot's top, column 0 at the seam, azimuth (counter-clockwise from above) growing with the column: seen from
-        outside the picture is not mirrored. Markers lie exactly where `scenes.plan.marker_corners` says.
+        Row 0 at the net pot's top, column 0 at the seam, azimuth (counter-clockwise from above) growing with the
+        column: seen from outside the picture is not mirrored. Markers lie exactly where `scenes.plan.marker_corners`
+        says.
     """
     around_mm = 2.0 * np.pi * net_pot.outer_radius_mm
     high_mm = net_pot.top_mm - net_pot.skirt_bottom_mm

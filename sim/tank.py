@@ -1,4 +1,7 @@
-"""The tank of liquid about the canister: four meshes that stand still in the rig while the canister, whose frame the scene has, turns."""
+"""The tank of liquid about the canister.
+
+Four meshes that stand still in the rig while the canister, whose frame the scene has, turns.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ def _opaque(tank: Tank, low_mm: float) -> tuple[Array, Faces]:
 
 
 def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
-    """Return the liquid's surface round the canister, whose outline on it is ``hole`` (N, 2), counter-clockwise from above."""
+    """Return the liquid's surface round the canister.
+
+    The canister's outline on it is ``hole`` (N, 2), counter-clockwise from above.
+    """
     x, y = tank.front_mm - tank.wall_mm, tank.half_width_mm - tank.wall_mm
     out = hole / np.maximum(np.abs(hole[:, :1]) / x, np.abs(hole[:, 1:]) / y)  # straight out from the axis to the walls
     corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])

@@ -94,8 +94,8 @@ def draw_world(scene: Scene, *, seed: int) -> World:
     Returns
     -------
     World
-        ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @ table(angle + error(k)) @ table_from_canister``;
-        the canister's offset is that of its rim's centre and it leans about that point.
+        ``cam_from_canister`` of view k is ``arm error(ring) @ commanded(k) @ table(angle + error(k)) @
+        table_from_canister``; the canister's offset is that of its rim's centre and it leans about that point.
     """
     wrong = scene.disturbances
     table_from_canister = _seat(wrong.canister_offset_mm, wrong.canister_tilt_deg, _rng(seed, _CANISTER))
@@ -138,7 +138,10 @@ def _sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
 
 
 def _highlight(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a soft upright streak, somewhere before the canister: a convex mirror shows a window as a line along its axis."""
+    """Return a soft upright streak, somewhere before the canister.
+
+    A convex mirror shows a window as a line along its axis.
+    """
     width, height = scene.camera.image_wh
     x, y = np.arange(width) / width, np.arange(height)[:, None] / height
     middle, below = rng.uniform(0.35, 0.65), rng.uniform(0.5, 0.8)
@@ -153,7 +156,10 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
 
 
 def as_given(scene: Scene) -> Scene:
-    """Return what the reconstruction may know: the nominal rig and the calibrated lens, not what stands in the canister."""
+    """Return what the reconstruction may know.
+
+    The nominal rig and the calibrated lens, not what stands in the canister.
+    """
     camera = replace(as_taken(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
     return replace(scene, description="", camera=camera, specimen=None, shoot=None, disturbances=Disturbances())
 

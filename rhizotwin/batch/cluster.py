@@ -1,6 +1,9 @@
-"""The same jobs on Dask: an existing scheduler, or one on a SLURM cluster. Workers need this program and see the same folders or addresses.
+"""The same jobs on Dask: an existing scheduler, or one on a SLURM cluster.
 
-Dask hands a job of a worker that vanished to another one by itself; a job that outlives several workers is given up with a sentence.
+Workers need this program and see the same folders or addresses.
+
+Dask hands a job of a worker that vanished to another one by itself; a job that outlives several workers is given up
+with a sentence.
 """
 
 from __future__ import annotations
@@ -26,8 +29,8 @@ WAIT_S = 30.0
 def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterator[Client]:
     """Connect to a scheduler (``tcp://host:8786``), or start one that asks SLURM for workers (``slurm``).
 
-    SLURM's queue, account and times are read from Dask's own configuration (``~/.config/dask/jobqueue.yaml``); memory is what the
-    largest job is predicted to need.
+    SLURM's queue, account and times are read from Dask's own configuration (``~/.config/dask/jobqueue.yaml``); memory
+    is what the largest job is predicted to need.
 
     Raises
     ------

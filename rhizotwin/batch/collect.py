@@ -21,8 +21,10 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
 
     Parameters
     ----------
-    scans : datasets, folders that hold some, patterns, addresses.
-    results : folder or address that holds the results.
+    scans : sequence of str
+        Datasets, folders that hold some, patterns, addresses.
+    results : str
+        Folder or address that holds the results.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""What is to be done: a job a scan or a rendering, known by everything that decides its outcome, and the record of what became of it."""
+"""What is to be done, and the record of what became of it.
+
+A job is a scan or a rendering, known by everything that decides its outcome.
+"""
 
 import hashlib
 import json
@@ -21,8 +24,9 @@ HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json
 BASE_MIB, MIB_PER_MPX = 700.0, 120.0
 """Peak memory of a reconstruction: of the process with its libraries, and for each million pixels of all pictures.
 
-An upper bound over the accuracy ladder: 18 plants of 38.4 million pixels (two rings of 40 views, 800x600) took up to 4953 MiB, prints of
-19.2 million pixels 1336 MiB. Voxels below the default 0.27 mm are not told by it: 0.07 mm took twice as much.
+An upper bound over the accuracy ladder: 18 plants of 38.4 million pixels (two rings of 40 views, 800x600) took up to
+4953 MiB, prints of 19.2 million pixels 1336 MiB. Voxels below the default 0.27 mm are not told by it: 0.07 mm took
+twice as much.
 """
 RENDER_MIB = 1000.0
 """Of a rendering: 414 MiB at 800x600, and the solid of the largest library plant."""

@@ -1,4 +1,7 @@
-"""Jobs in processes of this computer: as many at once as memory allows; one that dies loses its job, which is done again."""
+"""Jobs in processes of this computer.
+
+As many at once as memory allows; one that dies loses its job, which is done again.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +42,10 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
 
     Parameters
     ----------
-    workers : most at once; None: one a processor.
-    memory_mib : what all together may take; None: what is free. A job that needs more than that runs alone.
+    workers : int or None
+        Most at once; None: one a processor.
+    memory_mib : float or None
+        What all together may take; None: what is free. A job that needs more than that runs alone.
     """
     most = workers or threads()
     allowed = memory_mib or available_mib() * (1.0 - LEFT_FREE)

@@ -36,8 +36,10 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
     Parameters
     ----------
-    done : whose results lie in the folder, by their names.
-    failed : with the sentence that says why.
+    done : sequence of Job
+        Whose results lie in the folder, by their names.
+    failed : sequence of tuple of Job, str
+        With the sentence that says why.
     """
     rows = []
     broken = list(failed)

@@ -34,9 +34,12 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
 
     Parameters
     ----------
-    folder : holds the outputs; two batches cannot work in it at once.
-    cluster : a Dask scheduler's address, or slurm; None: processes of this computer.
-    workers : most jobs at once.
+    folder : str
+        Holds the outputs; two batches cannot work in it at once.
+    cluster : str or None
+        A Dask scheduler's address, or slurm; None: processes of this computer.
+    workers : int or None
+        Most jobs at once.
 
     Raises
     ------

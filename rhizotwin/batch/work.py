@@ -27,8 +27,10 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 
     Parameters
     ----------
-    plain : as `Job.plain` gives it.
-    threads : processors that it may use; None: all.
+    plain : dict of object
+        As `Job.plain` gives it.
+    threads : int or None
+        Processors that it may use; None: all.
     """
     job = Job(**plain)
     begin = time.perf_counter()

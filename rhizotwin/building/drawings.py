@@ -49,7 +49,10 @@ class _View:
 
 
 def part_page(part: Part, *, title: str) -> Page:
-    """Return a drawing of a part: from the front, the right, above and a corner, with its dimensions and the table of its numbers."""
+    """Return a drawing of a part.
+
+    From the front, the right, above and a corner, with its dimensions and the table of its numbers.
+    """
     drawn = {side.name: draw(part.solid, side) for side in (FRONT, RIGHT, TOP, CORNER)}
     cell = (np.array(PAGE_MM) - [TABLE_WIDE_MM + MARGIN_MM, 2.0 * MARGIN_MM]) / 2.0
     largest = np.max([one.size_mm for one in drawn.values()], axis=0)
@@ -98,7 +101,10 @@ def _length(dimension: Dimension) -> float:
 
 
 def _way(dimension: Dimension, side: Side) -> str | None:
-    """Return how a dimension lies in a view; each is drawn once, in the first view of front, right and above that shows its length."""
+    """Return how a dimension lies in a view.
+
+    Each is drawn once, in the first view of front, right and above that shows its length.
+    """
     for one in (FRONT, RIGHT, TOP):
         along = one.axes @ np.subtract(dimension.to_mm, dimension.from_mm)
         way = {0: "across", 1: "up"}.get(int(np.argmax(np.abs(along))))
@@ -242,7 +248,10 @@ def exploded_page(parts: Sequence[Part], bought: Sequence[Bought], *, title: str
 
 
 def _middle(solid: Manifold) -> Array:
-    """Return a corner of a solid in the middle of those that look to the eye, so that a line to it ends on the thing."""
+    """Return a corner of a solid in the middle of those that look to the eye.
+
+    A line to it ends on the thing.
+    """
     vertices, _ = surface(solid)
     view = vertices @ CORNER.axes.T
     front = view[:, 2] > np.median(view[:, 2])

@@ -13,7 +13,8 @@ from rhizotwin.recon.results.shading import Side, rasterise
 from rhizotwin.scenes.frames import Array
 
 SHARP_DEG = 25.0
-"""Edges whose faces meet at a larger angle are drawn; round walls of 240 sides bend by 1.5 degrees from face to face."""
+"""Edges whose faces meet at a larger angle are drawn; round walls of 240 sides bend by 1.5 degrees from face to
+face."""
 PIXELS = 700
 """Of the depth picture that tells what is hidden, along its longer side."""
 NEAR_PX = 2.5
@@ -53,8 +54,8 @@ def draw(solid: Manifold, side: Side) -> Drawn:
 
     Notes
     -----
-    An edge is drawn where its faces meet sharply, or where one looks to the eye and the other away. It is cut into pieces of a pixel of a
-    depth picture, and those that lie behind it are left out.
+    An edge is drawn where its faces meet sharply, or where one looks to the eye and the other away. It is cut into
+    pieces of a pixel of a depth picture, and those that lie behind it are left out.
     """
     vertices, faces = surface(solid)
     view = vertices @ side.axes.T
@@ -105,7 +106,10 @@ def _seen(points: Array, depth: Array, box: tuple[float, float, float, float], p
 
 
 def _runs(points: Array, edge: NDArray[np.int64], seen: NDArray[np.bool_]) -> list[Array]:
-    """Return the ends (2, 2) of the stretches of straight edges that are seen; ``edge`` (N,) numbers that of each point."""
+    """Return the ends (2, 2) of the stretches of straight edges that are seen.
+
+    ``edge`` (N,) numbers that of each point.
+    """
     same = np.concatenate([[False], (edge[1:] == edge[:-1]) & seen[1:] & seen[:-1], [False]])
     change = np.flatnonzero(np.diff(same.astype(np.int8)))
     return [points[[start, stop], :2] for start, stop in zip(change[0::2], change[1::2], strict=True)]

@@ -1,4 +1,7 @@
-"""What is bought and what the printer makes of a gap: numbers that a scene does not hold, and that every printed part hangs on."""
+"""What is bought and what the printer makes of a gap.
+
+Numbers that a scene does not hold, and that every printed part hangs on.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +18,8 @@ class Measures:
     paper_mm: float = bounded(0.1, 0.0, 2.0)
     """Thickness of the strip's paper, as in `rhizotwin markers --paper-mm`."""
     fit_mm: float = bounded(0.3, 0.05, 2.0)
-    """Gap on each side between a printed part and what it goes round or into; half of it where two printed parts only must not bind."""
+    """Gap on each side between a printed part and what it goes round or into; half of it where two printed parts only
+    must not bind."""
     wall_mm: float = bounded(2.4, 0.8, 20.0)
     """Thickness of the net pot's walls, where the scene leaves the choice: six lines of a 0.4 mm nozzle."""
     mesh_opening_mm: float = bounded(6.0, 0.5, 50.0)
@@ -49,7 +53,8 @@ class Measures:
     camera_board_mm: float = bounded(38.0, 15.0, 120.0)
     """Side of the camera's board."""
     camera_centre_mm: float = bounded(18.0, 0.0, 200.0)
-    """From the back of the camera's board to the lens's centre of projection: about the C-mount's 17.5 until it is calibrated."""
+    """From the back of the camera's board to the lens's centre of projection: about the C-mount's 17.5 until it is
+    calibrated."""
     roll_face_mm: float = bounded(55.0, 5.0, 300.0)
     """From the arm's wrist pitch axis to the horn of its roll servo (xArm: 53 to 55 in published models)."""
     horn_holes_mm: tuple[float, float] = bounded((12.0, 20.0), 2.0, 100.0)
@@ -61,7 +66,8 @@ class Measures:
     diffuser_mm: float = bounded(3.0, 0.1, 20.0)
     """Thickness of the opal diffuser."""
     diffuser_gap_mm: float = bounded(50.0, 5.0, 200.0)
-    """From the LEDs' board to the diffuser: LEDs 17 mm apart are even to a few per cent from three times their distance."""
+    """From the LEDs' board to the diffuser: LEDs 17 mm apart are even to a few per cent from three times their
+    distance."""
     stand_board_mm: float = bounded(4.0, 1.0, 30.0)
     """Thickness of what the calibration board is glued on."""
 

@@ -37,7 +37,9 @@ STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
 
 
 def camera_bracket(scene: Scene, arm: ArmPart, measures: Measures) -> Part:
-    """Return the plate on the arm's roll servo with four posts for the camera's board; the horn is at z = 0, the lens looks along +z.
+    """Return the plate on the arm's roll servo with four posts for the camera's board.
+
+    The horn is at z = 0, the lens looks along +z.
 
     Raises
     ------
@@ -212,12 +214,18 @@ def _bar_x_mm(scene: Scene, measures: Measures) -> float:
 
 
 def _bar_beyond_mm() -> float:
-    """Return how far the profile's middle is beyond the panel's edge: where the middle of the holder's two screws is."""
+    """Return how far the profile's middle is beyond the panel's edge.
+
+    Where the middle of the holder's two screws is.
+    """
     return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
 
 
 def panel_holder(scene: Scene, measures: Measures) -> Part:
-    """Return the channel that holds LED board and diffuser at one edge of the panel; its back at x = 0, the edge's floor at y = 0."""
+    """Return the channel that holds LED board and diffuser at one edge of the panel.
+
+    Its back at x = 0, the edge's floor at y = 0.
+    """
     fit, wall, deep = measures.fit_mm, HOLDER_WALL_MM, HOLDER_DEEP_MM
     board = (wall, wall + measures.panel_board_mm + fit)
     bright = board[1] + measures.diffuser_gap_mm
@@ -260,7 +268,9 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
 
 
 def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm: float) -> Part:
-    """Return a leg of the calibration board's stand: it brings the board's middle to the height of the first ring's camera.
+    """Return a leg of the calibration board's stand.
+
+    It brings the board's middle to the height of the first ring's camera.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""A printed part: its solid as it is used, how it lies on the printer's bed, where it stands on the rig, and whether it can be printed."""
+"""A printed part, and whether it can be printed.
+
+It has its solid as it is used, how it lies on the printer's bed, and where it stands on the rig.
+"""
 
 from dataclasses import dataclass, field
 
@@ -79,7 +82,10 @@ def surface(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
 
 
 def overhang_mm2(part: Part) -> float:
-    """Return the area that leans out further than `OVERHANG_DEG` as the part is printed; what lies on the bed does not count."""
+    """Return the area that leans out further than `OVERHANG_DEG` as the part is printed.
+
+    What lies on the bed does not count.
+    """
     vertices, faces = surface(part.printed)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.cross(b - a, c - a) / 2.0

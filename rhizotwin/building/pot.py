@@ -1,7 +1,7 @@
 """The net pot with its grid, and the ring that keeps the canister in the table's middle.
 
-The canister's frame: the rim lies at z = 0. The pot sits on the rim; its skirt goes over the canister and carries the strip, its insert
-goes into it and carries the grid.
+The canister's frame: the rim lies at z = 0. The pot sits on the rim; its skirt goes over the canister and carries the
+strip, its insert goes into it and carries the grid.
 """
 
 import numpy as np
@@ -103,7 +103,10 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
 
 
 def net_pot_grid(scene: Scene, measures: Measures) -> Part:
-    """Return the grid: a disc that is dropped into the pot and rests on its cone, underside at the scene's ``grid_z_mm``."""
+    """Return the grid: a disc that is dropped into the pot and rests on its cone.
+
+    Its underside is at the scene's ``grid_z_mm``.
+    """
     low = scene.canister.inner_radius_mm - measures.fit_mm - measures.wall_mm - SEAT_MM
     z = scene.net_pot.grid_z_mm
     disc = turned([(0.0, z), (low, z), (low + GRID_MM, z + GRID_MM), (0.0, z + GRID_MM)])
@@ -143,7 +146,10 @@ def ring_screws_mm(scene: Scene, measures: Measures) -> list[tuple[float, float]
 
 
 def canister_ring(scene: Scene, measures: Measures) -> Part:
-    """Return the ring that keeps the canister on the table's axis; it is as high as the canister's base, so that it hides no water."""
+    """Return the ring that keeps the canister on the table's axis.
+
+    It is as high as the canister's base, so that it hides no water.
+    """
     can = scene.canister
     inner, outer = can.outer_radius_mm + measures.fit_mm, ring_outer_radius_mm(scene, measures)
     outline = circle(outer) - circle(inner / np.cos(np.pi / SIDES)) - union(hole(M3_MM, at) for at in ring_screws_mm(scene, measures))

@@ -124,7 +124,10 @@ def _bar(measures: Measures, long_mm: float, at_mm: tuple[float, float, float]) 
 
 
 def collisions(parts: Sequence[Part], bought: Sequence[Bought], *, least_mm3: float = 1e-2) -> list[tuple[str, str, float]]:
-    """Return the pairs of things that fill the same room on the rig, and how much of it, mm3; parts that touch do not."""
+    """Return the pairs of things that fill the same room on the rig, and how much of it, mm3.
+
+    Parts that touch do not.
+    """
     things = [(part.name, solid) for part in parts for solid in part.placed()] + [(one.name, one.solid) for one in bought]
     found = []
     for i, (name, solid) in enumerate(things):

@@ -44,7 +44,10 @@ def slot(diameter: float, start: tuple[float, float], end: tuple[float, float]) 
 
 
 def teardrop(diameter: float, at: tuple[float, float] = (0.0, 0.0)) -> CrossSection:
-    """Return a hole that lies across the layers: a circle with a roof of 45 degrees towards +y, which needs no support."""
+    """Return a hole that lies across the layers.
+
+    A circle with a roof of 45 degrees towards +y, which needs no support.
+    """
     radius = diameter / 2.0
     return CrossSection.batch_hull([circle(radius, sides=32), polygon([(-0.1, 0.0), (0.1, 0.0), (0.0, np.sqrt(2.0) * radius)])]).translate(
         at

@@ -1,7 +1,8 @@
 """The turntable: a plate with a ring gear on loose balls, its base, its feet on the frame, and the motor's pinion.
 
-The plate's top is the canister's underside. A bolt through the plate's middle runs in a ball bearing in the base and keeps it centred; the
-balls carry the weight. The motor hangs below the base, beside the plate, out of the camera's sight.
+The plate's top is the canister's underside. A bolt through the plate's middle runs in a ball bearing in the base and
+keeps it centred; the balls carry the weight. The motor hangs below the base, beside the plate, out of the camera's
+sight.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,8 @@
 """The commands: a module each, with a plain typed function of its name whose numpydoc docstring is its ``--help``.
 
-To add one, write the function in a module of its name and add a line to `COMMANDS`. The module is loaded only when its command is
-typed; what takes time to load (Mitsuba, SciPy, ...) is imported inside the function, so that ``--help`` stays quick.
+To add one, write the function in a module of its name and add a line to `COMMANDS`. The module is loaded only when its
+command is typed; what takes time to load (Mitsuba, SciPy, ...) is imported inside the function, so that ``--help``
+stays quick.
 """
 
 COMMANDS = {
@@ -11,7 +12,7 @@ COMMANDS = {
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
     "batch": "Reconstruct many scans, here or on a cluster.",
     "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
-    "score": "Compare a result with the truth: of a simulated dataset, of the part that was scanned, or a volume that was measured.",
+    "score": "Compare a result with the truth of a simulated dataset, a scanned part, or a measured volume.",
     "view": "Look at results in a browser, and correct them.",
     "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",
@@ -39,7 +40,8 @@ COMMANDS = {
     "rig example": "Write a complete rig file with comments, to be changed.",
     "camera": "Serve this computer's camera to another one.",
 }
-"""Each command and the first line of its help. ``a b`` is the function ``b`` of the module ``a``; ``a`` alone is ``a`` of ``a``."""
+"""Each command and the first line of its help. ``a b`` is the function ``b`` of the module ``a``; ``a`` alone is ``a``
+of ``a``."""
 
 GROUPS = frozenset(name.partition(" ")[0] for name in COMMANDS if " " in name)
 """Commands that hold others; their help is their module's docstring."""
@@ -49,7 +51,10 @@ ALONE = frozenset({"batch"})
 
 
 def place(name: str) -> str:
-    """Return where a command's function is, as ``module:function``; a word of Python gets an underscore: ``import_``."""
+    """Return where a command's function is, as ``module:function``; a word of Python gets an underscore.
+
+    So ``import`` is ``import_``.
+    """
     module, _, function = name.partition(" ")
     module, function = (f"{word}_" if word == "import" else word for word in (module, function or module))
     return f"{__name__}.{module}:{function}"

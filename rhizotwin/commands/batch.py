@@ -35,9 +35,9 @@ def batch(
 ) -> None:
     """Reconstruct many scans, here or on a cluster.
 
-    Every dataset that is found is reconstructed into a folder of its name. What is finished (same dataset, settings, code) is kept, so
-    that the same command goes on after Ctrl-C or a power cut. A scan that fails is told at the end, with its sentence. At the end there
-    are traits.csv and overview.html, a row and a picture for each scan.
+    Every dataset that is found is reconstructed into a folder of its name. What is finished (same dataset, settings,
+    code) is kept, so that the same command goes on after Ctrl-C or a power cut. A scan that fails is told at the end,
+    with its sentence. At the end there are traits.csv and overview.html, a row and a picture for each scan.
 
     Parameters
     ----------
@@ -92,8 +92,9 @@ def simulate(
 ) -> None:
     """Render many scenes: plants, days, treatments, profiles and seeds.
 
-    Each scene is rendered into a dataset of its name. A grown plant can have sisters of other seeds, other days (the older one holds the
-    younger), and treatments under which its roots grow by a factor faster and longer; the datasets say which is which.
+    Each scene is rendered into a dataset of its name. A grown plant can have sisters of other seeds, other days (the
+    older one holds the younger), and treatments under which its roots grow by a factor faster and longer; the datasets
+    say which is which.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ Results = Annotated[list[Path], named("RESULTS")]
 def tables(*, output: OutputFolder) -> None:
     """Write the thesis's tables of masses and volumes.
 
-    Masses of eighteen radishes, fresh and dry, root and shoot (table A.1), and the volumes that the thesis found for them (table 4.1), as
-    CSV with their source: examples of what 'biomass fit' reads.
+    Masses of eighteen radishes, fresh and dry, root and shoot (table A.1), and the volumes that the thesis found for
+    them (table 4.1), as CSV with their source: examples of what 'biomass fit' reads.
 
     Parameters
     ----------
@@ -51,15 +51,16 @@ def fit(
 ) -> None:
     """Fit masses to volumes and other traits, with errors on both sides.
 
-    Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, in proportion and as a power. What
-    predicts a plant best that was left out is kept; its 90 % interval comes of the volume's interval, the balance, and how much plants
-    differ. Results without a trusted volume are left out.
+    Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, in proportion
+    and as a power. What predicts a plant best that was left out is kept; its 90 % interval comes of the volume's
+    interval, the balance, and how much plants differ. Results without a trusted volume are left out.
 
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv); the last is the table of masses (.csv): columns plant, where wanted day,
-        and root_fresh_g, root_dry_g, shoot_fresh_g, shoot_dry_g; with root_foil_g and root_foil_scraped_g what stuck to the foil is added.
+        Results, folders of results, or tables of traits (.csv); the last is the table of masses (.csv): columns plant,
+        where wanted day, and root_fresh_g, root_dry_g, shoot_fresh_g, shoot_dry_g; with root_foil_g and
+        root_foil_scraped_g what stuck to the foil is added.
     output : Path
         Model to write (JSON); must not exist yet.
     balance_g : float

@@ -1,7 +1,7 @@
 """Print a calibration board, and find the camera's lens from pictures of it.
 
-Three steps: print the board, take about 20 pictures of it, and fit the lens to them. 'simulate' renders such pictures with a scene's
-camera, to try it out.
+Three steps: print the board, take about 20 pictures of it, and fit the lens to them. 'simulate' renders such pictures
+with a scene's camera, to try it out.
 
 Examples
 --------
@@ -36,8 +36,8 @@ def read_pictures(text: str) -> int:
 def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: BoardOptions = BoardOptions()) -> None:
     """Write the calibration board for the printer, at true scale.
 
-    A ChArUco board is written as one PDF or SVG page, with a ruler to check the printer by, and beside it, under the same name, a board
-    file (.toml) that tells 'calibrate camera' what was printed.
+    A ChArUco board is written as one PDF or SVG page, with a ruler to check the printer by, and beside it, under the
+    same name, a board file (.toml) that tells 'calibrate camera' what was printed.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def camera(
 ) -> None:
     """Fit the lens to pictures of the calibration board.
 
-    Find focal length, principal point and distortion from pictures of the board, all taken at the focus of the scan. Pictures that cannot
-    be used are named with the reason. Writes camera.toml (a [camera] section for scene files), calibration.json (every number) and
-    report.html (residuals, coverage, each picture).
+    Find focal length, principal point and distortion from pictures of the board, all taken at the focus of the scan.
+    Pictures that cannot be used are named with the reason. Writes camera.toml (a [camera] section for scene files),
+    calibration.json (every number) and report.html (residuals, coverage, each picture).
 
     Parameters
     ----------
@@ -92,7 +92,8 @@ def camera(
     output : Path
         Folder to write to: new or empty.
     board : Path, optional
-        Board file that was written with the board; default: board.toml in PICTURES if it is there, else the sizes below.
+        Board file that was written with the board; default: board.toml in PICTURES if it is there, else the sizes
+        below.
     drawn : BoardOptions
         The board, where there is no file of it.
     scene : str, optional
@@ -145,8 +146,9 @@ def transfer(
 ) -> None:
     """Measure the camera's curve from light to numbers, from a series of exposures.
 
-    Take five pictures or more of one still scene that holds every grey, such as the lit panel with the canister before it, from much too
-    dark to much too bright; change the exposure time only. The file that is written goes into the scene's [camera].
+    Take five pictures or more of one still scene that holds every grey, such as the lit panel with the canister before
+    it, from much too dark to much too bright; change the exposure time only. The file that is written goes into the
+    scene's [camera].
 
     Parameters
     ----------
@@ -193,8 +195,8 @@ def simulate(
 ) -> None:
     """Render pictures of the calibration board with a scene's camera.
 
-    The board is rendered before the scene's camera at its working distance, with the lens distortion, blur and noise of a profile. The true
-    lens is in truth/camera.json, board.toml beside the pictures.
+    The board is rendered before the scene's camera at its working distance, with the lens distortion, blur and noise of
+    a profile. The true lens is in truth/camera.json, board.toml beside the pictures.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ def camera(
 ) -> None:
     """Serve this computer's camera to another one.
 
-    Serve the camera of a rig file over HTTP, for a computer whose rig file has kind = "http" in its [camera] section. Only this computer
-    can connect unless --host says otherwise; there is no password. Ctrl-C ends it.
+    Serve the camera of a rig file over HTTP, for a computer whose rig file has kind = "http" in its [camera] section.
+    Only this computer can connect unless --host says otherwise; there is no password. Ctrl-C ends it.
 
     Parameters
     ----------

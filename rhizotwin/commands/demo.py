@@ -11,7 +11,8 @@ def demo(
 ) -> None:
     """Take all three steps on a small printed root: a few minutes.
 
-    Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was found.
+    Simulate a small printed root, reconstruct it from the pictures alone, score it, and make pictures of what was
+    found.
 
     Parameters
     ----------

@@ -18,8 +18,9 @@ def edit(
 ) -> None:
     """Apply saved corrections to a result, without a browser.
 
-    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again, and write the corrected result to another folder. Volume,
-    length, traits and files are measured again; the interval keeps its width relative to the volume. The result itself stays as it is.
+    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again, and write the corrected result to
+    another folder. Volume, length, traits and files are measured again; the interval keeps its width relative to the
+    volume. The result itself stays as it is.
 
     Parameters
     ----------

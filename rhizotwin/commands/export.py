@@ -25,11 +25,12 @@ def export(
       .json       the cameras as nerfstudio's transforms.json, mm
       no suffix   a folder with the cameras as COLMAP's text model, mm
 
-    With --roots a mesh is the roots as tubes, coloured by order or diameter, instead of the surface; STL has no colours.
+    With --roots a mesh is the roots as tubes, coloured by order or diameter, instead of the surface; STL has no
+    colours.
 
-    Cameras are those in air, and the pictures were taken through a round wall and water, which magnify the roots by about a third and bend
-    them. Programs that follow straight rays (photogrammetry, NeRF, Gaussian splatting) get wrong shapes of the roots from them, whatever
-    the lens model; they are right for what is outside the canister.
+    Cameras are those in air, and the pictures were taken through a round wall and water, which magnify the roots by
+    about a third and bend them. Programs that follow straight rays (photogrammetry, NeRF, Gaussian splatting) get wrong
+    shapes of the roots from them, whatever the lens model; they are right for what is outside the canister.
 
     Parameters
     ----------

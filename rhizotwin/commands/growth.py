@@ -9,9 +9,10 @@ from rhizotwin.arguments import OutputFolder, named
 def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: OutputFolder) -> None:
     """Follow plants and their roots over days, and compare treatments.
 
-    Results of one plant on several days are laid on each other, and every root gets an identity through time: when it came, how fast it
-    grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and treatments are compared by a linear
-    mixed model. The datasets must say plant and day, and the treatment where there are several.
+    Results of one plant on several days are laid on each other, and every root gets an identity through time: when it
+    came, how fast it grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and
+    treatments are compared by a linear mixed model. The datasets must say plant and day, and the treatment where there
+    are several.
 
     Parameters
     ----------

@@ -21,8 +21,9 @@ def import_(
 ) -> None:
     """Make a dataset of a folder of pictures taken elsewhere.
 
-    The pictures are PNG, JPG or TIFF, of one size, in the natural order of their names. The scene describes the rig they were taken on:
-    canister, water, strip, camera. If the scene's plan has as many views as there are pictures, its table angles are assumed.
+    The pictures are PNG, JPG or TIFF, of one size, in the natural order of their names. The scene describes the rig
+    they were taken on: canister, water, strip, camera. If the scene's plan has as many views as there are pictures, its
+    table angles are assumed.
 
     Parameters
     ----------
@@ -33,12 +34,14 @@ def import_(
     output : Path
         Folder to make the dataset in: new or empty.
     cameras : Path, optional
-        Poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: no markers are needed then.
+        Poses and lens in nerfstudio's form (transforms.json), its world the canister frame in millimetres: no markers
+        are needed then.
     masks : bool
         The pictures are silhouettes already: white root on black; needs --cameras, they show no markers.
     no_strip : bool
-        There is no marker strip: 'reconstruct' finds the cameras by the canister's edges and the roots. For a telecentric camera
-        (camera.kind in the scene) and one turn; the scene's canister.outer_radius_mm gives the scale.
+        There is no marker strip: 'reconstruct' finds the cameras by the canister's edges and the roots. For a
+        telecentric camera (camera.kind in the scene) and one turn; the scene's canister.outer_radius_mm gives the
+        scale.
     subject : SubjectOptions
         Whose roots they are.
     progress : Progress

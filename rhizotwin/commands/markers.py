@@ -24,8 +24,8 @@ def markers(
 ) -> None:
     """Write the marker strip of a scene for the printer, at true scale.
 
-    The strip is written as PDF or SVG pages, with cut marks, glue tabs and a ruler to check the printer by. Several SVG pages become
-    strip-1.svg, strip-2.svg, ...
+    The strip is written as PDF or SVG pages, with cut marks, glue tabs and a ruler to check the printer by. Several SVG
+    pages become strip-1.svg, strip-2.svg, ...
 
     Parameters
     ----------

@@ -28,11 +28,12 @@ def parts(
 ) -> None:
     """Write the parts of a scene's rig for a 3D printer.
 
-    Net pot with grid, canister ring, turntable with ring gear and pinion, feet, camera bracket, arm mount, clips and holders of the
-    panel, and the calibration board's stand, all from the scene's own numbers, so that they fit its canister and strip.
+    Net pot with grid, canister ring, turntable with ring gear and pinion, feet, camera bracket, arm mount, clips and
+    holders of the panel, and the calibration board's stand, all from the scene's own numbers, so that they fit its
+    canister and strip.
 
       NAME.stl                       watertight, mm, as it lies on the printer's bed
-      drawings/NAME.svg              three views with dimensions; rig.svg and exploded.svg of the whole, wiring_*.svg of the electronics
+      drawings/NAME.svg              three views with dimensions; also rig.svg, exploded.svg and wiring_*.svg
       parameters.csv, .json          every number, and where it comes from
 
     Nothing has been printed from these files yet: print the net pot and the canister ring first, and try them.

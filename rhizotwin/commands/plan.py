@@ -45,9 +45,9 @@ class Grid:
     views: Annotated[tuple[int, ...], option(list_of(read_views), "N,N,...")] = (20, 40, 41)
     """Views in a ring to try."""
     heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "=MM[:DEG],...")] = ()
-    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon; without one it looks \
-where the scene's first ring looks; once for each set of rings to try; default: the scene's first ring, and it with a second one 52 mm \
-higher."""
+    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon; \
+without one it looks where the scene's first ring looks; once for each set of rings to try; default: the scene's first \
+ring, and it with a second one 52 mm higher."""
     image_wh: Annotated[tuple[tuple[int, int], ...] | None, option(list_of(read_image_wh), "WxH,WxH,...")] = None
     """Picture sizes to try; default: the scene's."""
 
@@ -66,11 +66,12 @@ def plan(
 ) -> None:
     """Try capture plans on the twin before building or scanning.
 
-    What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels? Simulate, reconstruct
-    and score a scene with every combination of the given numbers of views, camera heights and picture sizes, and say what each reaches: a
-    table, plan.csv, plan.json and a figure, plan.png, and the cheapest plan that is good enough. A stopped run is taken up by the same
-    command, and one with more views or heights adds to it. On two cores a run takes one to two minutes for 40 pictures of 800x600 of a
-    small plant, and up to five for a large one: begin with few views and small pictures.
+    What a lab asks before it builds: how many views, odd or even, how many rings at which heights, how many pixels?
+    Simulate, reconstruct and score a scene with every combination of the given numbers of views, camera heights and
+    picture sizes, and say what each reaches: a table, plan.csv, plan.json and a figure, plan.png, and the cheapest plan
+    that is good enough. A stopped run is taken up by the same command, and one with more views or heights adds to it.
+    On two cores a run takes one to two minutes for 40 pictures of 800x600 of a small plant, and up to five for a large
+    one: begin with few views and small pictures.
 
     Parameters
     ----------

@@ -35,8 +35,8 @@ def reconstruct(
 ) -> None:
     """Find the root's shape and volume in a dataset's pictures.
 
-    Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from both. The truth of a
-    simulated dataset is only drawn beside the result, never used.
+    Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from
+    both. The truth of a simulated dataset is only drawn beside the result, never used.
 
     Parameters
     ----------

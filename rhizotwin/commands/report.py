@@ -17,9 +17,9 @@ def report(
 ) -> None:
     """Write the page of a result again, or one page for many results.
 
-    The page is one file with everything inside: the volume with its interval, whether it can be used and what to do, the shape in 3D,
-    pictures with the reconstruction's outline, traits, methods. It opens from disk without a network. Without -o it becomes report.html in
-    the result's folder.
+    The page is one file with everything inside: the volume with its interval, whether it can be used and what to do,
+    the shape in 3D, pictures with the reconstruction's outline, traits, methods. It opens from disk without a network.
+    Without -o it becomes report.html in the result's folder.
 
     Parameters
     ----------

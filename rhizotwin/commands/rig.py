@@ -33,10 +33,12 @@ def check(
 ) -> None:
     """Look at every device: one line each, what is well or what is wrong.
 
-    Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when anything is wrong.
+    Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when
+    anything is wrong.
 
-    With --first-day you are walked on through what only a person can see, and things move: lamps, focus, a mirrored strip, the panel's
-    evenness, the table's direction, each joint's direction, and sizes by calipers. The findings are written to a folder, to be sent back.
+    With --first-day you are walked on through what only a person can see, and things move: lamps, focus, a mirrored
+    strip, the panel's evenness, the table's direction, each joint's direction, and sizes by calipers. The findings are
+    written to a folder, to be sent back.
 
     Parameters
     ----------
@@ -102,8 +104,8 @@ def jog(
 ) -> None:
     """Move every device by typed lines.
 
-    Type help for the commands. The arm's ways are checked first, and unsafe ones refused. At the end the lights go off and the arm is
-    parked and let go. Lines can come from a pipe as well; then the first mistake ends it.
+    Type help for the commands. The arm's ways are checked first, and unsafe ones refused. At the end the lights go off
+    and the arm is parked and let go. Lines can come from a pipe as well; then the first mistake ends it.
 
     Parameters
     ----------

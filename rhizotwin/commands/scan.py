@@ -49,8 +49,8 @@ class Watching(Page):
     """The live page."""
 
     watch: Flag = False
-    """Serve a live page: last picture with its markers, focus, exposure, evenness of the panel and motion with their limits, the ring and \
-a sketch of the roots so far, time left; pause, go on, stop."""
+    """Serve a live page: last picture with its markers, focus, exposure, evenness of the panel and motion with their \
+limits, the ring and a sketch of the roots so far, time left; pause, go on, stop."""
 
 
 def scan(
@@ -66,9 +66,9 @@ def scan(
 ) -> None:
     """Take the pictures of a plan on a rig, or on its emulated twin.
 
-    Look at every device, bring the camera to the rings of the plan, turn the table and take the pictures. Stopped half-way (Ctrl-C, a
-    fault, a power cut), the same command with --resume takes what is missing. Whatever ends it, the lights go off and the arm is parked
-    and let go.
+    Look at every device, bring the camera to the rings of the plan, turn the table and take the pictures. Stopped
+    half-way (Ctrl-C, a fault, a power cut), the same command with --resume takes what is missing. Whatever ends it, the
+    lights go off and the arm is parked and let go.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def scan(
     output : Path
         Folder to make the dataset in: new or empty; with --resume one that a stopped scan left.
     scene : str, optional
-        A scene file, or a name from 'rhizotwin scenes': canister, strip, calibrated lens and plan; needed for a rig file; the twin's
-        default: printed_8ml.
+        A scene file, or a name from 'rhizotwin scenes': canister, strip, calibrated lens and plan; needed for a rig
+        file; the twin's default: printed_8ml.
     course : Course
         How the scan goes.
     twin : TwinPictures
@@ -108,7 +108,8 @@ def scan(
     settings: dict[str, Any] = {"twin": None}
     if emulated:
         settings = {"twin": {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": _hash(bench.twin.scene)}}
-    # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before, too
+    # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before,
+    # too
     rendered = emulated and twin.fidelity == "render"
     with ExitStack() as stack:
         onlooker = _onlooker(bench.scene, watching, stack)

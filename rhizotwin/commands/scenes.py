@@ -18,8 +18,9 @@ def scenes(
 ) -> None:
     """List the scenes and profiles that come with the program, write a copy of one, or its specimen to be printed.
 
-    The list has one line each. With a name and -o, write that scene's file instead, with every setting, to be changed and given to the
-    other commands as a scene of your own. With a name and --specimen-stl, write its root as a closed surface.
+    The list has one line each. With a name and -o, write that scene's file instead, with every setting, to be changed
+    and given to the other commands as a scene of your own. With a name and --specimen-stl, write its root as a closed
+    surface.
 
     Parameters
     ----------

@@ -20,11 +20,12 @@ def score(
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
     progress: Progress = Progress(),
 ) -> None:
-    """Compare a result with the truth: of a simulated dataset, of the part that was scanned, or a volume that was measured.
+    """Compare a result with the truth of a simulated dataset, a scanned part, or a measured volume.
 
-    With a simulated DATASET: volume, extents, voxels, surface distances, poses and silhouettes stage by stage, and every trait. With
-    --truth: volume, extents and surface distances to a solid that is laid onto the result first, wherever its file has it. With
-    --volume-ml: the volume alone. Errors are signed fractions: found / true - 1; of angles, differences in degrees.
+    With a simulated DATASET: volume, extents, voxels, surface distances, poses and silhouettes stage by stage, and
+    every trait. With --truth: volume, extents and surface distances to a solid that is laid onto the result first,
+    wherever its file has it. With --volume-ml: the volume alone. Errors are signed fractions: found / true - 1; of
+    angles, differences in degrees.
 
     Parameters
     ----------
@@ -33,7 +34,8 @@ def score(
     dataset : Path, optional
         The simulated dataset that the result was made from.
     truth : Path, optional
-        The part that was scanned, as a closed mesh in mm (PLY, STL, OBJ), such as 'rhizotwin scenes printed_8ml --specimen-stl' writes.
+        The part that was scanned, as a closed mesh in mm (PLY, STL, OBJ), such as 'rhizotwin scenes printed_8ml
+        --specimen-stl' writes.
     volume_ml : float, optional
         The specimen's volume, measured by displacement or weight.
     as_json : bool

@@ -34,8 +34,8 @@ def simulate(
 ) -> None:
     """Render a scene to a dataset, with its truth.
 
-    Render every view of a scene's capture plan to a dataset folder: pictures as the camera would take them, and the truth beside them.
-    Stopped half-way, the same command goes on where it stopped.
+    Render every view of a scene's capture plan to a dataset folder: pictures as the camera would take them, and the
+    truth beside them. Stopped half-way, the same command goes on where it stopped.
 
     Parameters
     ----------

@@ -18,9 +18,9 @@ def traits(
 ) -> None:
     """Print the traits of results, or write them to a table for spreadsheets.
 
-    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file: .csv has one row a
-    result and one column a trait, its unit in the head; .json has every number, histograms too. What needs centre lines is empty for shapes
-    without roots found, such as prints.
+    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file:
+    .csv has one row a result and one column a trait, its unit in the head; .json has every number, histograms too. What
+    needs centre lines is empty for shapes without roots found, such as prints.
 
     Parameters
     ----------

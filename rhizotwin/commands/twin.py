@@ -31,7 +31,8 @@ class TwinPorts(rigs.TwinPictures):
     protocol: Literal["lx", "lsc"] = "lx"
     """What the arm speaks: servo bus or controller board."""
     fault: Annotated[tuple[str, ...], options(str, "FAULT")] = ()
-    """Something that goes wrong, such as 'reset', or 'reply_late table amount=3 at_s=20'; may be given several times."""
+    """Something that goes wrong, such as 'reset', or 'reply_late table amount=3 at_s=20'; may be given several \
+times."""
     camera_port: Port | None = None
     """Of the camera's HTTP server; default: a free one."""
 
@@ -44,8 +45,8 @@ def twin(
 ) -> None:
     """Run the emulated rig alone, on ports that any serial program can open.
 
-    Start the emulated turntable, lights and arm on pseudo-terminals, and print the ports. They speak the bytes of the real devices, in real
-    time; the camera is served over HTTP. Faults can be typed while it runs. Ctrl-C ends it.
+    Start the emulated turntable, lights and arm on pseudo-terminals, and print the ports. They speak the bytes of the
+    real devices, in real time; the camera is served over HTTP. Faults can be typed while it runs. Ctrl-C ends it.
 
     Parameters
     ----------

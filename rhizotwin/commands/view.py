@@ -17,9 +17,10 @@ def view(
 ) -> None:
     """Look at results in a browser, and correct them.
 
-    Roots, surface, voxels, canister and cameras in 3D; the pictures with the reconstruction drawn over them through the water; corrections
-    with undo, saved as edits.json beside the result, which stays as it is. Several results are shown one after another, such as the days of
-    one plant. Only who has the printed address with its token gets an answer. Ctrl-C ends it.
+    Roots, surface, voxels, canister and cameras in 3D; the pictures with the reconstruction drawn over them through the
+    water; corrections with undo, saved as edits.json beside the result, which stays as it is. Several results are shown
+    one after another, such as the days of one plant. Only who has the printed address with its token gets an answer.
+    Ctrl-C ends it.
 
     Parameters
     ----------

@@ -1,1 +1,4 @@
-"""A person's corrections of a result: what was done, kept as a log beside it, and what shape, volume and traits become by it."""
+"""A person's corrections of a result.
+
+What was done, kept as a log beside it, and what shape, volume and traits become by it.
+"""

@@ -1,4 +1,7 @@
-"""Roots under correction: lines with parents, cut, joined and hung elsewhere; a change gives new lines and leaves the old as they were."""
+"""Roots under correction: lines with parents, cut, joined and hung elsewhere.
+
+A change gives new lines and leaves the old as they were.
+"""
 
 from __future__ import annotations
 
@@ -130,13 +133,17 @@ def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[di
 
     Parameters
     ----------
-    inside : tells points (N, 3) that do.
-    new : the first number for roots that are left of the far side of others.
+    inside : callable
+        Tells points (N, 3) that do.
+    new : int
+        The first number for roots that are left of the far side of others.
 
     Returns
     -------
-    lines : what stays.
-    gone : roots of which nothing stays.
+    lines : dict of Line
+        What stays.
+    gone : list of int
+        Roots of which nothing stays.
     """
     changed, gone = dict(lines), list[int]()
     if not lines:
@@ -163,7 +170,10 @@ def outside(lines: Lines, inside: Callable[[Array], Mask], new: int) -> tuple[di
 
 
 def rooted_at(lines: Lines, number: int, point_mm: Sequence[float]) -> dict[int, Line]:
-    """Let the plant begin at a root's end nearest to a point: that root has no parent then, and those above it hang on it."""
+    """Let the plant begin at a root's end nearest to a point.
+
+    That root has no parent then, and those above it hang on it.
+    """
     changed, line = dict(lines), lines[number]
     if line.nearest_mm(point_mm) > line.length_mm / 2.0:
         line = line.backward()

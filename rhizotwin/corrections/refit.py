@@ -74,13 +74,17 @@ def as_tubes(lines: Lines, thick_mm: float) -> tuple[Tubes, Mask, list[int]]:
 
     Parameters
     ----------
-    thick_mm : nodes of a larger radius are not to be fitted.
+    thick_mm : float
+        Nodes of a larger radius are not to be fitted.
 
     Returns
     -------
-    tubes : parents before children.
-    fixed : (N,) nodes that are not to be fitted.
-    numbers : of the roots, in the order of the branches.
+    tubes : Tubes
+        Parents before children.
+    fixed : (N,) bool array
+        Nodes that are not to be fitted.
+    numbers : list of int
+        Of the roots, in the order of the branches.
     """
     from rhizotwin.recon.tubes.tubes import Tubes
 

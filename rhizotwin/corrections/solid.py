@@ -1,8 +1,11 @@
-"""Whose every voxel is: the volume of a result divided among its roots, so that it follows at once when some of them go.
+"""Whose every voxel is: the volume of a result divided among its roots.
 
-The reconstruction paints every tube into the voxels as points that stand for parts of its volume (`recon.tubes.filling`). The same
-points tell here how much of each voxel is whose. Where tubes overlap, the volume is the first one's that is still there. What no tube
-explains (the flank of a thick organ) goes with the nearest root within two voxels, or with none.
+It follows at once when some of them go.
+
+The reconstruction paints every tube into the voxels as points that stand for parts of its volume
+(`recon.tubes.filling`). The same points tell here how much of each voxel is whose. Where tubes overlap, the volume is
+the first one's that is still there. What no tube explains (the flank of a thick organ) goes with the nearest root
+within two voxels, or with none.
 """
 
 from __future__ import annotations
@@ -88,8 +91,10 @@ class Solid:
 
         Parameters
         ----------
-        lines : points (M, 3) and diameters (M,) of each root.
-        finest_mm : edge of the nodes in which the reconstruction painted tubes; None: that of the voxels.
+        lines : sequence of tuple of float64 array
+            Points (M, 3) and diameters (M,) of each root.
+        finest_mm : float or None
+            Edge of the nodes in which the reconstruction painted tubes; None: that of the voxels.
         """
         low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
         volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
@@ -142,7 +147,10 @@ class Solid:
         return numbers
 
     def volumes_mm3(self, pieces: Iterable[Piece], gone: Mask) -> Array:
-        """Return the volume (N,) in each voxel where only some pieces of the sources are there and some voxels (up to N,) are gone."""
+        """Return the volume (N,) in each voxel where only some pieces of the sources are there.
+
+        Some voxels (up to N,) are gone.
+        """
         alive = self._alive(pieces)
         rest = (self._rest_source < 0) | self._is_alive(alive, np.maximum(self._rest_source, 0), self._rest_along)
         volume = self._claim * self._painted(alive, given=True) + self._rest_mm3 * rest
@@ -263,7 +271,10 @@ class Solid:
         return there
 
     def _painted(self, alive: dict[int, list[tuple[float, float]]], *, given: bool | None = None) -> Array:
-        """Return the volume (N,) that the tubes that are there have in each voxel; of the given sources, of the made ones, or of all."""
+        """Return the volume (N,) that the tubes that are there have in each voxel.
+
+        Of the given sources, of the made ones, or of all.
+        """
         total = np.zeros(len(self.size))
         for part in self._parts:
             made = int(part.source[0]) >= self.given if len(part.source) and given is not None else None

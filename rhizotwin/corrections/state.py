@@ -1,4 +1,7 @@
-"""What corrections make of a result, one after another; a state never changes, so that undoing is taking an earlier one."""
+"""What corrections make of a result, one after another.
+
+A state never changes, so that undoing is taking an earlier one.
+"""
 
 from __future__ import annotations
 
@@ -82,8 +85,10 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
 
     Parameters
     ----------
-    solid : gets sources and voxels for tubes that the correction makes.
-    refit : needed for "fit" alone.
+    solid : Solid
+        Gets sources and voxels for tubes that the correction makes.
+    refit : Refit or None
+        Needed for "fit" alone.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""The surface of a corrected shape: the old one where nothing was taken away, closed where something was, with tubes for what is new."""
+"""The surface of a corrected shape.
+
+The old one where nothing was taken away, closed where something was, with tubes for what is new.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,8 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
 
     Parameters
     ----------
-    volumes_mm3 : (N,) in each voxel, after the corrections.
+    volumes_mm3 : (N,) float64 array
+        In each voxel, after the corrections.
     """
     kept = _kept(mesh, solid, volumes_mm3)
     vertices, faces = _closed(mesh.vertices_mm, mesh.faces[kept]) if not kept.all() else (mesh.vertices_mm, mesh.faces)

@@ -1,8 +1,9 @@
 """One plant at two ages in one frame: the strip on its pot brings them near, its roots bring them together.
 
-The canister's frame is the strip's, so that a plant that stays in its pot is where it was, but for the error of the poses and what the pot
-was turned or moved in the strip. The rest is a rigid motion: the younger plant's centre lines are laid on the older's, which hold them
-(iterated closest points, Besl and McKay 1992, trimmed as Chetverikov et al. 2002).
+The canister's frame is the strip's, so that a plant that stays in its pot is where it was, but for the error of the
+poses and what the pot was turned or moved in the strip. The rest is a rigid motion: the younger plant's centre lines
+are laid on the older's, which hold them (iterated closest points, Besl and McKay 1992, trimmed as Chetverikov et al.
+2002).
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,8 @@ Array = NDArray[np.float64]
 STEP_MM = 0.5
 """Between the points that a centre line is seen as: a root's diameter."""
 KEPT = 0.7
-"""Share of the younger plant's points that are laid on the older's: the others were traced at one age only, or moved."""
+"""Share of the younger plant's points that are laid on the older's: the others were traced at one age only, or
+moved."""
 MOST_ROUNDS = 60
 STILL_MM = 1e-4
 """A round that moves no point farther is the last."""
@@ -53,7 +55,9 @@ def points_of(root: Root, step_mm: float = STEP_MM) -> tuple[Array, Array]:
 
 
 def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
-    """Lay the younger plant on the older one, from where the strip has them and from root base on root base; the better one counts.
+    """Lay the younger plant on the older one, from where the strip has them and from root base on root base.
+
+    The better one counts.
 
     Both lists begin with the taproot and hold at least one root.
     """
@@ -68,7 +72,10 @@ def align(younger: Sequence[Root], older: Sequence[Root]) -> Aligned:
 
 
 def _closest(young: Array, old: Array, tree: cKDTree, begin: Array) -> tuple[Array, float]:
-    """Return the motion (4, 4) that lays points on others, from a first guess, and the median distance of those that are kept."""
+    """Return the motion (4, 4) that lays points on others, and the median distance of those that are kept.
+
+    It begins with a first guess.
+    """
     motion = begin.copy()
     for _ in range(MOST_ROUNDS):
         moved = young @ motion[:3, :3].T + motion[:3, 3]

@@ -1,7 +1,9 @@
-"""Masses from what pictures measure: a power law whose errors are on both sides, chosen by leaving out one plant at a time.
+"""Masses from what pictures measure.
 
-The logarithm of a mass is a straight line in the logarithm of a trait (`experiment.york`): plants differ by factors, not by grams, over
-fifty times of mass. A slope of one on the volume is a density.
+A power law whose errors are on both sides, chosen by leaving out one plant at a time.
+
+The logarithm of a mass is a straight line in the logarithm of a trait (`experiment.york`): plants differ by factors,
+not by grams, over fifty times of mass. A slope of one on the volume is a density.
 """
 
 from collections.abc import Sequence
@@ -24,7 +26,8 @@ LEAST_PLANTS = 4
 SHARE = 0.9
 """Of the plants that an interval holds."""
 MIXED = 100.0
-"""A plant whose mass over volume is so many times off the others' was weighed in another unit: species differ by less than ten times."""
+"""A plant whose mass over volume is so many times off the others' was weighed in another unit: species differ by less
+than ten times."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,14 +123,17 @@ def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, 
 
 
 def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -> Model:
-    """Fit every kind of mass to every trait, in proportion and as a power, and choose by leaving out one plant at a time.
+    """Fit every kind of mass to every trait, and choose by leaving out one plant at a time.
 
-    Of relations whose errors differ by less than one standard error, the one in proportion to the volume is taken, and otherwise the one in
-    proportion (Hastie et al. 2009, The elements of statistical learning, section 7.10).
+    In proportion and as a power.
+
+    Of relations whose errors differ by less than one standard error, the one in proportion to the volume is taken, and
+    otherwise the one in proportion (Hastie et al. 2009, The elements of statistical learning, section 7.10).
 
     Parameters
     ----------
-    balance_g : readability of the balance, taken as the standard deviation of a mass.
+    balance_g : float
+        Readability of the balance, taken as the standard deviation of a mass.
 
     Raises
     ------
@@ -179,7 +185,10 @@ def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool,
 
 
 def _best(tried: Sequence[Relation]) -> Relation:
-    """Return the simplest relation within one standard error of the best: that of a root of a mean square of n values is 1 / sqrt(2 n)."""
+    """Return the simplest relation within one standard error of the best.
+
+    That of a root of a mean square of n values is 1 / sqrt(2 n).
+    """
     least = min(relation.error for relation in tried)
     near = [relation for relation in tried if relation.error <= least * (1.0 + (2.0 * relation.plants) ** -0.5)]
     return min(near, key=lambda relation: (not relation.proportional, relation.trait != "volume", relation.error))

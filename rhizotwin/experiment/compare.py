@@ -1,9 +1,10 @@
 """Growth in numbers: relative growth rates, means with intervals, and whether treatments differ.
 
-The logarithm of a trait of plant i on day t is followed by a linear mixed model (Laird and Ware 1982, Biometrics 38:963): a curve common to
-all (a level for every day), what the treatment adds on the mean day and a day, and for each plant a level and a slope of its own. A
-treatment is a difference between plants, however often each is looked at, so that its t statistic has the plants less the treatments as its
-degrees of freedom (Schluchter and Elashoff 1990, Journal of Statistical Computation and Simulation 37:69).
+The logarithm of a trait of plant i on day t is followed by a linear mixed model (Laird and Ware 1982, Biometrics
+38:963): a curve common to all (a level for every day), what the treatment adds on the mean day and a day, and for each
+plant a level and a slope of its own. A treatment is a difference between plants, however often each is looked at, so
+that its t statistic has the plants less the treatments as its degrees of freedom (Schluchter and Elashoff 1990, Journal
+of Statistical Computation and Simulation 37:69).
 """
 
 import warnings
@@ -85,7 +86,10 @@ def means(seen: Sequence[Seen]) -> list[Point]:
 
 
 def relative_rates(seen: Sequence[Seen]) -> list[tuple[str, float, float, float]]:
-    """Return plant, from day, to day and relative growth rate a day: the change of the logarithm over the time (Hunt 1982)."""
+    """Return plant, from day, to day and relative growth rate a day.
+
+    The change of the logarithm over the time (Hunt 1982).
+    """
     rates = []
     for plant in dict.fromkeys(one.plant for one in seen):
         own = sorted((one for one in seen if one.plant == plant), key=lambda one: one.day)
@@ -145,14 +149,20 @@ def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: i
 
 
 def _probability(value: float, error: float, dof: int) -> float:
-    """Return how probable a value at least as large is where there is none; values without any error are 0 or they are not."""
+    """Return how probable a value at least as large is where there is none.
+
+    Values without any error are 0 or they are not.
+    """
     if error <= ROUNDING:
         return 1.0 if abs(value) <= ROUNDING else 0.0
     return float(2.0 * student.sf(abs(value) / error, dof))
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
-    """Return the fixed effects and their standard errors; plants that were seen once each have no level of their own to be told."""
+    """Return the fixed effects and their standard errors.
+
+    Plants that were seen once each have no level of their own to be told.
+    """
     try:
         import statsmodels.api as models
     except ModuleNotFoundError:
@@ -170,5 +180,6 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
             value = error = np.full(design.shape[1], np.nan)
     if np.isfinite(value).all() and np.isfinite(error).all():
         return value, error
-    plain = models.OLS(y, design).fit()  # plants that do not differ at all: the mixed model without a variance of plants
+    # plants that do not differ at all: the mixed model without a variance of plants
+    plain = models.OLS(y, design).fit()
     return np.asarray(plain.params), np.asarray(plain.bse)

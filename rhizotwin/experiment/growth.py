@@ -1,4 +1,7 @@
-"""Growth of many plants: from results of several days to curves, rates, roots with identities, and treatments compared."""
+"""Growth of many plants: curves, rates, roots with identities, and treatments compared.
+
+It begins with results of several days.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +42,8 @@ def measure(found: Sequence[Measured]) -> Growth:
     Raises
     ------
     UserError
-        For a result without plant or day, a plant that is there twice on a day or in two treatments, or scans of different strips.
+        For a result without plant or day, a plant that is there twice on a day or in two treatments, or scans of
+        different strips.
     """
     plants = by_plant(found)
     for plant, days in plants.items():
@@ -105,7 +109,10 @@ def traits_csv(growth: Growth) -> str:
 
 
 def roots_csv(growth: Growth) -> str:
-    """Return a row a root and day: its identity, when it came, its length, its rate since it was last seen, its diameter."""
+    """Return a row a root and day.
+
+    Its identity, when it came, its length, its rate since it was last seen, its diameter.
+    """
     head = ["plant", "root", "parent", "order", "emergence_day", "day", "length (mm)", "elongation (mm/day)", "diameter (mm)"]
     rows: list[Sequence[str]] = [head]
     for plant, followed in growth.followed.items():
@@ -130,7 +137,10 @@ def treatments_csv(growth: Growth) -> str:
 
 
 def write_rsml(growth: Growth, folder: Path) -> list[Path]:
-    """Write the roots of every plant and day as RSML with time: a root has one id on all days, in the frame of the first."""
+    """Write the roots of every plant and day as RSML with time.
+
+    A root has one id on all days, in the frame of the first.
+    """
     files = []
     for number, (plant, followed) in enumerate(growth.followed.items(), start=1):
         for day, names in zip(followed.days, followed.names, strict=True):

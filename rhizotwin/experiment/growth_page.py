@@ -1,4 +1,7 @@
-"""Curves of growth as a picture and a page, in the form of the thesis's figure 4.1: a mean a day with its interval, a line a treatment."""
+"""Curves of growth as a picture and a page, in the form of the thesis's figure 4.1.
+
+A mean a day with its interval, a line a treatment.
+"""
 
 import base64
 import html

@@ -1,8 +1,9 @@
 """Masses that were weighed: a table with a row a plant, its units in the head, and what stuck to the foil added back.
 
-Columns: ``plant``, where wanted ``day``, and of ``root_fresh_g root_dry_g shoot_fresh_g shoot_dry_g`` those that were weighed (g, mg or kg,
-the same in the whole table). With ``root_foil_g`` and ``root_foil_scraped_g`` (the same of the shoot), the masses of the empty foil and of
-the foil after the dry matter was scraped off it, what was left on it is added to the dry mass (thesis, section 5.1, steps 1 and 5).
+Columns: ``plant``, where wanted ``day``, and of ``root_fresh_g root_dry_g shoot_fresh_g shoot_dry_g`` those that were
+weighed (g, mg or kg, the same in the whole table). With ``root_foil_g`` and ``root_foil_scraped_g`` (the same of the
+shoot), the masses of the empty foil and of the foil after the dry matter was scraped off it, what was left on it is
+added to the dry mass (thesis, section 5.1, steps 1 and 5).
 """
 
 import re
@@ -39,12 +40,14 @@ def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:
 
     Parameters
     ----------
-    balance_g : readability of the balance; a foil may be lighter after scraping by so much, twice.
+    balance_g : float
+        Readability of the balance; a foil may be lighter after scraping by so much, twice.
 
     Raises
     ------
     UserError
-        For mixed units, a plant that is listed twice, masses without a plant, dry above fresh mass, or anything that is no mass.
+        For mixed units, a plant that is listed twice, masses without a plant, dry above fresh mass, or anything that is
+        no mass.
     """
     rows = tables.read_table(path)
     columns = _columns(path, list(rows[0].cells))

@@ -1,8 +1,9 @@
 """Roots through time: which root of today is which of yesterday, when it came, and how it grows.
 
-A root is known by where it runs: the older root holds the younger's line. Each pair of an old identity and a root of today has a score,
-the length of the known line that lies on today's root; the pairs are chosen so that the sum of scores is the largest (DynamicRoots,
-Symonova et al. 2015, matches overlapping voxels in the same spirit). What nobody knew is new.
+A root is known by where it runs: the older root holds the younger's line. Each pair of an old identity and a root of
+today has a score, the length of the known line that lies on today's root; the pairs are chosen so that the sum of
+scores is the largest (DynamicRoots, Symonova et al. 2015, matches overlapping voxels in the same spirit). What nobody
+knew is new.
 """
 
 from collections.abc import Sequence
@@ -70,7 +71,10 @@ class Track:
 
     @property
     def emergence_day(self) -> float:
-        """Return the day on which its length began, by its first rate; between the last day without it and the first with it."""
+        """Return the day on which its length began, by its first rate.
+
+        Between the last day without it and the first with it.
+        """
         first = self.sights[0]
         rate = self.rates_mm_per_day[0][2] if len(self.sights) > 1 else 0.0
         began = first.day - first.length_mm / rate if rate > 0.0 else (self.absent_day + first.day) / 2.0
@@ -95,7 +99,8 @@ def follow(days: Sequence[Day]) -> Followed:
 
     Parameters
     ----------
-    days : of one plant, the youngest first, each with at least one root.
+    days : sequence of Day
+        Of one plant, the youngest first, each with at least one root.
     """
     tracks: dict[str, Track] = {}
     latest: dict[str, Root] = {}
@@ -161,7 +166,8 @@ def _same(known: Sequence[Root], today: Sequence[Root], on_mm: float) -> dict[in
     score = np.zeros((len(known), len(today)))
     np.add.at(score, mine.owner, best.reshape(-1, len(today)))
     length = np.array([polyline.length_mm(root.points_mm) for root in known]) + STEP_MM
-    score *= (length / np.bincount(mine.owner, minlength=len(known)))[:, None]  # a short line may lie on a root by chance: length counts
+    # a short line may lie on a root by chance: length counts
+    score *= (length / np.bincount(mine.owner, minlength=len(known)))[:, None]
     rows, columns = linear_sum_assignment(-score)
     least = 0.5 * LEAST_SHARE * length  # a point at the farthest allowed is worth a half
     return {int(j): int(i) for i, j in zip(rows, columns, strict=True) if score[i, j] >= least[i]}

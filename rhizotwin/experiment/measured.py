@@ -1,4 +1,7 @@
-"""Many results as numbers with their plants: result folders, or tables of traits as `rhizotwin traits -o FILE.csv` writes them."""
+"""Many results as numbers with their plants.
+
+Result folders, or tables of traits as `rhizotwin traits -o FILE.csv` writes them.
+"""
 
 import re
 from collections.abc import Mapping, Sequence

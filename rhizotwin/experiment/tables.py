@@ -1,4 +1,7 @@
-"""Tables that people keep: CSV files with a head, comments behind ``#``, and the thesis's own tables that come with the program."""
+"""Tables that people keep: CSV files with a head and comments behind ``#``.
+
+The thesis's own tables come with the program.
+"""
 
 import csv
 import io

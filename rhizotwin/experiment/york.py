@@ -1,8 +1,8 @@
 """A straight line through points that have errors in both coordinates, and a scatter of their own about the line.
 
-York et al. 2004, American Journal of Physics 72:367, equations 13: the line of greatest likelihood for normal errors. A scatter that the
-errors do not explain (plants differ) adds to the errors of y; it is as large as makes chi squared equal to the degrees of freedom (Paule
-and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
+York et al. 2004, American Journal of Physics 72:367, equations 13: the line of greatest likelihood for normal errors. A
+scatter that the errors do not explain (plants differ) adds to the errors of y; it is as large as makes chi squared
+equal to the degrees of freedom (Paule and Mandel 1982, Journal of Research of the National Bureau of Standards 87:377).
 """
 
 from dataclasses import dataclass, replace
@@ -38,15 +38,20 @@ class Line:
 
         Parameters
         ----------
-        x : (N,) as measured, with the standard deviation ``x_sigma``.
-        y_sigma : error of the y that the prediction is compared with.
+        x : (N,) float64 array
+            As measured, with the standard deviation ``x_sigma``.
+        y_sigma : float64 array or float
+            Error of the y that the prediction is compared with.
         """
         (a, ab), (_, b) = self.covariance
         variance = a + 2.0 * ab * x + b * x**2 + self.slope**2 * np.square(x_sigma) + self.scatter**2 + np.square(y_sigma)
         return self.intercept + self.slope * x, np.sqrt(variance)
 
     def reach(self, share: float) -> float:
-        """Return how many standard deviations hold a share of the points: Student's t with the line's degrees of freedom."""
+        """Return how many standard deviations hold a share of the points.
+
+        Student's t with the line's degrees of freedom.
+        """
         return float(student.ppf(0.5 + share / 2.0, self.dof))
 
 
@@ -55,10 +60,14 @@ def fit_line(x: Array, y: Array, x_sigma: Array, y_sigma: Array, *, slope: float
 
     Parameters
     ----------
-    x, y : (N,) points.
-    x_sigma, y_sigma : (N,) their standard deviations, independent of each other; 0 is no error.
-    slope : held at this value; None: fitted.
-    scatter : whether points may lie apart by more than their errors; False: as York et al. do.
+    x, y : (N,) float64 array
+        Points.
+    x_sigma, y_sigma : (N,) float64 array
+        Their standard deviations, independent of each other; 0 is no error.
+    slope : float or None
+        Held at this value; None: fitted.
+    scatter : bool
+        Whether points may lie apart by more than their errors; False: as York et al. do.
 
     Raises
     ------

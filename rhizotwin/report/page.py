@@ -1,4 +1,7 @@
-"""The page of a result, or of many: the number first, then what it is worth, the shape to turn, the pictures, and everything else."""
+"""The page of a result, or of many.
+
+The number first, then what it is worth, the shape to turn, the pictures, and everything else.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,8 @@ ANGLES_DEG = (0, 45, 90, 135)
 WIDEST_PX = 900
 OUTLINE = (255, 120, 0)
 MARGIN, LEAST_CUT, LEAST_WIDE_PX = 1.3, 0.2, 480
-"""How pictures are cut: so much larger than the roots, at least this share of the picture, at least so wide on the page."""
+"""How pictures are cut: so much larger than the roots, at least this share of the picture, at least so wide on the
+page."""
 OUTLINE_TRIANGLES = 30_000
 """Of a surface whose outline is drawn over pictures."""
 CAPTIONS = {
@@ -77,7 +81,8 @@ def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output:
 
     Parameters
     ----------
-    dataset : where the pictures are; None: where the result says, or no pictures where they are gone.
+    dataset : Dataset, path or None
+        Where the pictures are; None: where the result says, or no pictures where they are gone.
 
     Raises
     ------
@@ -212,7 +217,10 @@ def _pictures(read: _Read) -> str:
 
 
 def _cut(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Cut a picture to what stands in it, with a margin, in the picture's own proportions, and enlarge what became small."""
+    """Cut a picture to what stands in it, in the picture's own proportions, and enlarge what became small.
+
+    A margin is left.
+    """
     seen = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(seen):
         return image

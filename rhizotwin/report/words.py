@@ -94,7 +94,10 @@ def trait(definition: Definition, value: float | int | None) -> tuple[str, str, 
 
 
 def estimated(summary: dict[str, Any], field: str) -> str:
-    """Return the interval of a trait that has one of its own, and whether it is to be trusted; empty where it has none."""
+    """Return the interval of a trait that has one of its own, and whether it is to be trusted.
+
+    Empty where it has none.
+    """
     for told in summary.get("estimates") or []:
         if told["name"] == field:
             low, high = told["interval"]

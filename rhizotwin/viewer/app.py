@@ -32,7 +32,8 @@ class Viewer(Drawing):
 
         Parameters
         ----------
-        more : add to what is chosen.
+        more : bool
+            Add to what is chosen.
         """
         with self.lock:
             if self.standing is not None:
@@ -74,7 +75,10 @@ class Viewer(Drawing):
         self.changed()
 
     def choose_rectangle(self, screen: Screen, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Choose what shows inside a rectangle: voxels where they are shown or clicked, else the roots that lie wholly inside."""
+        """Choose what shows inside a rectangle.
+
+        Voxels where they are shown or clicked, else the roots that lie wholly inside.
+        """
         with self.lock:
             if self.look.click == CLICKS[1] or "voxels" in self.look.layers:
                 rows = self._voxel_rows()

@@ -25,7 +25,8 @@ def colouring(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], str]
 
     Parameters
     ----------
-    by : one of `CHOICES`.
+    by : str
+        One of `CHOICES`.
     """
     if by == "order":
         orders = order_of(lines)

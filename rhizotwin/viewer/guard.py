@@ -1,7 +1,8 @@
 """A viser server that answers only those who know its token.
 
-The printed address carries the token; the first answer turns it into a cookie, which the browser then sends with the page and with the
-websocket. A websocket must also come from the page's own origin: a page of another port of this machine shares its cookies.
+The printed address carries the token; the first answer turns it into a cookie, which the browser then sends with the
+page and with the websocket. A websocket must also come from the page's own origin: a page of another port of this
+machine shares its cookies.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The page of a scan that runs: last picture with its markers, meters with their limits, the ring and the roots so far, pause and stop."""
+"""The page of a scan that runs.
+
+Last picture with its markers, meters with their limits, the ring and the roots so far, pause and stop.
+"""
 
 from __future__ import annotations
 

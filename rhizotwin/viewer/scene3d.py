@@ -43,7 +43,8 @@ class Scene3d:
         self._handles: dict[str, viser.SceneNodeHandle] = {}
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
-        server.scene.configure_default_lights(cast_shadow=False)  # shadows halve the frames of a laptop and tell nothing
+        # shadows halve the frames of a laptop and tell nothing
+        server.scene.configure_default_lights(cast_shadow=False)
 
     def look_at(self, points_mm: Array, *, rim_mm: float) -> None:
         """Let new browsers begin with all points in view."""
@@ -58,7 +59,8 @@ class Scene3d:
 
         Parameters
         ----------
-        key : changes where the colours do.
+        key : str
+            Changes where the colours do.
         """
         nodes = sum(len(line.points_mm) for line in lines.values())
         around = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])

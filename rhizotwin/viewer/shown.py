@@ -1,4 +1,7 @@
-"""One result as the viewer holds it: its corrections, pictures, surface and truth, each read when it is first asked for."""
+"""One result as the viewer holds it.
+
+Its corrections, pictures, surface and truth, each read when it is first asked for.
+"""
 
 from __future__ import annotations
 

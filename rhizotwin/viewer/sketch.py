@@ -1,7 +1,7 @@
 """A sketch of the roots from the pictures so far: cells that every picture leaves room for, halved as they become few.
 
-It is for a person who watches a scan, not for measuring: the cameras are those of the markers in single pictures, the backlight is the
-brightest that each pixel has shown, and cells end at a millimetre.
+It is for a person who watches a scan, not for measuring: the cameras are those of the markers in single pictures, the
+backlight is the brightest that each pixel has shown, and cells end at a millimetre.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 WIDEST_PX = 400
 """Pictures are made smaller than this first: 250 mm are then 0.6 mm a pixel, finer than the cells."""
 DARK = 0.85
-"""Share of the backlight below which something stands in the way: noise and panel are even to some per cent, and a root of 0.2 mm
-covers a third of such a pixel."""
+"""Share of the backlight below which something stands in the way: noise and panel are even to some per cent, and a root
+of 0.2 mm covers a third of such a pixel."""
 COARSEST_MM, FINEST_MM = 4.0, 1.0
 MOST_CELLS = 40_000
 """Cells are not halved beyond this; a browser's software draws them at once."""
@@ -79,7 +79,10 @@ class Sketch:
             self._seen[ring] = [one for one in seen if one.file != file]
 
     def evenness(self, ring: int) -> tuple[float, float] | None:
-        """Return the darkest and the brightest twentieth of the panel behind the water, of full scale; None before a picture."""
+        """Return the darkest and the brightest twentieth of the panel behind the water, of full scale.
+
+        None before a picture.
+        """
         seen = self._seen.get(ring)
         if not seen:
             return None
@@ -91,7 +94,10 @@ class Sketch:
         return float(low), float(high)
 
     def carve(self) -> tuple[Array, float]:
-        """Return the middles (N, 3) of the cells, canister frame, that no picture rules out, and the edge of a cell (mm)."""
+        """Return the middles (N, 3) of the cells that no picture rules out, and the edge of a cell (mm).
+
+        In the canister's frame.
+        """
         outlines = [found for seen in self._seen.values() for found in self._outlines(seen)]
         edge_mm = COARSEST_MM
         middles = self._grid(edge_mm)

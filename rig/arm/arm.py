@@ -1,8 +1,10 @@
-"""The arm as five joints in degrees, on either servo protocol: limits, speed, verification, and stopping where something is wrong.
+"""The arm as five joints in degrees, on either servo protocol.
 
-Servos say neither that a move is done nor that it failed. So a move is given a duration that follows from its distance, the arm waits
-for that long without asking anything, and then compares where every joint stands with where it was sent. A joint that is blocked,
-too warm, or has lost its torque shows there.
+Limits, speed, verification, and stopping where something is wrong.
+
+Servos say neither that a move is done nor that it failed. So a move is given a duration that follows from its distance,
+the arm waits for that long without asking anything, and then compares where every joint stands with where it was sent.
+A joint that is blocked, too warm, or has lost its torque shows there.
 """
 
 import math
@@ -18,7 +20,8 @@ from rhizotwin.rig.serial_line.port import Wire
 JOINT_NAMES = ("base", "shoulder", "elbow", "wrist pitch", "wrist roll")
 
 _HOLD_S = 1.0
-"""Torque comes on with a move to the present position; if the arm sagged since it was read, it is lifted in this time, not in a jerk."""
+"""Torque comes on with a move to the present position; if the arm sagged since it was read, it is lifted in this time,
+not in a jerk."""
 _STILL_COUNTS = 1
 _STILL_PAUSE_S = 0.1
 _STILL_LIMIT_S = 5.0
@@ -77,7 +80,8 @@ class ServoArm:
         NoAnswerError
             When a servo does not answer.
         UnsafeError
-            When the supply or a temperature is out of its range, a joint stands where it may not, or the arm moved meanwhile.
+            When the supply or a temperature is out of its range, a joint stands where it may not, or the arm moved
+            meanwhile.
         """
         self._prepared = False
         self._rests_at = None
@@ -117,14 +121,15 @@ class ServoArm:
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
         """Move all joints at once along a straight line in joint space; wait, verify; return the angles read back.
 
-        A command that moved nothing at all may have been lost on the wire and is repeated once. A move that takes longer than the protocols
-        allow is made in parts. On any error the arm is stopped where it is, with its torque on.
+        A command that moved nothing at all may have been lost on the wire and is repeated once. A move that takes
+        longer than the protocols allow is made in parts. On any error the arm is stopped where it is, with its torque
+        on.
 
         Raises
         ------
         UnsafeError
-            Before anything is sent: for an angle beyond its joint's limits. Afterwards: when a joint does not arrive, is too warm, or
-            the supply is out of its range.
+            Before anything is sent: for an angle beyond its joint's limits. Afterwards: when a joint does not arrive,
+            is too warm, or the supply is out of its range.
         LostError
             When the arm was not prepared, or a servo has lost its torque.
         """

@@ -1,8 +1,9 @@
 """Whether a path of the arm keeps clear of canister, net pot, table, floor and bars.
 
-The arm is three capsules and a ball that holds the camera; what it must not touch are cylinders, boxes and a plane. Between two places of a
-path no point of a link moves farther than the joints' steps times the lengths beyond each joint: a piece of the way counts as clear only if
-its middle is clear by half of that, and is halved until it is. So nothing is missed between samples, however long the step.
+The arm is three capsules and a ball that holds the camera; what it must not touch are cylinders, boxes and a plane.
+Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
+joint: a piece of the way counts as clear only if its middle is clear by half of that, and is halved until it is. So
+nothing is missed between samples, however long the step.
 """
 
 from collections.abc import Sequence
@@ -60,8 +61,8 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     """Measure every pair at joint angles (N, 5).
 
-    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot, table and camera.
-    The arm's own pieces keep no margin to each other: nothing sags between them.
+    The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
+    table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
     """
     part, clearance = arm_of(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
@@ -104,8 +105,8 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) -> None:
     """Refuse a path, straight in the joint angles between its places, on which the arm comes too near to something.
 
-    Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it may lie, and moves
-    away; every other place may not.
+    Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it
+    may lie, and moves away; every other place may not.
 
     Raises
     ------
@@ -127,7 +128,9 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
 
 
 def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -> list[Joints]:
-    """Return the places to go to one after the other, the goal last: straight there if that is clear, or else by way of a drawn-in arm.
+    """Return the places to go to one after the other, the goal last.
+
+    Straight there if that is clear, or else by way of a drawn-in arm.
 
     Raises
     ------

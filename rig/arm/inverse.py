@@ -1,8 +1,11 @@
-"""Joint angles for a wanted place of the camera: in closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+"""Joint angles for a wanted place of the camera.
 
-Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and the camera. The
-closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left over. Newton's method takes the least
-squares of both or, where the target may turn about an axis, meets it exactly: then there are six unknowns for six equations.
+In closed form (thesis section 3.3), and by Newton's method (appendix C.3).
+
+Five joints hold the camera's centre anywhere in reach, but its optical axis stays in the plane of the base's axis and
+the camera. The closed form keeps the centre exactly, takes the nearest orientation and tells the angle that is left
+over. Newton's method takes the least squares of both or, where the target may turn about an axis, meets it exactly:
+then there are six unknowns for six equations.
 
 Everything works on any number of targets at once: transforms (..., 4, 4), joints (..., 5) in radians.
 """
@@ -19,12 +22,14 @@ from rhizotwin.scenes.frames import Array
 EXACT_MM = 1e-9
 """Lengths below this are rounding."""
 NEAR_AXIS_MM = 1.0
-"""Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical axis."""
+"""Nearer to the base's axis than this, the camera's direction from the axis is less certain than that of its optical
+axis."""
 MOST_STEPS = 20
 CLOSE_MM, CLOSE_RAD = 1e-7, 1e-9
 """Newton's method ends when the camera is this close, or when the joints move by less than CLOSE_RAD."""
 DAMPING = 0.1
-"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are Newton's own."""
+"""Of the normal equations, per squared size of the twist still to go: steps stay short while far, and the last ones are
+Newton's own."""
 UNIT_MM = 100.0
 """Length that counts as much as a radian: about a link, so that millimetres do not drown angles."""
 
@@ -58,10 +63,11 @@ class Found:
 
 
 def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: ArrayLike, theta_rad: ArrayLike, *, elbow: int = 1) -> Array:
-    """Return q1, q2, q3 (..., 3) of a planar arm whose end is at (x, y) and whose last link points in the direction theta.
+    """Return q1, q2, q3 (..., 3) of a planar arm by its end's place (x, y) and its last link's direction theta.
 
-    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all digits where the arm
-    is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist is out of reach.
+    Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
+    digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
+    is out of reach.
     """
     l1, l2, l3 = links_mm
     theta = np.asarray(theta_rad, dtype=float)
@@ -77,7 +83,10 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
 
 def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
-    """Return all joint angles that put the camera's centre where it is wanted, with the orientation nearest to the wanted one."""
+    """Return all joint angles that put the camera's centre where it is wanted.
+
+    Its orientation is the nearest to the wanted one.
+    """
     base, *links = part.links_mm
     l1, l2, l3 = links
     at, rotation = arm_from_cam[..., :3, 3], arm_from_cam[..., :3, :3]
@@ -87,7 +96,8 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     for base_rad in (azimuth, azimuth + np.pi):
         out = np.cos(base_rad) * at[..., 0] + np.sin(base_rad) * at[..., 1]
         lean = np.arctan2(np.cos(base_rad) * ahead[..., 0] + np.sin(base_rad) * ahead[..., 1], ahead[..., 2])
-        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of these alike.
+        # At roll 0 the camera's x leads to the arm's right; turning the optical axis into the plane scales both of
+        # these alike.
         right = np.stack([np.sin(base_rad), -np.cos(base_rad), np.zeros_like(base_rad)], axis=-1)
         x_cam, y_cam = (np.sum(right * rotation[..., k], axis=-1) for k in (0, 1))
         roll = np.arctan2(-y_cam, x_cam)
@@ -103,14 +113,18 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
 def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axis: Array | None = None) -> Found:
     """Find joint angles step by step, from a start, by the pseudo-inverse of the body Jacobian.
 
-    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m = 0 this is J's
-    pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m fades with |V|^2.
+    Each step solves ``(J^T J + m I) dq = J^T V`` with the twist V = log(g^-1 g_wanted) in the camera's frame; with m =
+    0 this is J's pseudo-inverse (J has more rows than columns; Lynch and Park, Modern Robotics, section 6.2.2), and m
+    fades with |V|^2.
 
     Parameters
     ----------
-    arm_from_cam : (..., 4, 4) wanted.
-    start_rad : (..., 5), or (5,) for all targets.
-    arm_from_axis : a frame about whose z axis the target may be turned at no cost.
+    arm_from_cam : (..., 4, 4) float64 array
+        Wanted.
+    start_rad : (..., 5) float64 array
+        Or (5,) for all targets.
+    arm_from_axis : float64 array or None
+        A frame about whose z axis the target may be turned at no cost.
     """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)
@@ -149,7 +163,10 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
 
 def _azimuth(at: Array, ahead: Array) -> Array:
-    """Return the direction (...,) of the plane through the base's axis and the camera; on that axis, of the one with the optical axis."""
+    """Return the direction (...,) of the plane through the base's axis and the camera.
+
+    On that axis, of the one with the optical axis.
+    """
     far = np.hypot(at[..., 0], at[..., 1])
     by_axis = np.arctan2(ahead[..., 1], ahead[..., 0])
     level = np.hypot(ahead[..., 0], ahead[..., 1])
@@ -159,7 +176,7 @@ def _azimuth(at: Array, ahead: Array) -> Array:
 
 
 def _into_plane(ahead: Array, azimuth: Array) -> tuple[Array, Array]:
-    """Return the direction (..., 3) in the vertical plane that is nearest to the optical axis, and the angle between them."""
+    """Return the direction (..., 3) in the vertical plane nearest to the optical axis, and the angle between them."""
     zero = np.zeros_like(azimuth)
     normal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=-1)
     outward = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)

@@ -1,14 +1,18 @@
-"""The arm's chain: where the camera is for given joint angles, and how it moves with them (thesis section 3.3 and appendix C.1).
+"""The arm's chain: where the camera is for given joint angles, and how it moves with them.
+
+Thesis section 3.3 and appendix C.1.
 
 Frames
 ------
-arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links stand in line along +z;
+arm : origin at the centre of the base plate's underside, +z along the base's axis. At joint angles 0 all links stand in
+line along +z;
       positive shoulder, elbow and wrist angles lean toward +x; base and roll turn counter-clockwise about +z.
-cam : OpenCV axes at the camera's centre, which is the end of the last link; z along that link. At joint angles 0 x is the arm's -y and
+cam : OpenCV axes at the camera's centre, which is the end of the last link; z along that link. At joint angles 0 x is
+the arm's -y and
       y the arm's +x, so that leaning forward by a right angle gives a level camera with an upright picture.
 
-Everything works on any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity mm, rotation rad)
-seen in the camera's frame.
+Everything works on any number of joint vectors at once: joints (..., 5), transforms (..., 4, 4). Twists are (velocity
+mm, rotation rad) seen in the camera's frame.
 """
 
 import numpy as np
@@ -61,7 +65,9 @@ def places(links_mm: tuple[float, ...], joints_rad: Array) -> Array:
 
 
 def body_jacobian(part: ArmPart, joints_rad: Array) -> Array:
-    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``: the camera's twist in its own frame, mm and rad per rad of each joint.
+    """Return J_b (..., 6, 5) with ``V_b = J_b q_dot``.
+
+    The camera's twist in its own frame, mm and rad per rad of each joint.
 
     V_b is the vee of ``g^-1 g_dot`` with g = ``arm_from_cam`` (Lynch and Park, Modern Robotics, section 5.1.2).
     """

@@ -1,15 +1,18 @@
-"""The servo controller board (LSC, as in the xArm 1S): 9600 Bd, no checksum, no answer to commands, frames of its own at any time.
+"""The servo controller board (LSC, as in the xArm 1S).
+
+9600 Bd, no checksum, no answer to commands, frames of its own at any time.
 
 Frame: ``55 55 | length | command | parameters``, length = parameters + 2 (Hiwonder, LSC communication protocol).
 
-What a missing checksum means. *Readings*: a damaged one may look whole, so a reading counts only when a second one agrees with it, and
-only with exactly the servos that were asked for. *Commands*: the board obeys a damaged frame whose header and length survived, and
-nothing in the protocol lets the host ask what it understood before the servos move; sending twice would not help, since the second
-copy can be the damaged one. What is done about it: a frame goes out in one piece right after a reading of the same line agreed with
-itself; no move is commanded to be shorter than `LscBoard.least_move_s`, so that a wrong target is at least not reached in one swing;
-`rig.arm.arm` compares every position with the commanded one as soon as the move's time is over, stops there and says so. What remains: the
-way to a wrong place, until that moment, and a damaged time that makes the joints run faster. For unattended work
-prefer the servo bus (protocol "lx"), which has checksums.
+What a missing checksum means. *Readings*: a damaged one may look whole, so a reading counts only when a second one
+agrees with it, and only with exactly the servos that were asked for. *Commands*: the board obeys a damaged frame whose
+header and length survived, and nothing in the protocol lets the host ask what it understood before the servos move;
+sending twice would not help, since the second copy can be the damaged one. What is done about it: a frame goes out in
+one piece right after a reading of the same line agreed with itself; no move is commanded to be shorter than
+`LscBoard.least_move_s`, so that a wrong target is at least not reached in one swing; `rig.arm.arm` compares every
+position with the commanded one as soon as the move's time is over, stops there and says so. What remains: the way to a
+wrong place, until that moment, and a damaged time that makes the joints run faster. For unattended work prefer the
+servo bus (protocol "lx"), which has checksums.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -41,7 +44,10 @@ def frame(command: int, params: bytes = b"") -> bytes:
 
 
 def find_frames(heard: bytes, command: int) -> Iterator[bytes]:
-    """Yield the parameters of every whole frame with this command, newest first; the board's own frames and garbage are passed over."""
+    """Yield the parameters of every whole frame with this command, newest first.
+
+    The board's own frames and garbage are passed over.
+    """
     at = heard.rfind(HEADER)
     while at >= 0:
         body = heard[at + 2 :]
@@ -60,7 +66,10 @@ def find_positions(heard: bytes, ids: Collection[int]) -> dict[int, int] | None:
 
 
 class LscBoard:
-    """The controller board on its TTL serial header. Never ask it anything while the arm moves: the motion gets jerky."""
+    """The controller board on its TTL serial header.
+
+    Never ask it anything while the arm moves: the motion gets jerky.
+    """
 
     least_move_s = 2.0
 
@@ -68,7 +77,9 @@ class LscBoard:
         self._wire = wire
 
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
-        """Start all these servos together with one frame; return at once. It cannot be verified before its time is over.
+        """Start all these servos together with one frame; return at once.
+
+        It cannot be verified before its time is over.
 
         Raises
         ------
@@ -130,7 +141,8 @@ class LscBoard:
     def stop(self, ids: Collection[int]) -> None:
         """Command the servos to where they have just been, for want of a stop command.
 
-        The median of three readings is a place on the way that the servo came, even while it moves and one reading is damaged.
+        The median of three readings is a place on the way that the servo came, even while it moves and one reading is
+        damaged.
         """
         readings = [self._positions_once(ids) for _ in range(3)]
         places = {servo: median(reading[servo] for reading in readings) for servo in ids}

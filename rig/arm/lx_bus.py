@@ -1,8 +1,10 @@
-"""LX bus servos (LX-15D, LX-225, LX-16A ...) on their half-duplex wire: 115200 Bd, a checksum in each frame, no answer to writes.
+"""LX bus servos (LX-15D, LX-225, LX-16A ...) on their half-duplex wire.
 
-Frame: ``55 55 | id | length | command | parameters | checksum``, length = parameters + 3, checksum = ~(sum from id on) & 0xFF
-(LewanSoul Bus Servo Communication Protocol). A damaged frame is dropped by whoever receives it, so that a wrong position cannot be
-commanded; a lost write is noticed because everything written is read back.
+115200 Bd, a checksum in each frame, no answer to writes.
+
+Frame: ``55 55 | id | length | command | parameters | checksum``, length = parameters + 3, checksum = ~(sum from id on)
+& 0xFF (LewanSoul Bus Servo Communication Protocol). A damaged frame is dropped by whoever receives it, so that a wrong
+position cannot be commanded; a lost write is noticed because everything written is read back.
 """
 
 from collections.abc import Collection, Mapping
@@ -38,8 +40,9 @@ def frame(servo: int, command: int, params: bytes = b"") -> bytes:
 def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | None:
     """Return the ``size`` parameters of the newest whole, undamaged reply of this servo to this command.
 
-    Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length differs
-    from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that follows it.
+    Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length
+    differs from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that
+    follows it.
     """
     head = HEADER + bytes((servo, size + 3, command))
     at = heard.rfind(head)
@@ -54,8 +57,8 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
 class LxBus:
     """The servo bus itself.
 
-    Whether the adapter echoes what is sent never matters to the reading, see `find_reply`; it is detected, unless given, from the first
-    answer, and tells a dead adapter (not even the echo) from a dead servo.
+    Whether the adapter echoes what is sent never matters to the reading, see `find_reply`; it is detected, unless
+    given, from the first answer, and tells a dead adapter (not even the echo) from a dead servo.
     """
 
     least_move_s = 0.2
@@ -67,9 +70,10 @@ class LxBus:
     def move(self, targets: Mapping[int, int], duration_s: float) -> None:
         """Start all these servos together; return at once.
 
-        Every servo gets its target to wait with, all are read back, and only then one broadcast starts them: a servo that cannot be
-        reached is found before anything moves. The broadcast reaches every servo that waits, so ``targets`` should always name all
-        servos of the arm. Servos that after it do not report the new command are started again by number.
+        Every servo gets its target to wait with, all are read back, and only then one broadcast starts them: a servo
+        that cannot be reached is found before anything moves. The broadcast reaches every servo that waits, so
+        ``targets`` should always name all servos of the arm. Servos that after it do not report the new command are
+        started again by number.
 
         Raises
         ------
@@ -90,7 +94,8 @@ class LxBus:
             receivers = late = [servo for servo in late if self._ask(servo, MOVE_TIME_READ, 4) != orders[servo]]
             if not late:
                 return
-        # The manual does not say whether a move that waited shows here. When no servo shows it, their positions will tell the arm.
+        # The manual does not say whether a move that waited shows here. When no servo shows it, their positions will
+        # tell the arm.
         if len(late) < len(orders):
             raise NoAnswerError(f"arm: {_named(late)} did not start with the others; check the bus cable")
 
@@ -107,7 +112,10 @@ class LxBus:
         return {servo: self._ask(servo, TEMP_READ, 1)[0] for servo in ids}
 
     def loaded(self, ids: Collection[int]) -> dict[int, bool]:
-        """Read whether torque is on. Off where it should be on: a brown-out (power-up switches it off) or the servo protects itself."""
+        """Read whether torque is on.
+
+        Off where it should be on: a brown-out (power-up switches it off) or the servo protects itself.
+        """
         return {servo: self._ask(servo, LOAD_READ, 1) != b"\x00" for servo in ids}
 
     def load(self, ids: Collection[int], on: bool) -> None:

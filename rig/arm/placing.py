@@ -1,4 +1,7 @@
-"""From a ring of the plan to joint angles, and from what the markers show to better ones. Degrees here, radians below."""
+"""From a ring of the plan to joint angles, and from what the markers show to better ones.
+
+Degrees here, radians below.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +34,8 @@ def camera_wanted(ring: Ring) -> Array:
 def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
     """Return joint angles within the limits that put the camera where it is wanted, the elbow as high as it goes.
 
-    Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is turned round the
-    table's axis until they can: the canister turns anyway.
+    Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is
+    turned round the table's axis until they can: the canister turns anyway.
 
     Raises
     ------
@@ -58,12 +61,17 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
 
 
 def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:
-    """Return joint angles that bring the camera from where the markers saw it nearer to where it is wanted, at any azimuth.
+    """Return joint angles that bring the camera nearer to where it is wanted, at any azimuth.
+
+    It begins from where the markers saw it.
 
     Parameters
     ----------
-    joints_deg : what was commanded when the camera was measured.
-    cam_from_rig_wanted : None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the canister.
+    joints_deg : Joints
+        What was commanded when the camera was measured.
+    cam_from_rig_wanted : float64 array or None
+        None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the
+        canister.
 
     Raises
     ------
@@ -140,7 +148,10 @@ def _met(found: Found) -> NDArray[np.bool_]:
 
 
 def _fitted(part: ArmPart, joints_rad: Array, *, near_deg: Joints | None = None) -> tuple[Array, Array]:
-    """Return joint angles (n, 5) in degrees, whole turns chosen to fit the limits, and by how much the worst joint is beyond its limit."""
+    """Return joint angles (n, 5) in degrees, and by how much the worst joint is beyond its limit.
+
+    Whole turns are chosen to fit the limits.
+    """
     low, high = _limits_deg(part)
     middle = (low + high) / 2.0 if near_deg is None else np.asarray(near_deg)
     joints_deg = np.rad2deg(joints_rad)

@@ -18,7 +18,10 @@ Found = TypeVar("Found")
 
 
 class ServoBus(Protocol):
-    """Servos by number, positions in counts of 0.24 degrees. Every method raises `NoAnswerError` when its retries are used up."""
+    """Servos by number, positions in counts of 0.24 degrees.
+
+    Every method raises `NoAnswerError` when its retries are used up.
+    """
 
     least_move_s: float
     """Moves should not be commanded to be shorter than this."""

@@ -1,6 +1,7 @@
 """Convex shapes that the arm must not touch, and how far links are from them.
 
-A signed distance to something convex is a convex function, so the least one along a straight link is found by a golden-section search.
+A signed distance to something convex is a convex function, so the least one along a straight link is found by a
+golden-section search.
 """
 
 from dataclasses import dataclass
@@ -94,5 +95,8 @@ def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
 
 
 def _joined(outside_mm: Array) -> Array:
-    """Return the signed distance to what slabs at right angles to each other have in common, from the distances (..., k) to each."""
+    """Return the signed distance to what slabs at right angles to each other have in common.
+
+    It follows from the distances (..., k) to each.
+    """
     return np.linalg.norm(np.maximum(outside_mm, 0.0), axis=-1) + np.minimum(outside_mm.max(axis=-1), 0.0)

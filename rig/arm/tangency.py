@@ -1,7 +1,7 @@
 """The correction of a placed camera: image plane tangent to the canister, centred on its axis (thesis appendix C.2).
 
-How far round the axis the camera stands does not matter, for the table turns the canister. That freedom is the sixth unknown which makes
-six equations solvable with five joints, where the arm alone would have to leave an angle over.
+How far round the axis the camera stands does not matter, for the table turns the canister. That freedom is the sixth
+unknown which makes six equations solvable with five joints, where the arm alone would have to leave an angle over.
 """
 
 import numpy as np
@@ -14,13 +14,19 @@ from rhizotwin.scenes.frames import Array
 
 
 def azimuth_rad(cam_from_rig: Array) -> float:
-    """Return where the camera stands round the table's axis: 0 on the rig's +x side, counter-clockwise seen from above."""
+    """Return where the camera stands round the table's axis.
+
+    0 on the rig's +x side, counter-clockwise seen from above.
+    """
     centre = frames.invert(cam_from_rig)[:3, 3]
     return float(np.arctan2(centre[1], centre[0]))
 
 
 def tangent(cam_from_rig: Array) -> Array:
-    """Return the pose that the thesis corrects to: same distance, height and azimuth, but level, upright and facing the axis."""
+    """Return the pose that the thesis corrects to.
+
+    Same distance, height and azimuth, but level, upright and facing the axis.
+    """
     centre = frames.invert(cam_from_rig)[:3, 3]
     level = frames.level_camera(distance_mm=float(np.hypot(centre[0], centre[1])), height_mm=float(centre[2]), tilt_deg=0.0)
     return turned_to(level, cam_from_rig)
@@ -34,12 +40,14 @@ def turned_to(cam_from_rig: Array, like_cam_from_rig: Array) -> Array:
 def correct(part: ArmPart, joints_rad: Array, cam_from_rig_measured: Array, cam_from_rig_wanted: Array) -> Found:
     """Find the joints that bring the camera from where it was measured to where it is wanted, at any azimuth.
 
-    The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration), whatever made the arm
-    miss: that change is applied to where the arm believes its camera to be. What is left after one correction is second order in the error.
+    The camera has to move by ``measured @ inv(wanted)`` in its own frame (the thesis's change of configuration),
+    whatever made the arm miss: that change is applied to where the arm believes its camera to be. What is left after
+    one correction is second order in the error.
 
     Parameters
     ----------
-    joints_rad : (5,) commanded when the camera was measured.
+    joints_rad : (5,) float64 array
+        Commanded when the camera was measured.
     """
     believed = forward(part.links_mm, joints_rad)
     arm_from_rig = believed @ cam_from_rig_measured

@@ -14,11 +14,11 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
 
     Parameters
     ----------
-    part
+    part : CameraPart
         What the rig file says of it.
-    image_wh, bits
+    image_wh, bits : tuple of int, int
         Size and depth of the pictures, as the scene's camera has them.
-    clock
+    clock : Clock
         For the pauses between attempts over the network.
 
     Raises

@@ -23,31 +23,31 @@ def grey_from_bayer(
 ) -> Grey:
     """Average each block of raw pixels, black level taken off and colours balanced.
 
-    With gains that make a grey surface equal in all colours, the four pixels of a quad weigh the same, so that the mean sits in the
-    quad's middle, and no edge is moved or coloured as by interpolation.
+    With gains that make a grey surface equal in all colours, the four pixels of a quad weigh the same, so that the mean
+    sits in the quad's middle, and no edge is moved or coloured as by interpolation.
 
     Parameters
     ----------
-    raw
-        (H, W) numbers of the sensor.
-    order
+    raw : (H, W) uint16 array
+        Numbers of the sensor.
+    order : str
         Colours of the upper left quad by rows, such as "RGGB".
-    black
+    black : tuple of float
         Numbers without light for `COLOURS`.
-    white
+    white : float
         Number at which a pixel is full.
-    colour_gains
+    colour_gains : tuple of float
         Factors of red and blue.
-    block
+    block : int
         Pixels of a side that become one; even.
-    bits
+    bits : int
         Depth of the result: up to 8 in uint8, more left-aligned in uint16.
 
     Returns
     -------
     ndarray
-        (H / block, W / block). Proportional to the light; the raw range above black is full scale. A block with a full pixel is at full
-        scale too: its light is not known.
+        (H / block, W / block). Proportional to the light; the raw range above black is full scale. A block with a full
+        pixel is at full scale too: its light is not known.
     """
     gains = {"R": colour_gains[0], "Gr": 1.0, "Gb": 1.0, "B": colour_gains[1]}
     floors = dict(zip(COLOURS, black, strict=True))

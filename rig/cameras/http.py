@@ -48,7 +48,10 @@ class _DamagedError(Exception):
 
 
 class HttpCamera:
-    """Client of a `rig.cameras.server.CameraServer`. A request is repeated under the same name until its answer arrives whole."""
+    """Client of a `rig.cameras.server.CameraServer`.
+
+    A request is repeated under the same name until its answer arrives whole.
+    """
 
     def __init__(self, address: str, settings: CameraSettings, *, clock: Clock) -> None:
         """Check the address; nothing is sent before `prepare`.
@@ -153,7 +156,10 @@ class HttpCamera:
         return data
 
     def _most_bytes(self) -> int:
-        """Return how long a picture's PNG can be: noise cannot be compressed, each row has a byte more, and there are headers."""
+        """Return how long a picture's PNG can be.
+
+        Noise cannot be compressed, each row has a byte more, and there are headers.
+        """
         width, height = self._settings.image_wh
         return (2 * width + 1) * height * 101 // 100 + MAX_TEXT_BYTES
 

@@ -1,11 +1,11 @@
 """A camera on this Raspberry Pi, by picamera2, which is imported when the camera is opened and not before.
 
-Pictures are made of the sensor's raw numbers, not of the processed stream. What the processor does by default is neither linear nor the
-same from one picture to the next (contrast stretch, gamma, lens shading, noise reduction, sharpening); a linear tuning file can stop
-that, but leaves 8 bits, of which the dark marker strip beside a bright panel gets few. The raw numbers are 12 bits, linear, and need
-no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels becomes one grey pixel (`rig.cameras.bayer`), so that the HQ camera's 4056x3040
-raw pixels give 2028x1520, with the noise of the four averaged. Pixels are left-aligned in 16 bits; the converter's range above black is
-full scale.
+Pictures are made of the sensor's raw numbers, not of the processed stream. What the processor does by default is
+neither linear nor the same from one picture to the next (contrast stretch, gamma, lens shading, noise reduction,
+sharpening); a linear tuning file can stop that, but leaves 8 bits, of which the dark marker strip beside a bright panel
+gets few. The raw numbers are 12 bits, linear, and need no tuning file. Each block of 2x2 (or 4x4 ...) raw pixels
+becomes one grey pixel (`rig.cameras.bayer`), so that the HQ camera's 4056x3040 raw pixels give 2028x1520, with the
+noise of the four averaged. Pixels are left-aligned in 16 bits; the converter's range above black is full scale.
 """
 
 import importlib
@@ -79,7 +79,10 @@ class PiCamera:
         self.capture()
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call; frames with other settings or of an earlier time are passed over."""
+        """Take a picture whose exposure begins after this call.
+
+        Frames with other settings or of an earlier time are passed over.
+        """
         if self._camera is None or self._mode is None:
             raise RigError(f"{self._name}: is not open; prepare it first")
         faults: list[str] = []

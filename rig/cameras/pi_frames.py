@@ -39,11 +39,11 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
 
     Parameters
     ----------
-    modes
+    modes : sequence of mapping of object
         picamera2's ``sensor_modes``.
-    image_wh
+    image_wh : tuple of int
         Size of the picture.
-    name
+    name : str
         The camera's, for messages.
 
     Raises
@@ -96,15 +96,15 @@ def grey_of_frame(
 
     Parameters
     ----------
-    raw
-        (H, stride) bytes of the raw stream.
-    stream
+    raw : (H, stride) uint8 array
+        Bytes of the raw stream.
+    stream : mapping of object
         Its ``format`` and ``size``, as configured.
-    metadata
+    metadata : mapping of object
         The frame's; ``SensorBlackLevels`` are R, Gr, Gb, B in 16 bits whatever the format.
-    mode, settings
+    mode, settings : RawMode, CameraSettings
         What was asked for.
-    name
+    name : str
         The camera's, for messages.
 
     Raises
@@ -122,7 +122,8 @@ def grey_of_frame(
     levels = metadata.get("SensorBlackLevels")
     if levels is None or len(levels) != 4:
         raise RigError(f"{name}: does not report its black level; update python3-picamera2 and libcamera")
-    # Unpacked numbers are aligned to the right in the format's bits: 12 of a Pi 4, 16 of a Pi 5, which puts the converter's own on top.
+    # Unpacked numbers are aligned to the right in the format's bits: 12 of a Pi 4, 16 of a Pi 5, which puts the
+    # converter's own on top.
     below = 2 ** (16 - int(found[2]))
     width, height = mode.size
     return grey_from_bayer(

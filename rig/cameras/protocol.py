@@ -2,11 +2,11 @@
 
     GET  /describe                                       -> JSON {program, protocol, camera}
     POST /prepare  JSON {session, settings}              -> JSON {camera}
-    POST /capture  JSON {session, picture}               -> PNG, with `SHA256`, `PICTURE`, `EXPOSURE_S` and `GAIN` in headers
+    POST /capture  JSON {session, picture}               -> PNG, headers `SHA256`, `PICTURE`, `EXPOSURE_S`, `GAIN`
     any failure                                          -> JSON {error: one sentence}
 
-The client draws the names of session and picture, so that a request may be repeated when its answer was lost: the same session is not
-prepared twice, and the same picture is not taken twice. A session ends when another one begins.
+The client draws the names of session and picture, so that a request may be repeated when its answer was lost: the same
+session is not prepared twice, and the same picture is not taken twice. A session ends when another one begins.
 """
 
 import re

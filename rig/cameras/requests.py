@@ -169,7 +169,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, headers, picture.png)
 
     def _body(self) -> bytes:
-        """Read a request's body, also of one that will be refused: a connection closed before that may lose the answer."""
+        """Read a request's body, also of one that will be refused.
+
+        A connection closed before that may lose the answer.
+        """
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
             raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "requests must say their length")

@@ -1,7 +1,8 @@
 """Serve a camera of this computer to another one, over HTTP (see `rig.cameras.protocol`).
 
-Meant for a laboratory's own network: there are no passwords. Listens on this computer alone unless told otherwise. Web pages that a browser
-shows on the same network cannot use it: requests must name this computer (no DNS rebinding) and carry JSON (no forms of other sites).
+Meant for a laboratory's own network: there are no passwords. Listens on this computer alone unless told otherwise. Web
+pages that a browser shows on the same network cannot use it: requests must name this computer (no DNS rebinding) and
+carry JSON (no forms of other sites).
 """
 
 import ipaddress
@@ -30,17 +31,19 @@ def serve_camera(
     port: int = protocol.DEFAULT_PORT,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the camera of a rig file until stopped by an exception such as Ctrl-C's; the camera is given back on the way out.
+    """Serve the camera of a rig file until stopped by an exception such as Ctrl-C's.
+
+    The camera is given back on the way out.
 
     Parameters
     ----------
-    part
+    part : CameraPart
         A camera on this computer. Whoever takes pictures brings size, depth, exposure, gain and white balance along.
-    image_wh, bits
+    image_wh, bits : tuple of int, int
         What is used until then.
-    host, port
+    host, port : str, int
         Where to listen; 0.0.0.0 is every network.
-    say
+    say : callable
         Gets lines for the person at this computer.
 
     Raises
@@ -77,14 +80,14 @@ class CameraServer:
 
         Parameters
         ----------
-        camera
+        camera : Camera
             The camera, not open yet.
-        host, port
+        host, port : str, int
             Where to listen; port 0 takes a free one.
-        reopen
-            Makes the camera for the settings of a client; without it the camera keeps its own settings, and a client that wants others
-            refuses the pictures.
-        say
+        reopen : callable or None
+            Makes the camera for the settings of a client; without it the camera keeps its own settings, and a client
+            that wants others refuses the pictures.
+        say : callable
             Gets a line when a client comes, and when something fails.
 
         Raises

@@ -33,10 +33,11 @@ class CameraService:
 
         Parameters
         ----------
-        camera
+        camera : Camera
             The camera; not open yet.
-        reopen
-            Makes the camera that a session's settings ask for, in place of the one before. Without it the camera keeps its own.
+        reopen : callable or None
+            Makes the camera that a session's settings ask for, in place of the one before. Without it the camera keeps
+            its own.
         """
         self._camera = camera
         self._reopen = reopen

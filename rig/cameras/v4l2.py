@@ -1,7 +1,8 @@
 """A USB camera by OpenCV and Video4Linux.
 
-A driver may say that it set something and not have done it, so that everything is read back, after the second frame again and after each
-picture. Pictures have 8 bits. They are linear in light only as far as the camera's gamma can be set to 1 (`describe` says when it cannot).
+A driver may say that it set something and not have done it, so that everything is read back, after the second frame
+again and after each picture. Pictures have 8 bits. They are linear in light only as far as the camera's gamma can be
+set to 1 (`describe` says when it cannot).
 """
 
 from dataclasses import dataclass

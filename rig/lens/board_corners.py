@@ -15,7 +15,8 @@ from rhizotwin.scenes.markers import dictionary_named
 Picture = NDArray[np.uint8 | np.uint16]
 
 LONGEST_PX: Final = 2100
-"""Pictures are halved until their longer side is below this for the search; corners are measured in the full picture."""
+"""Pictures are halved until their longer side is below this for the search; corners are measured in the full
+picture."""
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
 """Share of the named corners that must be measurable."""
@@ -61,8 +62,10 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
     Parameters
     ----------
-    image : (H, W) grey levels, uint8 or uint16.
-    board : what was printed.
+    image : (H, W) uint8 or uint16 array
+        Grey levels.
+    board : CharucoBoard
+        What was printed.
 
     Returns
     -------
@@ -133,7 +136,10 @@ def _tone(image: Picture, power: float) -> NDArray[np.uint8]:
 
 
 def _flat(board: CharucoBoard, ids: NDArray[np.int64], corners_px: Array) -> tuple[Array | None, Array]:
-    """Return the homography (3, 3) from board to picture, None where the corners lie in one row, and the corners (N, 2) on the board."""
+    """Return the homography (3, 3) from board to picture, and the corners (N, 2) on the board.
+
+    None where the corners lie in one row.
+    """
     at_mm = board.corners_mm[ids, :2]
     if np.linalg.svd(at_mm - at_mm.mean(axis=0), compute_uv=False)[1] < 0.5 * board.square_mm:
         return None, at_mm

@@ -1,4 +1,7 @@
-"""Calibrate a camera from pictures of the board: what can be used, the lens, what to be careful about, and the files."""
+"""Calibrate a camera from pictures of the board.
+
+What can be used, the lens, what to be careful about, and the files.
+"""
 
 import re
 from collections import Counter
@@ -38,7 +41,8 @@ MOST_RMS_PX: Final = (3.0, 0.5)
 MOST_FOCAL_STD: Final = 0.001
 MOST_BLUR_PX: Final = 3.0
 SAME_WAY_DEG, SAME_WAY_SHARE = 4.0, 0.05
-"""Two pictures show the board held the same way when it turned and moved (as a share of its distance) by less than this."""
+"""Two pictures show the board held the same way when it turned and moved (as a share of its distance) by less than
+this."""
 ENOUGH_WAYS: Final = 6
 
 
@@ -63,14 +67,18 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
 
     Parameters
     ----------
-    paths : pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
-    board : what was printed; its size is of no matter for the lens, its squares' numbers and markers are.
-    monitor : hears how far it is.
+    paths : sequence of path
+        Pictures (PNG, JPG, TIFF; 8 or 16 bits) of one camera at one focus, of one size.
+    board : CharucoBoard
+        What was printed; its size is of no matter for the lens, its squares' numbers and markers are.
+    monitor : Monitor or None
+        Hears how far it is.
 
     Raises
     ------
     RigError
-        When the pictures are too few, too alike, show the board too little tilted or in too little of the field, or fit no lens.
+        When the pictures are too few, too alike, show the board too little tilted or in too little of the field, or fit
+        no lens.
     UserError
         For a board that cannot be.
     """
@@ -114,9 +122,12 @@ def calibrate_views(
 
     Parameters
     ----------
-    views : the corners, by picture.
-    bits : depth of the camera's converter.
-    rejected : pictures that were left out before, with the reason.
+    views : dict of BoardView
+        The corners, by picture.
+    bits : int
+        Depth of the camera's converter.
+    rejected : dict of str or None
+        Pictures that were left out before, with the reason.
 
     Raises
     ------

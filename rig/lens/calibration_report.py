@@ -1,4 +1,7 @@
-"""One page about a calibration for people: the numbers, the residuals over the picture, what is covered, and each picture."""
+"""One page about a calibration for people.
+
+The numbers, the residuals over the picture, what is covered, and each picture.
+"""
 
 import base64
 import html
@@ -38,7 +41,7 @@ def write_report(made: Calibration, folder: Path) -> Path:
 
 
 def draw(made: Calibration) -> "Figure":
-    """Draw the residuals over the picture, the cover of the field, the lens's distortion and the residual of every picture."""
+    """Draw the residuals over the picture, the cover of the field, the distortion and every picture's residual."""
     from matplotlib.figure import Figure
 
     bars = len(made.fit.views)

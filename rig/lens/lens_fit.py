@@ -92,8 +92,8 @@ class _Solution:
 def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int]) -> LensFit:
     """Fit focal lengths, principal point and distortion.
 
-    Pictures and corners that do not fit the others are left out; then terms of the model are left out as long as that lowers the Bayesian
-    information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
+    Pictures and corners that do not fit the others are left out; then terms of the model are left out as long as that
+    lowers the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
 
     Raises
     ------
@@ -161,7 +161,8 @@ def _solve(
     at_px = [view.corners_px.astype(np.float32) for view in views.values()]
     matrix, distortion = np.eye(3), np.zeros(5)
     if start is None:
-        flags |= cv2.CALIB_FIX_ASPECT_RATIO  # of the unit matrix: OpenCV's first guess is steadier with one focal length
+        # of the unit matrix: OpenCV's first guess is steadier with one focal length
+        flags |= cv2.CALIB_FIX_ASPECT_RATIO
     else:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
         matrix = start.matrix.copy()
@@ -200,12 +201,15 @@ def _worst_picture(views: dict[str, BoardView], found: _Solution) -> tuple[str, 
 
 
 def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, BoardView] | None:
-    """Return the views without the corner that lies farthest off; None when none lies far off, or its picture has few others.
+    """Return the views without the corner that lies farthest off.
+
+    None when none lies far off, or its picture has few others.
 
     One at a time: a wrong corner pulls the reprojections of its neighbours with it.
     """
     lengths = [np.linalg.norm(r, axis=1) for r in found.residuals]
-    sigma = float(np.median(np.concatenate(lengths))) / np.sqrt(2.0 * np.log(2.0))  # the median of a Rayleigh distribution
+    # the median of a Rayleigh distribution
+    sigma = float(np.median(np.concatenate(lengths))) / np.sqrt(2.0 * np.log(2.0))
     k = int(np.argmax([float(far.max()) for far in lengths]))
     name, far = list(views)[k], lengths[k]
     if far.max() <= max(FAR_PX, FAR_SIGMAS * sigma) or len(far) <= LEAST_LEFT:
@@ -218,7 +222,10 @@ def _without_worst(views: dict[str, BoardView], found: _Solution) -> dict[str, B
 def _fewest_terms(
     views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[int, int], full: _Solution
 ) -> tuple[_Solution, tuple[str, ...]]:
-    """Leave terms out one after another as long as the information criterion falls; return the fit and what was left out."""
+    """Leave terms out one after another as long as the information criterion falls.
+
+    Return the fit and what was left out.
+    """
     count = 2 * sum(len(view.ids) for view in views.values())
 
     def criterion(found: _Solution, left_out: tuple[str, ...]) -> float:

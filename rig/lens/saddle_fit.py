@@ -1,7 +1,9 @@
-"""Measure where four squares of a chessboard meet: two blurred edges that cross, laid over the picture by least squares.
+"""Measure where four squares of a chessboard meet.
 
-A crossing looks the same turned by half a turn, so that blur, and ink that spreads, leave it in place; the fit uses every pixel round it,
-where OpenCV's cornerSubPix uses gradients only.
+Two blurred edges that cross, laid over the picture by least squares.
+
+A crossing looks the same turned by half a turn, so that blur, and ink that spreads, leave it in place; the fit uses
+every pixel round it, where OpenCV's cornerSubPix uses gradients only.
 """
 
 from dataclasses import dataclass
@@ -40,14 +42,18 @@ class Saddle:
 def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: Array) -> Saddle | None:
     """Fit the crossing nearest to ``start_px``.
 
-    The model of the pixel at p is ``k(p) + w(p) E(n1 . (p - c)) E(n2 . (p - c))`` with E(u) = erf(u / (sqrt(2) blur)), n1 and n2 the unit
-    normals of the two edges, k and w linear in p: 11 parameters, by Gauss-Newton.
+    The model of the pixel at p is ``k(p) + w(p) E(n1 . (p - c)) E(n2 . (p - c))`` with E(u) = erf(u / (sqrt(2) blur)),
+    n1 and n2 the unit normals of the two edges, k and w linear in p: 11 parameters, by Gauss-Newton.
 
     Parameters
     ----------
-    image : (H, W) grey levels.
-    start_px : (2,) good to two pixels or so.
-    sides_px : (2, 2), columns along the two edges: pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 show nothing but the crossing.
+    image : (H, W) uint8 or uint16 array
+        Grey levels.
+    start_px : (2,) float64 array
+        Good to two pixels or so.
+    sides_px : (2, 2) float64 array
+        Columns along the two edges: pixels ``start_px + sides_px @ (a, b)`` with |a|, |b| < 1 show nothing but the
+        crossing.
 
     Returns
     -------
@@ -78,7 +84,10 @@ def fit_saddle(image: NDArray[np.uint8 | np.uint16], start_px: Array, sides_px: 
 
 
 def _gauss_newton(x: Array, y: Array, light: Array, sides_px: Array) -> tuple[Array, float, float, float] | None:
-    """Return the crossing (2,) from the start, the blur, its standard deviation and the correlation; None where the fit runs away."""
+    """Return the crossing (2,) from the start, the blur, its standard deviation and the correlation.
+
+    None where the fit runs away.
+    """
     reach = float(np.linalg.norm(sides_px, axis=0).max())
     theta1, theta2 = np.arctan2(sides_px[1], sides_px[0]) + np.pi / 2.0  # each normal is perpendicular to its edge
     c, blur = np.zeros(2), FIRST_BLUR_PX

@@ -1,8 +1,8 @@
 """A camera's curve from pictures of one still scene at several exposure times.
 
-A number v in picture j stands for the light ``f(v) = E t_j``: what changes from picture to picture is the exposure time t alone. With
-g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is piecewise straight between knots, as
-smooth as the pictures allow, and 0 at full scale. It is linear least squares.
+A number v in picture j stands for the light ``f(v) = E t_j``: what changes from picture to picture is the exposure time
+t alone. With g = ln f, every pixel i gives ``g(v_ij) = ln E_i + ln t_j`` (Debevec and Malik 1997, equation 2); g is
+piecewise straight between knots, as smooth as the pictures allow, and 0 at full scale. It is linear least squares.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,8 @@ PIXELS = 2000
 USABLE = 0.02, 0.98
 """Numbers nearer than this to the ends of the range are noise or clipped."""
 SMOOTH = 2.0
-"""Weight of g's second differences against a pixel's equation: noise of a pixel is about 0.01 in g, bends between knots are less."""
+"""Weight of g's second differences against a pixel's equation: noise of a pixel is about 0.01 in g, bends between knots
+are less."""
 LEAST_PICTURES, LEAST_RANGE = 3, 3.0
 KNOWN = 0.01
 """A measured curve this near to a known one everywhere, but for a common factor (exposures tell none), is that one."""
@@ -38,7 +39,8 @@ class TransferFit:
     residual: float
     """Root mean square of what is left, as a share of the light."""
     reached: tuple[float, float]
-    """Lowest and highest number, of full scale, that the pictures show: beyond, the curve goes on smoothly, and nobody looked."""
+    """Lowest and highest number, of full scale, that the pictures show: beyond, the curve goes on smoothly, and nobody
+    looked."""
 
 
 def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> TransferFit:
@@ -46,8 +48,10 @@ def fit_transfer(images: Sequence[Grey], exposures_s: Sequence[float]) -> Transf
 
     Parameters
     ----------
-    images : (H, W) numbers as stored, of one scene before a camera at rest.
-    exposures_s : their exposure times.
+    images : (H, W) sequence of uint8 or uint16 array
+        Numbers as stored, of one scene before a camera at rest.
+    exposures_s : sequence of float
+        Their exposure times.
 
     Raises
     ------

@@ -24,7 +24,9 @@ CREATOR: Final = "rhizotwin"
 
 
 def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
-    """Write pages to one PDF file, or to SVG files: one under its own name, several with ``-1``, ``-2``, ... behind the name.
+    """Write pages to one PDF file, or to SVG files.
+
+    One under its own name, several with ``-1``, ``-2``, ... behind the name.
 
     Raises
     ------
@@ -107,7 +109,8 @@ def _svg(page: Page, title: str) -> bytes:
     with _settings():
         figure_of(page).savefig(stored, format="svg", metadata={"Title": title, "Creator": CREATOR, "Date": None})
     wide_mm, high_mm = page.size_mm
-    head = re.compile(rb'width="[0-9.]+pt" height="[0-9.]+pt"')  # points are rounded, and not every program takes them for points
+    # points are rounded, and not every program takes them for points
+    head = re.compile(rb'width="[0-9.]+pt" height="[0-9.]+pt"')
     return head.sub(f'width="{wide_mm:g}mm" height="{high_mm:g}mm"'.encode(), stored.getvalue(), count=1)
 
 
@@ -122,7 +125,10 @@ def _pdf(pages: Sequence[Page], title: str) -> bytes:
 
 
 def _at_true_scale(pdf: bytes) -> bytes:
-    """Append to a PDF that viewers shall not offer to scale it: ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update."""
+    """Append to a PDF that viewers shall not offer to scale it.
+
+    ``/PrintScaling /None`` (PDF 1.6, table 8.1), as an incremental update.
+    """
     root, size = re.search(rb"/Root (\d+) 0 R", pdf), re.search(rb"/Size (\d+)", pdf)
     starts = re.findall(rb"startxref\s+(\d+)", pdf)
     catalog = root and re.search(rb"(?:^|\n)" + root[1] + rb" 0 obj\s*<<(.*?)>>\s*endobj", pdf, re.DOTALL)

@@ -1,4 +1,7 @@
-"""Pages to be printed at true scale: what stands on them, in millimetres, and the ruler and square by which the printer is checked."""
+"""Pages to be printed at true scale.
+
+What stands on them, in millimetres, and the ruler and square by which the printer is checked.
+"""
 
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
@@ -117,7 +120,10 @@ class Paper:
 
 
 def ruler(left_mm: float, top_mm: float, *, upright: bool = False) -> list[Part]:
-    """Return a ruler of 100 mm, between the middles of its first line, at ``left_mm`` (upright: ``top_mm``), and its last."""
+    """Return a ruler of 100 mm.
+
+    They lie between the middles of its first line, at ``left_mm`` (upright: ``top_mm``), and its last.
+    """
     parts: list[Part] = []
     for mm in range(int(RULER_MM) + 1):
         long_mm = 5.0 if mm % 10 == 0 else 3.5 if mm % 5 == 0 else 2.2

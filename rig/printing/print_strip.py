@@ -201,7 +201,10 @@ def _name(strip: MarkerStrip, piece: Piece) -> str:
 
 
 def _cuts(left_mm: float, end_mm: float, top_mm: float, bottom_mm: float) -> list[Part]:
-    """Return the outline of a piece and its tab, the line where the next one begins, and cut marks that lead to the corners."""
+    """Return the outline of a piece and its tab, with cut marks.
+
+    A line shows where the next one begins; the marks lead to the corners.
+    """
     tab_mm = end_mm + TAB_MM
     grey = {"grey": CUT_GREY}
     parts: list[Part] = [Line(from_mm=(left_mm, y), to_mm=(tab_mm, y), **grey) for y in (top_mm, bottom_mm)]

@@ -1,1 +1,4 @@
-"""The scan, what survives it, and every way out of it; its checks, markers and homing also serve a person on the bench."""
+"""The scan, what survives it, and every way out of it.
+
+Its checks, markers and homing also serve a person on the bench.
+"""

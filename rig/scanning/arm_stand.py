@@ -1,4 +1,7 @@
-"""The arm as what holds the camera of a scan: placed for a ring on checked paths, corrected by the markers, watched while it stands."""
+"""The arm as what holds the camera of a scan.
+
+Placed for a ring on checked paths, corrected by the markers, watched while it stands.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,14 +25,16 @@ from rhizotwin.scenes.model import Ring, Scene
 NEAR_MM, NEAR_DEG = 3.0, 0.6
 """Placed well enough: servos do not repeat better at the arm's reach, and the pictures tell the rest."""
 FAR_MM, FAR_DEG = 80.0, 20.0
-"""An arm that is off by more than this is described wrongly in the rig file, so that its paths were checked against something else."""
+"""An arm that is off by more than this is described wrongly in the rig file, so that its paths were checked against
+something else."""
 FAIR_MM, FAIR_DEG = 8.0, 2.0
 """Placed well enough after `CORRECTIONS`: an arm with play comes no nearer by trying on."""
 CORRECTIONS, MOST_CORRECTIONS = 4, 8
 WRIST = 3
 """Index of the joint that tilts the camera; less of it looks higher."""
 SEARCH_DEG = (-5.0, 5.0, -10.0, 10.0)
-"""How the camera is tilted where the strip should be in the picture and is not; up first, since it is at the top of most pictures."""
+"""How the camera is tilted where the strip should be in the picture and is not; up first, since it is at the top of
+most pictures."""
 LEAST_EXPECTED = 4
 DRIFT_DEG = 1.5
 """A joint that changes by more than this while the camera should stand still was pushed, or gave way."""
@@ -101,8 +106,10 @@ class ArmStand:
 
         Parameters
         ----------
-        seen : what it shows now; None: it cannot be read.
-        angle_deg : reads the table's angle.
+        seen : Sighting or None
+            What it shows now; None: it cannot be read.
+        angle_deg : callable
+            Reads the table's angle.
 
         Returns
         -------

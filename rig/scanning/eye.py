@@ -1,4 +1,4 @@
-"""The camera of a scan: pictures that are tried again when the camera fails or hangs, and what the strip in them says."""
+"""The camera of a scan: pictures, tried again when it fails or hangs, and what the strip in them says."""
 
 import hashlib
 from collections.abc import Callable
@@ -28,8 +28,8 @@ class Eye:
     def picture(self, *, table_deg: float | None = None) -> Shot:
         """Take a picture; a camera that fails is opened anew and asked again, with growing pauses.
 
-        With ``table_deg``, where the table stands, a picture that was given before at another angle is a failure, too: no two pictures
-        are the same byte for byte, least of all from two sides, unless the camera hangs.
+        With ``table_deg``, where the table stands, a picture that was given before at another angle is a failure, too:
+        no two pictures are the same byte for byte, least of all from two sides, unless the camera hangs.
 
         Raises
         ------

@@ -38,15 +38,19 @@ class Angle:
 
 
 def facing_angle(seen: Sighting, scene: Scene) -> float:
-    """Return the table angle (-180 to 180) that brought the strip before the camera as it is seen: 0 with the seam toward the camera."""
+    """Return the table angle (-180 to 180) that brought the strip before the camera as it is seen.
+
+    0 with the seam toward the camera.
+    """
     return wrapped(-scene.turntable.direction * seen.azimuth_deg)
 
 
 def angle_against(cam_from_canister: Array, references: Sequence[Reference], scene: Scene) -> float:
     """Return the table angle relative to pictures taken at known angles by a camera that stood at the same place.
 
-    With ``cam_from_canister = C Rz(angle) S`` for camera C and canister pose S, both constant, the rotation between two pictures is the
-    table's alone: errors of these and the strip cancel. Several references lessen the noise of single pictures; their median is taken.
+    With ``cam_from_canister = C Rz(angle) S`` for camera C and canister pose S, both constant, the rotation between two
+    pictures is the table's alone: errors of these and the strip cancel. Several references lessen the noise of single
+    pictures; their median is taken.
     """
     canister_from_cam = frames.invert(cam_from_canister)
     direction = scene.turntable.direction
@@ -64,16 +68,24 @@ def find_angle(
     ask: Ask | None = None,
     why: str = "the strip cannot be read",
 ) -> Angle:
-    """Find the table's present angle: by the markers, otherwise as it was given, otherwise as a person says. It is never guessed.
+    """Find the table's present angle: by the markers, otherwise as it was given, otherwise as a person says.
+
+    It is never guessed.
 
     Parameters
     ----------
-    seen : what the strip says now; None when it cannot be read.
-    references : earlier pictures by the camera where it stands now, or stood nearly; may be none.
-    near_deg : of all angles that differ by whole turns the one nearest to this is returned, within what the turntable takes.
-    given_deg : what the person said beforehand, for a strip that cannot be read.
-    ask : None when nobody is there.
-    why : why the strip cannot be read, for messages.
+    seen : Sighting or None
+        What the strip says now; None when it cannot be read.
+    references : sequence of Reference
+        Earlier pictures by the camera where it stands now, or stood nearly; may be none.
+    near_deg : float
+        Of all angles that differ by whole turns the one nearest to this is returned, within what the turntable takes.
+    given_deg : float or None
+        What the person said beforehand, for a strip that cannot be read.
+    ask : Ask or None
+        None when nobody is there.
+    why : str
+        Why the strip cannot be read, for messages.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Where the camera stands by the marker strip in one picture. The only place where the rig leans on the reconstruction."""
+"""Where the camera stands by the marker strip in one picture.
+
+The only place where the rig leans on the reconstruction.
+"""
 
 from dataclasses import dataclass, field
 
@@ -42,12 +45,16 @@ class Sighting:
 
 
 def read_strip(image: Grey, scene: Scene) -> Sighting | None:
-    """Find the camera's pose from the markers of one picture; None when the strip cannot be read (`why_unread` says why).
+    """Find the camera's pose from the markers of one picture.
+
+    None when the strip cannot be read (`why_unread` says why).
 
     Parameters
     ----------
-    image : (H, W) uint8 or uint16 of the size of the scene's camera.
-    scene : strip, net pot and camera with its calibrated lens.
+    image : (H, W) uint8 or uint16 array
+        Of the size of the scene's camera.
+    scene : Scene
+        Strip, net pot and camera with its calibrated lens.
     """
     found = _read(image, scene)
     return found if isinstance(found, Sighting) else None

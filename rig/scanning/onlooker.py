@@ -19,14 +19,16 @@ class Look:
     sighting: Sighting | None
     """What the strip says; None where it cannot be read."""
     motion: float | None
-    """Share of the picture's blocks that still changed after the stop (`rig.scanning.change`); None where it was not looked at."""
+    """Share of the picture's blocks that still changed after the stop (`rig.scanning.change`); None where it was not
+    looked at."""
 
 
 class Onlooker:
     """Looks on and does nothing; those who do something override what they need. Called from more than one thread."""
 
     watches_motion = False
-    """Whether a second picture is taken at every stop and compared with the first; it costs an exposure and is not kept."""
+    """Whether a second picture is taken at every stop and compared with the first; it costs an exposure and is not
+    kept."""
 
     def planned(self, total: int, done: int) -> None:
         """Hear how many pictures the plan has, and how many of them an earlier run took."""
@@ -43,6 +45,7 @@ class Onlooker:
     def holds(self) -> bool:
         """Whether the scan shall wait before its next picture; asked again and again until it may go on.
 
-        Takes at most about a second, so that the rig is watched meanwhile. Raises `KeyboardInterrupt` to end the scan as Ctrl-C does.
+        Takes at most about a second, so that the rig is watched meanwhile. Raises `KeyboardInterrupt` to end the scan
+        as Ctrl-C does.
         """
         return False

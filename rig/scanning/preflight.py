@@ -16,7 +16,8 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 
 BRIGHT_SHARE = 0.25
-"""The brightest part of a picture, by which its exposure is judged: the panel fills more than this, the white of the strip less."""
+"""The brightest part of a picture, by which its exposure is judged: the panel fills more than this, the white of the
+strip less."""
 DIMMEST = 0.2
 """Below this fraction of full scale the panel is too dark: noise would hide thin roots."""
 FULL = 0.99

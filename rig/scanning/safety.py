@@ -21,10 +21,14 @@ def make_safe(
 
     Parameters
     ----------
-    board, arm : whether the board of table and lights, and the arm, were used at all; what was not is left alone.
-    finished : the table's motor is switched off; otherwise it stays on, so that the angle survives until the scan is taken up.
-    board_lost : the board was lost: it is connected once more to switch the lights off.
-    arm_failed : the arm itself was at fault: it is not moved any more, only let go.
+    board, arm : bool
+        Whether the board of table and lights, and the arm, were used at all; what was not is left alone.
+    finished : bool
+        The table's motor is switched off; otherwise it stays on, so that the angle survives until the scan is taken up.
+    board_lost : bool
+        The board was lost: it is connected once more to switch the lights off.
+    arm_failed : bool
+        The arm itself was at fault: it is not moved any more, only let go.
     """
     try:
         if board:

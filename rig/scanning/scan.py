@@ -1,8 +1,8 @@
 """A scan: every view of a plan taken on real or emulated devices, so that it survives faults, Ctrl-C and power cuts.
 
-A frame's angle is what the turntable answered after the move and again after the picture. A turntable that was reset or plugged out is
-connected again and its angle found anew by the markers; a camera that fails is opened again; all else stops the scan with its cause.
-What was taken stays, and a later run takes only what is missing.
+A frame's angle is what the turntable answered after the move and again after the picture. A turntable that was reset or
+plugged out is connected again and its angle found anew by the markers; a camera that fails is opened again; all else
+stops the scan with its cause. What was taken stays, and a later run takes only what is missing.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,19 +63,31 @@ def scan(
 
     Parameters
     ----------
-    devices : open; they stay open, but are left safe: lights off, arm parked and let go, the table's motor off after a finished scan and on
-        after a stopped one, so that its angle is not lost.
-    scene : rig and plan as given, with the calibrated lens.
-    folder : new or empty, or left by a stopped scan.
-    resume : whether a stopped scan is taken up.
-    settings : what else the scan is made with; written to the dataset, and compared when it is taken up.
-    seed : of the twin's errors.
-    table_angle_deg : the table's present angle as a person says, for a strip that cannot be read at the start.
-    ask : puts a question to a person; None when nobody is there.
-    say : takes lines for people.
-    onlooker : hears what every picture shows, and may hold the scan.
-    monitor : hears how far the scan is.
-    begun : called once it is known that the folder can be used, before anything moves.
+    devices : Devices
+        Open; they stay open, but are left safe: lights off, arm parked and let go, the table's motor off after a
+        finished scan and on after a stopped one, so that its angle is not lost.
+    scene : Scene
+        Rig and plan as given, with the calibrated lens.
+    folder : path
+        New or empty, or left by a stopped scan.
+    resume : bool
+        Whether a stopped scan is taken up.
+    settings : mapping of object or None
+        What else the scan is made with; written to the dataset, and compared when it is taken up.
+    seed : int or None
+        Of the twin's errors.
+    table_angle_deg : float or None
+        The table's present angle as a person says, for a strip that cannot be read at the start.
+    ask : Ask or None
+        Puts a question to a person; None when nobody is there.
+    say : Say
+        Takes lines for people.
+    onlooker : Onlooker or None
+        Hears what every picture shows, and may hold the scan.
+    monitor : Monitor or None
+        Hears how far the scan is.
+    begun : callable
+        Called once it is known that the folder can be used, before anything moves.
 
     Returns
     -------
@@ -224,7 +236,10 @@ class _Scan:
             self._stand.joints()
 
     def _refuse_still(self) -> None:
-        """Stop where the picture before does not show that the table turned as it says; that picture is taken out, the others stay."""
+        """Stop where the picture before does not show that the table turned as it says.
+
+        That picture is taken out, the others stay.
+        """
         wrong = self._watch.wrong()
         if wrong is None:
             return
@@ -238,7 +253,7 @@ class _Scan:
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
-        """Turn as far as from one view to the next, watch how long the picture still moves, and rest so long from now on."""
+        """Turn as far as to a next view, watch how long the picture still moves, and rest so long from now on."""
         if self._rest_known:
             return
         self._turning.turn(views[0].table_deg)
@@ -296,7 +311,10 @@ class _Scan:
                     raise
 
     def _shoot(self, view: View) -> tuple[Frame, Grey, Grey | None]:
-        """Turn, wait, take the picture, and make sure that the table still stands where it went; again for one who watches motion."""
+        """Turn, wait, take the picture, and make sure that the table still stands where it went.
+
+        Again for one who watches motion.
+        """
         clock = self._devices.clock
         read_deg = self._turning.turn(view.table_deg)
         moved_s = clock.now_s()
@@ -321,7 +339,10 @@ class _Scan:
         return frame, shot.image, again
 
     def _lit_picture(self, angle_deg: float) -> Shot:
-        """Take a picture, prove that the table still stands, and that the lamps, which cannot be read back, are as bright as they were."""
+        """Take a picture; prove that the table still stands, and that the lamps are as bright as they were.
+
+        Lamps cannot be read back.
+        """
         bright = 0.0
         for again in (False, True):
             if again:
@@ -338,7 +359,10 @@ class _Scan:
         )
 
     def _drop_slipped(self, pictures: list[Taken]) -> str:
-        """Take pictures out that show another angle than commanded, and say which: lost steps cannot be read back, but stay lost."""
+        """Take pictures out that show another angle than commanded, and say which.
+
+        Lost steps cannot be read back, but stay lost.
+        """
         self._session.flush()
         slipped = self._turning.slipped(pictures)
         if not slipped:

@@ -1,7 +1,8 @@
 """A scan's folder: what an earlier run left is taken up, and every picture is written at once, whole or not at all.
 
-A frame is listed in dataset.json before its picture is written; a listed frame without its picture never reached the disk, is dropped when
-the scan is taken up, and is taken again. Pictures are encoded and written beside the next movement, one at a time and in order.
+A frame is listed in dataset.json before its picture is written; a listed frame without its picture never reached the
+disk, is dropped when the scan is taken up, and is taken again. Pictures are encoded and written beside the next
+movement, one at a time and in order.
 """
 
 import hashlib
@@ -87,7 +88,10 @@ class Session:
         self._dataset = replace(self._dataset, origin={**self._dataset.origin, "log": [*self._dataset.origin["log"], said]})
 
     def record(self, frame: Frame, image: Grey) -> None:
-        """Begin to write a frame and its picture, once the one before is written; what went wrong with that is raised here."""
+        """Begin to write a frame and its picture, once the one before is written.
+
+        What went wrong with that is raised here.
+        """
         self.flush()
         self._pending = self._writer.submit(self._write, frame, image)
 
@@ -155,17 +159,24 @@ def take_up(
 
     Parameters
     ----------
-    folder : new or empty; or left by a scan that was stopped, with ``resume``; held by the caller (`scenes.folders.held`).
-    scene : as given; what stands in the canister is left out of the dataset.
-    planned : the views to take.
-    rig, settings : what the scan is made with, compared with what it was begun with.
-    seed : of the twin's errors.
-    resume : whether a stopped scan is taken up; without frames in the folder it begins as a new one.
+    folder : path
+        New or empty; or left by a scan that was stopped, with ``resume``; held by the caller (`scenes.folders.held`).
+    scene : Scene
+        As given; what stands in the canister is left out of the dataset.
+    planned : sequence of View
+        The views to take.
+    rig, settings : RigFile, mapping of object
+        What the scan is made with, compared with what it was begun with.
+    seed : int or None
+        Of the twin's errors.
+    resume : bool
+        Whether a stopped scan is taken up; without frames in the folder it begins as a new one.
 
     Raises
     ------
     UserError
-        When the folder holds something else, or a scan of another scene, plan, rig or other settings: the differences are named.
+        When the folder holds something else, or a scan of another scene, plan, rig or other settings: the differences
+        are named.
     """
     folder = Path(folder)
     origin: dict[str, Any] = {
@@ -206,7 +217,10 @@ def file_of(view: View) -> str:
 
 
 def _is_whole(folder: Path, frame: Frame) -> bool:
-    """Tell whether a listed frame's picture is there; one that is there, but not the recorded one, is refused by name."""
+    """Tell whether a listed frame's picture is there.
+
+    One that is there, but not the recorded one, is refused by name.
+    """
     path = folder / frame.file
     if not path.is_file():
         return False

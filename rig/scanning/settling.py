@@ -9,7 +9,8 @@ from rhizotwin.rig.clock import Clock
 from rhizotwin.scenes.pictures import Grey
 
 WATCH_S = 12.0
-"""So long the camera looks: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing more slowly."""
+"""So long the camera looks: water of 15 cm sloshes at 2 to 3 Hz and is still after some ten periods; roots swing more
+slowly."""
 LATE = 1.0 / 3.0
 """The last share of the looks, in which nothing may move any more, tells the noise."""
 ABOVE_NOISE = 1.15
@@ -43,7 +44,8 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
     Returns
     -------
     Settling
-        The rest is the time of the first picture from which on none differs more than by noise from the mean of the late ones.
+        The rest is the time of the first picture from which on none differs more than by noise from the mean of the
+        late ones.
 
     Notes
     -----

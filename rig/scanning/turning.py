@@ -1,4 +1,7 @@
-"""The turntable of a scan: its angle found at the start, verified about every picture, and found anew when the board was lost."""
+"""The turntable of a scan.
+
+Its angle is found at the start, verified about every picture, and found anew when the board was lost.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,9 +27,11 @@ FINE_DEG = 0.02
 LOST_STEPS = 4
 """A motor of two windings that loses its field falls back by whole periods of it, which are four full steps."""
 MOST_SLIPPED_DEG = 1.0
-"""A picture that shows another angle than commanded by more than this was not taken where the table was told to go, whatever its motor."""
+"""A picture that shows another angle than commanded by more than this was not taken where the table was told to go,
+whatever its motor."""
 UNSURE_DEG = 0.1
-"""What the markers of single pictures may be off (0.6 px across 350 px of strip's radius at 400x300): less is no slip."""
+"""What the markers of single pictures may be off (0.6 px across 350 px of strip's radius at 400x300): less is no
+slip."""
 
 Taken = tuple[float, Path]
 """Commanded angle and file of a picture."""
@@ -69,11 +74,17 @@ class Turning:
 
     @property
     def slip_deg(self) -> float:
-        """Difference between the angle that a picture shows and the commanded one beyond which steps were lost: half of the least loss."""
+        """Difference between the angle that a picture shows and the commanded one beyond which steps were lost.
+
+        Half of the least loss.
+        """
         return max(UNSURE_DEG, min(MOST_SLIPPED_DEG, LOST_STEPS / 2.0 * self._devices.rig.turntable.full_step_deg))
 
     def off_deg(self, table_deg: float, seen: Sighting) -> float:
-        """Return by how much a picture shows another angle than commanded; the first one asked about is what the others are held to."""
+        """Return by how much a picture shows another angle than commanded.
+
+        The first one asked about is what the others are held to.
+        """
         if not self._looks:
             self._looks.append(Reference(table_deg=table_deg, cam_from_canister=seen.cam_from_canister))
         return wrapped(angle_against(seen.cam_from_canister, self._looks, self._scene) - table_deg)
@@ -90,7 +101,10 @@ class Turning:
 
     @staticmethod
     def pictures_of(session: Session) -> list[Taken]:
-        """Return the pictures that the camera took from its last place in an earlier run, which nobody may have compared yet."""
+        """Return the pictures that the camera took from its last place in an earlier run.
+
+        Nobody may have compared them yet.
+        """
         return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
 
     def taken(self, table_deg: float, path: Path) -> None:
@@ -102,9 +116,12 @@ class Turning:
 
         Parameters
         ----------
-        seen, image : what the strip says now, and in which picture.
-        earlier : angles and pictures of the same ring from an earlier run; a table that kept its angle is compared with them.
-        near_deg : the angle that is wanted next.
+        seen, image : Sighting or None, uint8 or uint16 array
+            What the strip says now, and in which picture.
+        earlier : list of Taken
+            Angles and pictures of the same ring from an earlier run; a table that kept its angle is compared with them.
+        near_deg : float
+            The angle that is wanted next.
         """
         references = self._read(earlier)
         kept_deg = self._kept_deg()
@@ -129,7 +146,10 @@ class Turning:
         return kept_deg
 
     def answers(self) -> None:
-        """Make sure that the board is still there: one that was reset has put the lights out, which is not the camera's fault."""
+        """Make sure that the board is still there.
+
+        One that was reset has put the lights out, which is not the camera's fault.
+        """
         with board_watched():
             self._devices.table.position_deg()
 
@@ -157,9 +177,11 @@ class Turning:
 
         Parameters
         ----------
-        near_deg : the angle that is wanted next.
-        again : whether this was tried before; a board that only failed to answer is not connected anew the first time, since many
-            boards start anew when they are, and forget the angle.
+        near_deg : float
+            The angle that is wanted next.
+        again : bool
+            Whether this was tried before; a board that only failed to answer is not connected anew the first time,
+            since many boards start anew when they are, and forget the angle.
 
         Raises
         ------
@@ -191,8 +213,8 @@ class Turning:
     def slipped(self, pictures: list[Taken]) -> list[Path]:
         """Return the pictures whose markers show another angle than the table was commanded to.
 
-        They are read from the last one back to the first that agrees, since steps that were lost stay lost. What they are compared with is
-        what was seen from the same place before, or else the first of them.
+        They are read from the last one back to the first that agrees, since steps that were lost stay lost. What they
+        are compared with is what was seen from the same place before, or else the first of them.
         """
         references = self._looks or self._read(pictures[:1])
         found: list[Path] = []
@@ -206,7 +228,10 @@ class Turning:
         return found[::-1]
 
     def _refine(self, references: list[Reference], angle_deg: float) -> None:
-        """Look again once the table has arrived from its usual side: where it stood when the board was lost, its play was anywhere."""
+        """Look again once the table has arrived from its usual side.
+
+        Where it stood when the board was lost, its play was anywhere.
+        """
         read_deg = self.turn(angle_deg)
         self._devices.clock.sleep(self._devices.rig.turntable.settle_s)
         _, seen = self._eye.look()

@@ -13,7 +13,10 @@ from rhizotwin.scenes.pictures import Grey
 
 
 class Watch:
-    """Reads the strip in each picture beside the next movement; without a strip it looks whether the picture changed with the turn."""
+    """Reads the strip in each picture beside the next movement.
+
+    Without a strip it looks whether the picture changed with the turn.
+    """
 
     def __init__(self, turning: Turning, scene: Scene, onlooker: Onlooker) -> None:
         self._turning = turning
@@ -34,7 +37,8 @@ class Watch:
 
         Parameters
         ----------
-        again : (H, W) a second picture at the same stop; None where none was taken.
+        again : (H, W) uint8 or uint16 array or None
+            A second picture at the same stop; None where none was taken.
         """
         before = None if self._before is None or self._before[0].table_deg == frame.table_deg else self._before[1]
         self._pending = frame, self._reader.submit(self._look, frame, image, before, again)

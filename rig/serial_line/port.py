@@ -1,4 +1,7 @@
-"""A serial port: a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial, with errors that a person can act on."""
+"""A serial port, with errors that a person can act on.
+
+It is a tty, a pseudo-terminal, ``socket://`` or any other URL of pyserial.
+"""
 
 import errno
 import math
@@ -188,7 +191,10 @@ def _hold(url: str, device: str, stack: ExitStack) -> None:
 
 
 def _slice_s(left_s: float) -> float:
-    """Return the power of two that is not longer (but for the last millisecond): ever the same few time-outs, seldom set anew."""
+    """Return the power of two that is not longer (but for the last millisecond).
+
+    Ever the same few time-outs, seldom set anew.
+    """
     _, exponent = math.frexp(left_s)
     return min(max(math.ldexp(0.5, exponent), 2.0**-10), 8.0)
 

@@ -1,8 +1,10 @@
-"""Every byte on the wire as JSON lines, and a port that plays them back: a session on the bench becomes a test of the drivers.
+"""Every byte on the wire as JSON lines, and a port that plays them back.
 
-A file holds sessions one after the other. A session begins with a line ``{"recording": 1, "time": ..., "versions": ...}``; then come
-``{"t_s", "device", "open": {"url", "baud"}}`` for each port that is opened and ``{"t_s", "device", "dir": ">" or "<", "hex"}`` for what is
-sent to (``>``) and heard from (``<``) a device.
+A session on the bench becomes a test of the drivers.
+
+A file holds sessions one after the other. A session begins with a line ``{"recording": 1, "time": ..., "versions":
+...}``; then come ``{"t_s", "device", "open": {"url", "baud"}}`` for each port that is opened and ``{"t_s", "device",
+"dir": ">" or "<", "hex"}`` for what is sent to (``>``) and heard from (``<``) a device.
 """
 
 import json
@@ -26,7 +28,8 @@ class Recorder:
     Raises
     ------
     RigError
-        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from being switched off.
+        When the file cannot be written; from `record` as well, but once only: a full disk must not keep the lamps from
+        being switched off.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -88,7 +91,10 @@ def _end_line(path: Path) -> None:
 
 
 class ReplayError(UserError):
-    """A driver did something else than at the time of the recording; no `RigError`, so that no driver takes it for a device's failure."""
+    """A driver did something else than at the time of the recording.
+
+    No `RigError`, so that no driver takes it for a device's failure.
+    """
 
 
 class ReplayClock:
@@ -115,10 +121,12 @@ class _Entry:
 
 
 class ReplayPort:
-    """Stands in for a `rig.serial_line.port.Port`: demands the bytes that were sent in the recording, and answers what was heard.
+    """Stands in for a `rig.serial_line.port.Port`.
 
-    Only the order counts, not the times: a read returns the next bytes that were heard, unless something was sent before them; then time
-    passes up to the time-out. After the first difference every call fails with it.
+    Demands the bytes that were sent in the recording, and answers what was heard.
+
+    Only the order counts, not the times: a read returns the next bytes that were heard, unless something was sent
+    before them; then time passes up to the time-out. After the first difference every call fails with it.
     """
 
     def __init__(self, path: Path, device: str, entries: list[_Entry], clock: Clock) -> None:
@@ -208,13 +216,13 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
 
     Parameters
     ----------
-    path
+    path : path
         The recording.
-    device
+    device : str
         Its name in the recording: "turntable", "arm".
-    clock
+    clock : Clock or None
         Passed on to the driver; needs virtual time to be quick. None: a `ReplayClock`.
-    session
+    session : int
         Which session of the file, counted as in a list; the last one by default.
 
     Raises
@@ -227,7 +235,8 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: cannot be read as a recording ({error})") from error
-    plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]  # a last line without its end was cut off by a crash
+    # a last line without its end was cut off by a crash
+    plain = [_parsed(path, i, line) for i, line in enumerate(lines[:-1], start=1)]
     begins = [i for i, entry in enumerate(plain) if "recording" in entry]
     if not begins or begins[0] != 0 or any(plain[i]["recording"] != FORMAT for i in begins):
         raise UserError(f"{path}: is not a recording of format {FORMAT}")

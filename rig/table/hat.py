@@ -1,7 +1,7 @@
 """The thesis's electronics: a DRV8825 and NeoPixels on a Raspberry Pi's pins, as turntable and lights.
 
-Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor loses its current, and
-never by a program that has just started; then the markers tell it.
+Nothing can be read back: the angle is the number of steps that were sent. It is known from `declare` until the motor
+loses its current, and never by a program that has just started; then the markers tell it.
 """
 
 import numpy as np
@@ -106,7 +106,10 @@ class HatTurntable:
         self._pins.close()
 
     def _run(self, here: int, goal: int) -> int:
-        """Send the steps of one way and wait for their end; whatever breaks it off leaves an angle that is not known."""
+        """Send the steps of one way and wait for their end.
+
+        Whatever breaks it off leaves an angle that is not known.
+        """
         count = abs(goal - here)
         if not count:
             return goal

@@ -23,7 +23,7 @@ class MarlinLights:
 
         Parameters
         ----------
-        panel, front
+        panel, front : float
             0 to 1, as fractions of the colours in the rig file.
         """
         check_levels(panel=panel, front=front)

@@ -1,9 +1,12 @@
-"""The link to a Marlin board: numbered, checksummed lines, one in flight, each sent again until it is certain that the board took it.
+"""The link to a Marlin board.
 
-The board takes lines only in the order of their numbers, so a line that is sent twice is done once: the second copy is refused, and the
-number that the refusal asks for proves that the first was taken. Whatever happens to an answer is cured in this way. What cannot be seen
-from a single answer is an ``ok`` that belongs to an earlier line (late, or doubled). Therefore nothing is believed to be done until a
-command that prints something, asked after it, has printed it: see `MarlinLink.ask`.
+Numbered, checksummed lines, one in flight, each sent again until it is certain that the board took it.
+
+The board takes lines only in the order of their numbers, so a line that is sent twice is done once: the second copy is
+refused, and the number that the refusal asks for proves that the first was taken. Whatever happens to an answer is
+cured in this way. What cannot be seen from a single answer is an ``ok`` that belongs to an earlier line (late, or
+doubled). Therefore nothing is believed to be done until a command that prints something, asked after it, has printed
+it: see `MarlinLink.ask`.
 """
 
 import re
@@ -26,7 +29,8 @@ class MarlinLink:
     def __init__(self, port: Wire) -> None:
         self._wire = MarlinWire(port)
         self._journal = Journal()
-        self._unsettled_s: float | None = None  # how long the command may take that was broken off, by Ctrl-C or for want of an answer
+        # how long the command may take that was broken off, by Ctrl-C or for want of an answer
+        self._unsettled_s: float | None = None
         self._lost: str | None = f"{self._wire.name}: not connected yet"
         self.firmware = ""
         """What M115 says, such as "Marlin 2.1.2.5 (Dec  2 2024 12:00:00)"."""
@@ -45,7 +49,9 @@ class MarlinLink:
         return self._lost is None
 
     def start(self) -> None:
-        """Agree on line numbers, ask for the firmware, switch off what it would do by itself. Table and lights are left as they are.
+        """Agree on line numbers, ask for the firmware, switch off what it would do by itself.
+
+        Table and lights are left as they are.
 
         Raises
         ------
@@ -67,16 +73,16 @@ class MarlinLink:
     def command(self, text: str, *, expect_s: float = 0.0, optional: bool = False) -> list[str]:
         """Have a command taken; return what the board printed meanwhile.
 
-        That it was taken does not mean that it is done: moves are only queued, and an ``ok`` may have belonged to an earlier command.
-        Whoever needs to know goes on with `ask`.
+        That it was taken does not mean that it is done: moves are only queued, and an ``ok`` may have belonged to an
+        earlier command. Whoever needs to know goes on with `ask`.
 
         Parameters
         ----------
-        text
+        text : str
             Without number and checksum.
-        expect_s
+        expect_s : float
             How long the board may need until its ``ok``.
-        optional
+        optional : bool
             Whether a firmware that does not know the command will do.
 
         Raises
@@ -91,12 +97,15 @@ class MarlinLink:
         return self._guarded(text, expect_s=expect_s, optional=optional, awaited=None)
 
     def ask(self, text: str, pattern: re.Pattern[str], *, expect_s: float = 0.0) -> re.Match[str]:
-        """Have a command answered. The board works in order: everything sent before is done then (moves: if M400 was sent behind them).
+        """Have a command answered.
+
+        The board works in order: everything sent before is done then (moves: if M400 was sent behind them).
 
         Parameters
         ----------
-        pattern
-            Searched for in each line of the answer. It must refuse lines that were cut short; a digit may still be wrong.
+        pattern : Pattern[str]
+            Searched for in each line of the answer. It must refuse lines that were cut short; a digit may still be
+            wrong.
 
         Raises
         ------
@@ -106,13 +115,19 @@ class MarlinLink:
         return self._ask(text, pattern, expect_s=expect_s)[0]
 
     def send_unheard(self, *texts: str) -> None:
-        """Send commands to a board that may hear though it is not heard: three times, unnumbered, so that lost lines do no harm."""
+        """Send commands to a board that may hear though it is not heard.
+
+        Three times, unnumbered, so that lost lines do no harm.
+        """
         for text in texts * 3:
             self._wire.send(text.encode() + b"\n")
         self._unsettled_s = self._unsettled_s or 0.0
 
     def quick_stop(self) -> bool:
-        """Stop a move at once, where the firmware can (EMERGENCY_PARSER); return whether it can. The table's angle is forgotten."""
+        """Stop a move at once, where the firmware can (EMERGENCY_PARSER); return whether it can.
+
+        The table's angle is forgotten.
+        """
         if "EMERGENCY_PARSER" not in self.capabilities or not self.ready:
             return False
         try:
@@ -183,7 +198,10 @@ class MarlinLink:
             raise
 
     def _settle(self, expect_s: float) -> None:
-        """Find a new beginning after a command that was broken off: the answers still to come must not be taken for those of the next."""
+        """Find a new beginning after a command that was broken off.
+
+        The answers still to come must not be taken for those of the next.
+        """
         self._number_and_exchange("M114", expect_s=expect_s, optional=False, awaited=POSITION)
 
     def _number_and_exchange(self, text: str, *, expect_s: float, optional: bool, awaited: re.Pattern[str] | None) -> list[str]:

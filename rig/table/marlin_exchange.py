@@ -15,9 +15,11 @@ BUSY_EVERY_S = 2
 AGAIN_S = 3.0
 """Silence after a line that was sent again because of silence."""
 TRAILING_S = 0.5
-"""How long a line that should come at once is waited for: the ``ok`` behind ``Resend``, which some versions leave out."""
+"""How long a line that should come at once is waited for: the ``ok`` behind ``Resend``, which some versions leave
+out."""
 LONGEST_S = 60.0
-"""No command lasts longer than this beyond twice the time it is expected to take, whatever the board sends meanwhile."""
+"""No command lasts longer than this beyond twice the time it is expected to take, whatever the board sends
+meanwhile."""
 MOST_REFUSALS = 10
 MOST_SILENCES = 5
 MOST_HINTS = 2
@@ -76,7 +78,8 @@ class Exchange:
         self._journal = journal
         self._expect_s = expect_s
         self._awaited = awaited
-        self._number = journal.last  # the line in flight: the last one, or an earlier one that the board turned out not to have
+        # the line in flight: the last one, or an earlier one that the board turned out not to have
+        self._number = journal.last
         self._quiet_s = wire.clock.now_s()  # when silence has lasted too long
         self._end_s = self._quiet_s + LONGEST_S + 2.0 * expect_s
         self._output: list[str] = []
@@ -162,7 +165,8 @@ class Exchange:
                 self._quiet_s = now_s + BUSY_S
         elif line.kind is Kind.WAIT:
             self._waits += 1
-            if self._waits == 2 and not self._refused:  # the first may have crossed our line; the second says that no ok will come
+            # the first may have crossed our line; the second says that no ok will come
+            if self._waits == 2 and not self._refused:
                 self._quiet_s = now_s
         elif line.kind is Kind.UNKNOWN:
             self._unknown(line.text)
@@ -208,7 +212,8 @@ class Exchange:
 
     def _refusal(self) -> None:
         """Deal with a refusal that was read to its end: send what the board wants."""
-        wanted = self._wanted.pop() if len(self._wanted) == 1 else None  # its two lines contradict each other: one is damaged
+        # its two lines contradict each other: one is damaged
+        wanted = self._wanted.pop() if len(self._wanted) == 1 else None
         self._wanted.clear()
         self._refused = self._doubtful = False
         self._copies -= 1

@@ -11,7 +11,8 @@ MAX_LINE = 96
 """MAX_CMD_SIZE of the firmware."""
 
 POSITION = re.compile(r"^X:\s*(-?\d+\.\d+)\s(?:.*\s)?Count\s+[A-Z]:\s*-?\d")
-"""The answer to M114. Versions differ behind X (no E, spaces after the colons); a line cut short has no Count and is not believed."""
+"""The answer to M114. Versions differ behind X (no E, spaces after the colons); a line cut short has no Count and is
+not believed."""
 FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*(Marlin\b.*?)(?=\s+[A-Z_]{4,}:|$)")
 """The answer to M115."""
 CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]+):1$")
@@ -23,7 +24,8 @@ class Kind(Enum):
     OK = auto()
     """A command was taken."""
     LIKE_OK = auto()
-    """An ``ok`` that was damaged, or glued to another line: nothing is certain, but asking again will not have to wait long."""
+    """An ``ok`` that was damaged, or glued to another line: nothing is certain, but asking again will not have to wait
+    long."""
     BUSY = auto()
     """A command takes its time."""
     WAIT = auto()
@@ -82,7 +84,8 @@ def numbered(number: int, text: str) -> bytes:
 def read_line(raw: bytes) -> Line:
     """Say what a line means.
 
-    Noise at its ends is dropped; within it is kept, since a number from which a damaged digit were dropped would be another number.
+    Noise at its ends is dropped; within it is kept, since a number from which a damaged digit were dropped would be
+    another number.
     """
     text = raw.decode("ascii", errors="replace").strip(_NOISE)
     if _HALTED.search(text):

@@ -24,7 +24,8 @@ def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
 
     Notes
     -----
-    From s = a t^2 / 2, step s of the first ramp is due at sqrt(2 s / a), and the last ramp is the first one's mirror image.
+    From s = a t^2 / 2, step s of the first ramp is due at sqrt(2 s / a), and the last ramp is the first one's mirror
+    image.
     """
     s = np.arange(1, steps + 1, dtype=np.float64)
     ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)

@@ -10,8 +10,8 @@ from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_lines import POSITION
 
 ZERO_X_DEG = 360.0
-"""The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board itself remembers
-whether it was told its angle."""
+"""The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board
+itself remembers whether it was told its angle."""
 KNOWN_X_DEG = 200.0
 """Least X of a board that knows its angle."""
 _ROUNDED_DEG = 0.0051
@@ -46,7 +46,8 @@ class MarlinTurntable:
         self._link.start()
         self._link.command("M17")
         self._link.command("G90")
-        self._link.command(f"G1 F{_plain(self._feed())}")  # moves nothing; a firmware that has stopped itself says so here
+        # moves nothing; a firmware that has stopped itself says so here
+        self._link.command(f"G1 F{_plain(self._feed())}")
         self._link.ask("M114", POSITION)
 
     def position_deg(self) -> float:
@@ -77,8 +78,8 @@ class MarlinTurntable:
     def move_to(self, angle_deg: float) -> float:
         """Turn, always arriving from below; wait until done; return the angle read back.
 
-        A move down, and the first move after the motor was energised or the angle declared, goes `approach_deg` too far down and comes
-        back up, so that play is always taken up on the same side.
+        A move down, and the first move after the motor was energised or the angle declared, goes `approach_deg` too far
+        down and comes back up, so that play is always taken up on the same side.
 
         Raises
         ------
@@ -122,7 +123,10 @@ class MarlinTurntable:
         return 60.0 * self._part.speed_deg_per_s
 
     def _verify(self, angle_deg: float, *, expect_s: float = 0.0) -> float:
-        """Return the angle that the board says, once it is the one that it was told; a different answer is not believed at once."""
+        """Return the angle that the board says, once it is the one that it was told.
+
+        A different answer is not believed at once.
+        """
         read_deg = before_deg = math.nan
         for look in range(_LOOKS):
             if look:

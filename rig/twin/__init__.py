@@ -1,4 +1,6 @@
-"""An emulated rig: devices with physical errors, the bytes that the real ones speak, and a camera that looks at what they have really done.
+"""An emulated rig: devices with physical errors, and a camera that looks at what they have really done.
+
+They speak the bytes that the real ones speak.
 
 Layers, each of which knows only those listed before it:
 
@@ -9,7 +11,7 @@ adapter, marlin_commands,              bytes in, bytes with due times out; no ph
 marlin_adapter, lx_adapter,
 lsc_adapter
 faults, line                           a serial line with its wire time and its faults
-protocol_twin, pty_ports               the line as a pyserial URL in virtual time, or behind pseudo-terminals in real time
-sketch, pictures, camera, record       pictures of the world, drawn quickly or rendered by `sim`, behind the camera's interface; its truth
+protocol_twin, pty_ports               the line as a pyserial URL in virtual time, or behind pseudo-terminals
+sketch, pictures, camera, record       pictures of the world, drawn quickly or rendered by `sim`; its truth
 twin, server                           all of it together, within this process or alone
 """

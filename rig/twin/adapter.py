@@ -1,4 +1,7 @@
-"""What an adapter is: the protocol of one device, fed with the host's bytes, answering with bytes that are due at a time."""
+"""What an adapter is: the protocol of one device.
+
+It is fed with the host's bytes and answers with bytes that are due at a time.
+"""
 
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,4 +1,7 @@
-"""The twin's camera: a sensor that may stop, give old pictures or expose wrongly, and the driver that notices, as a real one must."""
+"""The twin's camera, and its driver.
+
+The sensor may stop, give old pictures or expose wrongly; the driver notices, as a real one must.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -67,7 +70,9 @@ class TwinCamera:
         self.capture()
 
     def capture(self) -> Shot:
-        """Take a picture whose exposure begins after this call; old and wrongly exposed ones are dropped and taken again.
+        """Take a picture whose exposure begins after this call.
+
+        Old and wrongly exposed ones are dropped and taken again.
 
         Raises
         ------

@@ -148,12 +148,13 @@ def draw_faults(
 
     Parameters
     ----------
-    rng
+    rng : Generator
         What draws device, moment, amount and count.
-    kinds
+    kinds : tuple of str
         Names of the menu.
-    messages, duration_s, shots
-        How many replies (or requests) of a device, seconds and pictures the scan is expected to take: the moment is drawn within them.
+    messages, duration_s, shots : int, float, int
+        How many replies (or requests) of a device, seconds and pictures the scan is expected to take: the moment is
+        drawn within them.
     """
     faults = []
     for kind in map(kind_of, kinds):

@@ -17,9 +17,11 @@ class Imperfections:
     servo_repeat_deg: float = 0.0
     """Standard deviation of where a servo stops, drawn for each move."""
     servo_backlash_deg: tuple[float, float] = (0.0, 0.0)
-    """Play of the gears: a servo stops half of it before or beyond, by the side from which it came; drawn once between these."""
+    """Play of the gears: a servo stops half of it before or beyond, by the side from which it came; drawn once between
+    these."""
     servo_sag_deg: tuple[float, float] = (0.0, 0.0)
-    """How far the shoulder gives way under the arm stretched out level; other joints, and other poses, by their torque. Drawn once."""
+    """How far the shoulder gives way under the arm stretched out level; other joints, and other poses, by their torque.
+    Drawn once."""
     servo_dead_band_counts: int = 0
     """A command this near to where the servo stands does not move it."""
     table_microstep_deg: float = 0.0
@@ -53,5 +55,8 @@ BENCH = Imperfections(
 
 
 def imperfections_of(profile_name: str) -> Imperfections:
-    """Return the device errors that go with a disturbance profile: none for ``clean``, those of a bench for every other."""
+    """Return the device errors that go with a disturbance profile.
+
+    None for ``clean``, those of a bench for every other.
+    """
     return CLEAN if profile_name == "clean" else BENCH

@@ -1,4 +1,7 @@
-"""The model of a lamp: a strip of LEDs, each with its colour, and a brightness for all; light follows with a ramp. Knows no protocol."""
+"""The model of a lamp: a strip of LEDs, each with its colour, and a brightness for all; light follows with a ramp.
+
+Knows no protocol.
+"""
 
 import numpy as np
 

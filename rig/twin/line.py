@@ -1,4 +1,7 @@
-"""A serial line: what the host writes reaches the device after its time on the wire, so do the answers; faults sit in between."""
+"""A serial line: what the host writes reaches the device after its time on the wire, so do the answers.
+
+Faults sit in between.
+"""
 
 import math
 from bisect import insort

@@ -1,4 +1,6 @@
-"""The LSC controller board's protocol: frames without a checksum, no acknowledgement, frames of its own. Knows no physics.
+"""The LSC controller board's protocol: frames without a checksum, no acknowledgement, frames of its own.
+
+Knows no physics.
 
 After Hiwonder's "Communication Protocol" of its servo controllers. Frame: 55 55 | length | command | parameters, no id.
 """

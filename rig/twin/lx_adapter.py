@@ -26,10 +26,14 @@ class LxAdapter:
         self._servos = servos
         self._supply = supply
         self._buffer = bytearray()
-        self._kept: dict[tuple[int, int], bytes] = {}  # parameters of settings that are only stored: (servo, write command)
+        # parameters of settings that are only stored: (servo, write command)
+        self._kept: dict[tuple[int, int], bytes] = {}
 
     def receive(self, data: bytes, now_s: float) -> list[Reply]:
-        """Take bytes from the host; frames with a wrong checksum are ignored, as is everything while the supply is down."""
+        """Take bytes from the host.
+
+        Frames with a wrong checksum are ignored, as is everything while the supply is down.
+        """
         if not self._supply.up:
             self._buffer.clear()
             return []

@@ -1,4 +1,6 @@
-"""Marlin 2.1's line protocol: numbers, checksums, resends, one line after the other, busy lines, reset and kill. Knows no physics.
+"""Marlin 2.1's line protocol: numbers, checksums, resends, one line after the other, busy lines, reset and kill.
+
+Knows no physics.
 
 After Marlin's queue.cpp, e_parser.h, language.h and setup(); what the commands do is `rig.twin.marlin_commands`.
 """

@@ -1,4 +1,7 @@
-"""What Marlin's G and M codes do on a board with one axis and two LED strips. After gcode.cpp, M114.cpp and M150.cpp of Marlin 2.1."""
+"""What Marlin's G and M codes do on a board with one axis and two LED strips.
+
+After gcode.cpp, M114.cpp and M150.cpp of Marlin 2.1.
+"""
 
 import math
 from collections.abc import Callable

@@ -1,7 +1,9 @@
-"""Pictures of the twin rendered by `sim`, with the camera's noise, and their truth. The only module of the rig that knows `sim`.
+"""Pictures of the twin rendered by `sim`, with the camera's noise, and their truth.
 
-`sim` is imported when something is rendered or drawn, not before: `rig` runs without Mitsuba. Whoever wants rendered pictures has chosen
-Mitsuba's variant by then.
+The only module of the rig that knows `sim`.
+
+`sim` is imported when something is rendered or drawn, not before: `rig` runs without Mitsuba. Whoever wants rendered
+pictures has chosen Mitsuba's variant by then.
 """
 
 from __future__ import annotations
@@ -45,7 +47,10 @@ class Drawn:
 
 
 def draw(scene: Scene, *, seed: int) -> Drawn:
-    """Draw as `sim.world.draw_world` does: the same scene and seed stand the same in simulated pictures and on the twin."""
+    """Draw as `sim.world.draw_world` does.
+
+    The same scene and seed stand the same in simulated pictures and on the twin.
+    """
     from rhizotwin.sim.world import draw_world
 
     world = draw_world(scene, seed=seed)
@@ -90,7 +95,10 @@ class Rendered:
         self._masks: dict[bytes, bytes] = {}  # compressed
 
     def picture(self, sight: Sight) -> Grey:
-        """Return what the camera stores for a state of the world; it depends on that state, the scene and the seed only."""
+        """Return what the camera stores for a state of the world.
+
+        It depends on that state, the scene and the seed only.
+        """
         from rhizotwin.sim.exposure import expose
 
         key = sight.key
@@ -114,7 +122,10 @@ class Rendered:
         return light
 
     def write_truth(self, folder: Path, taken: list[tuple[str, Sight]]) -> None:
-        """Write the ``truth`` of a dataset, given each picture's file name and what it shows; the scene must have a specimen."""
+        """Write the ``truth`` of a dataset, given each picture's file name and what it shows.
+
+        The scene must have a specimen.
+        """
         from rhizotwin.sim.truth import truth_of, write_specimen
 
         world = self._drawn()

@@ -1,7 +1,9 @@
-"""pyserial's handler of ``twin://ID/table`` and ``twin://ID/arm``: ports of a twin within this process, in its virtual time.
+"""pyserial's handler of ``twin://ID/table`` and ``twin://ID/arm``.
 
-A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over. Nothing sleeps and nothing
-runs in parallel, so that the same seed gives the same bytes.
+Ports of a twin within this process, in its virtual time.
+
+A read with a time-out lets the twin's clock run to the moment when the bytes are there, or the time-out is over.
+Nothing sleeps and nothing runs in parallel, so that the same seed gives the same bytes.
 """
 
 import errno

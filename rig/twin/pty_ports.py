@@ -1,8 +1,9 @@
 """A twin's serial lines behind pseudo-terminals, in real time: any program can open them.
 
-What a pseudo-terminal does, and this module follows: with no slave descriptor kept open here, ``POLLHUP`` on the master says that nobody
-has the port open; reads then fail with EIO, which is no error. pyserial drops what arrived before it opened a port. A closed master is a
-pulled cable. Modem lines do not exist, so that a reset by DTR cannot be seen; the baud rate is ignored: a line counts its own wire time.
+What a pseudo-terminal does, and this module follows: with no slave descriptor kept open here, ``POLLHUP`` on the master
+says that nobody has the port open; reads then fail with EIO, which is no error. pyserial drops what arrived before it
+opened a port. A closed master is a pulled cable. Modem lines do not exist, so that a reset by DTR cannot be seen; the
+baud rate is ignored: a line counts its own wire time.
 """
 
 import errno

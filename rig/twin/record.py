@@ -1,4 +1,7 @@
-"""What the twin's pictures really show, remembered by the pictures' content: a scan's files are told by it, after a restart, too."""
+"""What the twin's pictures really show, remembered by the pictures' content.
+
+A scan's files are told by it, after a restart, too.
+"""
 
 import hashlib
 import json

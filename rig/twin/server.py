@@ -1,4 +1,7 @@
-"""A twin alone, in real time: serial ports that any program can open, a camera over HTTP, a rig file that leads to them."""
+"""A twin alone, in real time.
+
+Serial ports that any program can open, a camera over HTTP, a rig file that leads to them.
+"""
 
 import os
 import select
@@ -127,19 +130,20 @@ def run_twin(
 
     Parameters
     ----------
-    scene, seed, profile_name, pictures, protocol
+    scene, seed, profile_name, pictures, protocol : Scene, int, str, PictureKind, ArmProtocol
         As for `rig.twin.twin.Twin`.
-    speed
+    speed : float
         How much faster than real its time passes.
-    write_rig
-        Where the rig file goes, with the scene as a lab would know it beside it (``NAME_scene.toml``); None: neither is written.
-    say
+    write_rig : path or None
+        Where the rig file goes, with the scene as a lab would know it beside it (``NAME_scene.toml``); None: neither is
+        written.
+    say : Say
         Gets lines for people.
-    faults
+    faults : iterable of str
         As on the console, see `rig.twin.faults.parse_fault`.
-    camera_port
+    camera_port : int
         Of the camera's HTTP server on this computer; 0 takes a free one.
-    commands
+    commands : int or None
         Descriptor that console lines are read from; None: stdin's.
 
     Raises
@@ -175,7 +179,10 @@ def run_twin(
 
 
 def _typed_at() -> int | None:
-    """Return stdin's descriptor; None when there is none, or it belongs to a program in the foreground while this one is not."""
+    """Return stdin's descriptor, or None.
+
+    None: there is none, or it belongs to a program in the foreground while this one is not.
+    """
     try:
         descriptor = sys.stdin.fileno()
         behind = os.isatty(descriptor) and os.tcgetpgrp(descriptor) != os.getpgrp()

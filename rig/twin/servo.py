@@ -1,6 +1,9 @@
-"""The model of a bus servo: position control at uniform speed, gears with play, gravity, heat, and the supply. Knows no protocol.
+"""The model of a bus servo: position control at uniform speed, gears with play, gravity, heat, and the supply.
 
-Positions are counts of the servo (0.24 degrees each). ``sensed`` is what its potentiometer feels, ``true`` where its output really is:
+Knows no protocol.
+
+Positions are counts of the servo (0.24 degrees each). ``sensed`` is what its potentiometer feels, ``true`` where its
+output really is:
 
     true - 500 = (sensed - 500) (1 + scale error) + zero error +- half the play + error of this move + sag
 """
@@ -145,7 +148,10 @@ class Servo:
         return not self.holds and abs(self.torque) > FRICTION and STOPS[0] < self._sensed < STOPS[1]
 
     def move(self, counts: int, duration_ms: int) -> None:
-        """Go to a position at uniform speed within a time, as fast as it can if that is too short; switches the torque on."""
+        """Go to a position at uniform speed within a time, as fast as it can if that is too short.
+
+        Switches the torque on.
+        """
         self.command = (counts, duration_ms)
         self.commanded = True
         self.torque_on = True

@@ -1,7 +1,10 @@
-"""Pictures drawn in milliseconds, without Mitsuba: the marker strip exactly where the camera sees it, the panel, and a root-like thing.
+"""Pictures drawn in milliseconds, without Mitsuba.
 
-The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's cylinder. What hangs below
-it is drawn without the water's refraction and is no specimen: pictures for tests of the rig, not of a reconstruction.
+The marker strip exactly where the camera sees it, the panel, and a root-like thing.
+
+The strip is outside the canister, so that no ray to it is refracted: every pixel's ray is met with the net pot's
+cylinder. What hangs below it is drawn without the water's refraction and is no specimen: pictures for tests of the rig,
+not of a reconstruction.
 """
 
 from typing import Any
@@ -130,7 +133,10 @@ class Sketch:
 
 
 def _strip_texture(scene: Scene) -> Light:
-    """Paint the unrolled strip: row 0 at the net pot's top; at either end one column is repeated, so that the seam has neighbours."""
+    """Paint the unrolled strip: row 0 at the net pot's top.
+
+    At either end one column is repeated, so that the seam has neighbours.
+    """
     strip, pot = scene.strip, scene.net_pot
     around_mm = 2.0 * np.pi * pot.outer_radius_mm
     columns, rows = round(around_mm / MM_PER_TEXEL), round((pot.top_mm - pot.skirt_bottom_mm) / MM_PER_TEXEL)

@@ -1,6 +1,9 @@
-"""The model of the turntable: a stepper motor behind a gear, driven in microsteps along a queue of moves. Knows no protocol.
+"""The model of the turntable: a stepper motor behind a gear, driven in microsteps along a queue of moves.
 
-Angles are degrees of the table. The motor's own count starts at 0 when the power comes; where the table then stands is the world's affair.
+Knows no protocol.
+
+Angles are degrees of the table. The motor's own count starts at 0 when the power comes; where the table then stands is
+the world's affair.
 """
 
 import math

@@ -120,9 +120,9 @@ class Twin:
 
         Parameters
         ----------
-        part
+        part : CameraPart or None
             Its settings; None: those of the rig file, which give the scene's brightness.
-        clock, look
+        clock, look : Clock or None, Look or None
             For a twin in real time: whose time exposures take, and what takes the picture.
         """
         return TwinCamera(
@@ -199,7 +199,10 @@ class Twin:
                 self._later.append((until_s, lambda: setattr(servo, "stalled", False)))
 
     def repair(self) -> None:
-        """Do what a person does before a stopped scan is taken up: no fault is left, the arm rests, a refusing board is reset."""
+        """Do what a person does before a stopped scan is taken up.
+
+        No fault is left, the arm rests, a refusing board is reset.
+        """
         self.pending.clear()
         for line in self.lines.values():
             line.unplug()  # whatever still is on the wire is gone

@@ -1,4 +1,7 @@
-"""What the devices have really done, in the frames of `scenes.frames`: the twin's pictures show this and nothing else."""
+"""What the devices have really done, in the frames of `scenes.frames`.
+
+The twin's pictures show this and nothing else.
+"""
 
 import hashlib
 from dataclasses import dataclass
