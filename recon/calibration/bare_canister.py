@@ -88,8 +88,6 @@ class BareCanister:
     """(V,) of the camera in the canister frame; 0 for the first view."""
     elevation_deg: float
     """Of the optical axis below the horizon."""
-    agreement_px: float
-    """Robust standard deviation of rows' centres of mass from where a turning point would be."""
     floor_z_mm: float | None
     """Height of the floor, where the pictures show it."""
     inner_radius_mm: float
@@ -180,7 +178,6 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         mm_per_px=mm_per_px,
         azimuth_deg=np.rad2deg(azimuth),
         elevation_deg=float(np.rad2deg(elevation)),
-        agreement_px=agreement,
         floor_z_mm=-(edges.rows[1] - 0.5 - zero_row) * mm_per_px if edges.floor_seen else None,
         inner_radius_mm=0.5 * edges.inner_px * mm_per_px,
     )

@@ -13,9 +13,6 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 
-OVERHANG_DEG = 50.0
-"""Surfaces that lean further out over nothing than this, from upright, need support: printers manage 45 to 60."""
-ON_BED_MM = 1e-3
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 """Upside down."""
 UPRIGHT: Array = np.eye(4)
@@ -79,20 +76,6 @@ def surface(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
     """Return the corners (V, 3) and triangles (F, 3) of a solid."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), np.asarray(mesh.tri_verts, dtype=np.int64)
-
-
-def overhang_mm2(part: Part) -> float:
-    """Return the area that leans out further than `OVERHANG_DEG` as the part is printed.
-
-    What lies on the bed does not count.
-    """
-    vertices, faces = surface(part.printed)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.cross(b - a, c - a) / 2.0
-    size = np.linalg.norm(area, axis=1)
-    down = -area[:, 2] / np.maximum(size, 1e-12)
-    lifted = np.max([a[:, 2], b[:, 2], c[:, 2]], axis=0) > ON_BED_MM
-    return float(size[(down > np.sin(np.deg2rad(OVERHANG_DEG)) + 1e-6) & lifted].sum())
 
 
 def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:

@@ -46,7 +46,6 @@ class Diagram:
 
 
 SHIFTER, PANEL, FRONT_LAMP, MOTOR = "74AHCT125 level shifter", "panel, WS2812B", "front lamp, WS2812B", "stepper, NEMA 17"
-SUPPLIES = ("+5 V LED", "GND", "+12 V", "+3.3 V", "+7.5 V arm")
 
 
 def marlin_diagram() -> Diagram:

@@ -63,11 +63,6 @@ class Session:
         """Tell whether there is something to undo."""
         return len(self._states) > 1
 
-    @property
-    def can_redo(self) -> bool:
-        """Tell whether something was undone."""
-        return bool(self._undone)
-
     def do(self, edit: Edit) -> State:
         """Make a correction; what was undone before is forgotten.
 

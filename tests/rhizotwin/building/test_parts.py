@@ -8,7 +8,7 @@ from manifold3d import Error
 
 from rhizotwin.building import table
 from rhizotwin.building.measures import Measures
-from rhizotwin.building.part import Part, check_bed, overhang_mm2, surface
+from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, strip_seat_radius_mm
 from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis_rig
 from rhizotwin.building.shapes import gear, raised, rectangle
@@ -17,6 +17,10 @@ from rhizotwin.rig.rig_file import Clearance
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene
+
+OVERHANG_DEG = 50.0
+"""Surfaces that lean further out over nothing than this, from upright, need support: printers manage 45 to 60."""
+ON_BED_MM = 1e-3
 
 MEASURES = Measures()
 SMALL = Scene(
@@ -48,6 +52,20 @@ def test_solid_is_closed_and_in_one_piece(part: Part) -> None:
     there, back = {tuple(edge) for edge in edges.tolist()}, {tuple(edge) for edge in edges[:, ::-1].tolist()}
     assert len(there) == len(edges)
     assert there == back  # every edge has one face on each side, turned alike
+
+
+def overhang_mm2(part: Part) -> float:
+    """Return the area that leans out further than `OVERHANG_DEG` as the part is printed.
+
+    What lies on the bed does not count.
+    """
+    vertices, faces = surface(part.printed)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.cross(b - a, c - a) / 2.0
+    size = np.linalg.norm(area, axis=1)
+    down = -area[:, 2] / np.maximum(size, 1e-12)
+    lifted = np.max([a[:, 2], b[:, 2], c[:, 2]], axis=0) > ON_BED_MM
+    return float(size[(down > np.sin(np.deg2rad(OVERHANG_DEG)) + 1e-6) & lifted].sum())
 
 
 @pytest.mark.parametrize("part", EACH)
