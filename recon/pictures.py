@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from rhizotwin.scenes import transfer
-from rhizotwin.scenes.dataset import Dataset, Frame, read_image
+from rhizotwin.scenes.dataset import Dataset, Frame, read_image, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey
@@ -75,6 +75,11 @@ def read_pictures(dataset: Dataset, *, kind: Literal["root", "shoot"] = "root", 
         images = monitor.each(lambda frame: read_image(dataset, frame), "read", frames)
     said = () if dataset.masks else _contradictions(dataset, frames)
     return Pictures(dataset=dataset, frames=frames, images=tuple(images), warnings=said)
+
+
+def content_of(dataset: Dataset, frame: Frame) -> str:
+    """Return the hash of a picture's file, as the dataset has it or else from the file."""
+    return frame.sha256.lower() or sha256_of(dataset.folder / frame.file)
 
 
 def stated_curve(dataset: Dataset, frames: Sequence[Frame]) -> Curve:

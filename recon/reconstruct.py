@@ -16,7 +16,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
-from rhizotwin.recon.pictures import Pictures, read_pictures
+from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
@@ -147,6 +147,7 @@ def gather(
 ) -> Result:
     """Put a result together."""
     files = [camera.file for camera in cameras.all]
+    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.kind == "root"}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
         dataset=str(dataset.folder),
@@ -155,7 +156,7 @@ def gather(
         subject=dataset.scene.subject,
         strip=dataset.scene.strip,
         solid=solid,
-        cameras=cameras.all,
+        cameras=tuple(replace(camera, sha256=contents.get(camera.file, "")) for camera in cameras.all),
         fill=fill,
         rig=calibrated.of_cameras(cameras),
         warnings=warnings,

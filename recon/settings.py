@@ -54,7 +54,8 @@ class CoverageSettings:
     """A background darker than this share of the ring's bright one (its 90 % quantile) says nothing: flanks,
     shadows."""
     glare: float = bounded(0.05, 0.001, 1.0)
-    """What is brighter than the smooth panel by this share is a reflection; what it adds hides roots."""
+    """What is brighter than the smooth panel by this share is a reflection; where roots show that it is none of the
+    panel's light it is taken off, else nothing is said there."""
     film_depth: float = bounded(0.03, 0.001, 2.0)
     """Optical depth from which a film on the wall is told: those of the profile `harsh` are found within 0.01
     (`docs/log/silhouettes-from-coverage.md`)."""

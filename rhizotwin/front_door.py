@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.scoring.score import Score
+    from rhizotwin.recon.scoring.score_pictures import PictureScore
     from rhizotwin.recon.scoring.score_solid import SolidScore, VolumeScore
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
@@ -186,8 +187,10 @@ def score(
     *,
     truth: str | Path | None = None,
     volume_ml: float | None = None,
-) -> Score | SolidScore | VolumeScore:
-    """Compare a result with what is known of the specimen: give one of the three.
+    pictures: Dataset | str | Path | None = None,
+    progress: Progress = None,
+) -> Score | SolidScore | VolumeScore | PictureScore:
+    """Compare a result with what is known of the specimen: give one of the four.
 
     Parameters
     ----------
@@ -200,38 +203,50 @@ def score(
         the result.
     volume_ml : float, optional
         The specimen's volume, as it was measured by displacement or weight.
+    pictures : Dataset or path, optional
+        A dataset with pictures that the result was not made from, of the same plant on the same rig.
+    progress : Monitor, type of tqdm, callable or None
+        Hears how far the work is; only pictures take a while.
 
     Returns
     -------
-    Score, SolidScore or VolumeScore
-        Of dataset, mesh or volume: each has ``table()`` and ``to_dict()``.
+    Score, SolidScore, VolumeScore or PictureScore
+        Of dataset, mesh, volume or pictures: each has ``table()`` and ``to_dict()``.
 
     Raises
     ------
     UserError
-        If none or several of the three are given, the dataset has no truth, the result is of another dataset, or a file
+        If none or several of the four are given, the dataset has no truth, the result is of another dataset, or a file
         is missing or damaged.
     """
-    if (dataset is not None) + (truth is not None) + (volume_ml is not None) != 1:
+    if sum(given is not None for given in (dataset, truth, volume_ml, pictures)) != 1:
         raise UserError(
-            "give one thing to score against: a simulated dataset, the solid that was scanned (--truth) or its volume (--volume-ml)"
+            "give one thing to score against: a simulated dataset, the solid that was scanned (--truth), its volume (--volume-ml) "
+            "or pictures that were not used (--pictures)"
         )
-    if dataset is not None:
-        from rhizotwin.recon.scoring.score import score as compare
+    if pictures is not None:
+        _choose("auto")
+        from rhizotwin.recon.scoring.score_pictures import score_pictures
 
-        return compare(result, dataset)
-    from rhizotwin.recon.scoring import score_solid
+        return score_pictures(result, pictures, monitor=Monitor.of(progress))
+    with Monitor.of(progress).stage("score"):
+        if dataset is not None:
+            from rhizotwin.recon.scoring.score import score as compare
 
-    if volume_ml is not None:
-        return score_solid.score_volume(result, 1000.0 * volume_ml)
-    from rhizotwin.recon.results.result_files import Mesh
-    from rhizotwin.sim import meshes, solids
+            return compare(result, dataset)
+        from rhizotwin.recon.scoring import score_solid
 
-    solid, notes = meshes.load_solid(Path(str(truth)))
-    for note in notes:
-        log.info(note)
-    vertices, faces = solids.surface_of(solid)
-    return score_solid.score_solid(result, Mesh(vertices_mm=vertices, faces=faces.astype("int64")), volume_mm3=float(solid.volume()))
+        if volume_ml is not None:
+            return score_solid.score_volume(result, 1000.0 * volume_ml)
+        from rhizotwin.recon.results.result_files import Mesh
+        from rhizotwin.sim import meshes, solids
+
+        solid, notes = meshes.load_solid(Path(str(truth)))
+        for note in notes:
+            log.info(note)
+        vertices, faces = solids.surface_of(solid)
+        shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
+        return score_solid.score_solid(result, shape, volume_mm3=float(solid.volume()))
 
 
 def _choose(device: Device) -> None:

@@ -42,6 +42,8 @@ class Camera:
     position_sigma_mm: float | None = None
     """Standard deviation of the camera's centre, all axes together."""
     rotation_sigma_deg: float | None = None
+    sha256: str = ""
+    """Of the picture's file, by which it is known again; empty where nobody asked."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """The empty backlight of a ring, from the turn itself, and where the pictures say something about the water."""
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,6 +27,9 @@ _LEAST_SHARE = 0.5
 """Of the views, that must look into the water at a pixel for its background to be known."""
 _RIM_PX = 11
 """Width of the square about each pixel of glare that is glare too: five pixels each way for its blurred flank."""
+_GLARE_PX = 1.0
+"""Standard deviation over which glare is looked for: beside roots single pixels of a JPEG are 5 % too bright in every
+fifth view, and the squares about them hid a tenth of a plant."""
 _UPPER, _ALIKE = 0.2, 0.04
 """The panel is what the brightest fifth of the views show, and those within this share of them: roots may pass in four
 views of five. The share is three times the noise of a bench's panel (1.3 % where it has 6000 electrons); the mean is
@@ -40,6 +44,9 @@ _CORE = 0.85
 light."""
 _SAMPLES = 40_000
 """Pixels that the surface is fitted to: a thousand for each of its 45 coefficients, nearly."""
+_FITS = 8
+"""Times that the surface is fitted. What is brighter is let in by half as much each time: at first roots draw it down,
+later the flanks of a reflection would draw it up."""
 _CLOSING_PX = 31
 """Dark things up to this width are closed in a picture that stands alone: 7 mm at a bench's 0.23 mm a pixel, and
 hypocotyls of the library's radishes without a globe have 1.5 to 3 mm. The surface leaves wider ones out as outliers."""
@@ -49,6 +56,18 @@ _AGREED = 0.5
 """Share of the views that show a pixel alike where nothing stands before the panel in most of them."""
 _LEAST_SURE = 0.1
 """Of the pixels that are bright enough: where fewer are sure, all of them begin."""
+_MOST_ADDED = 0.25
+"""Reflections that add up to this share of the panel's light can be taken off: where what they mirror changes by a
+fifth, that is no more than `CoverageSettings.glare`, which is let pass anyway."""
+_DARK, _LEAST_DARK = 0.5, 30
+"""What is darker than this share of the panel in some view has roots before it; fewer such pixels than this tell no
+quantile."""
+_DARKEST = 0.2
+"""Quantile of the darkest views' brightness that is compared: pixels that a root covers wholly, above the noise of
+single ones."""
+_BESIDE_PX = 41
+"""Width of the square about reflections in which roots have the brightness that they have behind them: what light from
+the front adds changes over the water's depth, 200 px and more."""
 _BLOCK_ROWS = 24
 """Rows that are sorted at once: 24 of 40 views of 800 px are 3 MB, which stay in the cache."""
 _THREADS = 2
@@ -102,7 +121,19 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     return lines.enlarged(refraction.transmittance(optics, np.clip(lines.w, -_FLANK, _FLANK) * optics.w_limit, lines.p_z))
 
 
-def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> tuple[Image, Mask]:
+class Panel(NamedTuple):
+    """The empty backlight of a ring, and what reflections add before it; in the scale of the pictures."""
+
+    light: Image
+    """(H, W)"""
+    added: Image
+    """(H, W): light that comes from the wall and not through the water, to be taken off the pictures; 0 where there is
+    none."""
+    glare: Mask
+    """(H, W): reflections that cannot be taken off. What they add hides roots, so that nothing can be said there."""
+
+
+def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Panel:
     """Estimate the picture of the empty canister from the views of one ring, whose camera stood still.
 
     Each pixel's background is the mean of the views within 4 % of its upper quintile. Where something stands before the
@@ -121,17 +152,15 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
 
     Returns
     -------
-    background : (H, W) float32 array
-        In the scale of the stack; 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
-    glare : (H, W) bool array
-        Pixels of reflections. What they add hides roots, so that nothing can be said there.
+    Panel
+        Its light is 0 too where fewer than `_LEAST_SHARE` of the views look into the water.
     """
     views = len(stack)
     often = (inside.sum(axis=0) >= _LEAST_SHARE * views) if inside.ndim == 3 else inside
     rows = np.flatnonzero(often.any(axis=1))
     background, agreed = np.zeros(stack.shape[1:], np.float32), np.zeros(stack.shape[1:], bool)
     if not len(rows):
-        return background, np.zeros(background.shape, bool)
+        return Panel(background, np.zeros_like(background), np.zeros(background.shape, bool))
 
     def upper_mean(begin: int) -> None:
         part = stack[:, begin : begin + _BLOCK_ROWS]
@@ -152,11 +181,36 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
         list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
     background[~often] = 0.0
     smooth = _smooth_surface(background, often, agreed, settings)
-    spots = (smooth > 0) & (background > (1.0 + settings.glare) * smooth)
-    glare = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
+    brighter = cv2.GaussianBlur(np.where(smooth > 0, background - smooth, 0.0), (0, 0), _GLARE_PX)
+    spots = (smooth > 0) & (brighter > settings.glare * smooth)
+    around = cv2.dilate(spots.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
+    added = np.where(around, np.maximum(background - smooth, 0.0), 0.0).astype(np.float32)
+    strong = spots & (added > _MOST_ADDED * smooth)
+    if spots.any() and _lies_before_roots(stack, inside, smooth, spots & ~strong, added):
+        glare = cv2.dilate(strong.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
+        added[glare] = 0.0
+        background = background - added
+    else:
+        glare, added = around, np.zeros_like(added)
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
     covered = often & (background < _COVERED * smooth)
-    return np.where(covered, smooth, background).astype(np.float32), np.asarray(glare)
+    return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
+
+
+def _lies_before_roots(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:
+    """Tell whether what is too bright is light from the wall, and no brighter part of the panel.
+
+    Roots hide the panel, and not what the wall reflects: there they are brighter than beside it, by what it adds.
+    """
+    about = cv2.dilate(spots.astype(np.uint8), np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8))
+    rows, columns = np.nonzero((about > 0) & (smooth > 0))
+    seen = inside[:, rows, columns] if inside.ndim == 3 else inside[rows, columns][None]
+    darkest = np.where(seen, stack[:, rows, columns], np.inf).min(axis=0, initial=np.inf) / smooth[rows, columns]
+    here, beside = ((darkest < _DARK) & part[rows, columns] for part in (spots, added == 0.0))
+    if here.sum() < _LEAST_DARK or beside.sum() < _LEAST_DARK:
+        return False
+    brighter = np.quantile(darkest[here], _DARKEST) - np.quantile(darkest[beside], _DARKEST)
+    return bool(brighter > 0.5 * np.median(added[rows, columns][here] / smooth[rows, columns][here]))
 
 
 def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: CoverageSettings) -> Image:
@@ -183,12 +237,12 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     surface = np.zeros_like(background)
     if not trusted.any():  # all black: there is no light to fit
         return surface
-    for _ in range(8):
+    for number in range(_FITS):
         some = basis[trusted]  # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = MAD * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()
-        trusted = (residual > -3.0 * scale) & (residual < np.maximum(settings.glare * values[sample], 3.0 * scale))
+        trusted = (residual > -3.0 * scale) & (residual < np.maximum(0.5**number * settings.glare * values[sample], 3.0 * scale))
     shape = (degrees[0] + 1, degrees[1] + 1)
     surface[rows[core], columns[core]] = np.polynomial.chebyshev.chebval2d(u[core], v[core], coefficients.reshape(shape))
     return surface

@@ -117,6 +117,12 @@ class _Backlight:
     lit: dict[int, Mask]
     """The same without regard to glare."""
     exposures: Exposures
+    added: dict[int, Image | np.float32]
+    """Light from the wall, to be taken off the picture."""
+
+    def without_added(self, pictures: Pictures, frame: int) -> Image:
+        """Return a picture without what the wall adds to it."""
+        return pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
 def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> _Backlight:
@@ -128,21 +134,21 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         stations = [pictures.frames[k].station for k in order]
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
         gain = dict(zip(order, exposures.gain.astype(np.float32), strict=True))
-        empty, glare = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
+        empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
         lit = {k: background.bright_enough(empty[k], inside[k], settings) for k in views}
-        return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures)
+        return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
 
 
 def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
     """Draw silhouettes in another way."""
     with monitor.stage("silhouettes"):
-        return Coverage(silhouettes={k: outline(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in light.empty})
+        return Coverage(silhouettes={k: outline(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in light.empty})
 
 
 def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure coverage against the empty backlight."""
     keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, settings, monitor)
-    opacity = {k: silhouettes.opacity(pictures.images[k].astype(np.float32), light.empty[k], light.seen[k]) for k in keys}
+    opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
     with monitor.stage("wall"):
         opacity, seen, film = _without_wall(cameras, opacity, light.seen, settings, monitor)
     with monitor.stage("silhouettes"):
@@ -198,22 +204,26 @@ def _backgrounds(
     gain: Mapping[int, np.float32],
     settings: CoverageSettings,
     monitor: Monitor,
-) -> tuple[dict[int, Image], dict[int, Mask | np.bool_]]:
-    """Estimate the empty backlight of each view, and where glare lies on it, which only a turn tells.
+) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
+    """Estimate the empty backlight of each view, where glare lies on it, and what the wall adds to it.
+
+    Only a turn tells the last two.
 
     Ring by ring where the camera stood still, exposures (``gain``) divided out; else picture by picture.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
     empty: dict[int, Image] = {}
     glare: dict[int, Mask | np.bool_] = dict.fromkeys(views, np.False_)
+    added: dict[int, Image | np.float32] = dict.fromkeys(views, np.float32(0.0))
     walls = dict(zip(views, monitor.each(lambda k: background.wall_light(views[k], cameras.optics), "walls", list(views)), strict=True))
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
             stack = np.stack([images[k] / (gain[k] * walls[k]) for k in members]).astype(np.float32)
-            panel, spots = background.estimate(stack, np.stack([inside[k] for k in members]), settings)
-            empty.update({k: panel * (gain[k] * walls[k]) for k in members})
-            glare.update(dict.fromkeys(members, spots))
+            panel = background.estimate(stack, np.stack([inside[k] for k in members]), settings)
+            empty.update({k: panel.light * (gain[k] * walls[k]) for k in members})
+            added.update({k: panel.added * (gain[k] * walls[k]) for k in members} if panel.added.any() else {})
+            glare.update(dict.fromkeys(members, panel.glare))
         else:
 
             def from_itself(k: int) -> Image:
@@ -221,7 +231,7 @@ def _backgrounds(
 
             single = monitor.each(from_itself, "background", members)
             empty.update(dict(zip(members, single, strict=True)))
-    return empty, glare
+    return empty, glare, added
 
 
 def _still(views: list[View]) -> bool:

@@ -115,6 +115,7 @@ def _camera(view: Json) -> Camera:
         table_deg=view.get("table_deg"),
         position_sigma_mm=view.get("position_sigma_mm"),
         rotation_sigma_deg=view.get("rotation_sigma_deg"),
+        sha256=str(view.get("sha256") or ""),
     )
 
 

@@ -42,7 +42,7 @@ from rhizotwin.scenes.traits import Traits
 
 Triple = tuple[float, float, float]
 
-_OF_VIEW = ("file", "ring", "used", "reason", "cam_from_canister", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg")
+_OF_VIEW = ("file", "ring", "used", "reason", "cam_from_canister", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
 """Fields of a camera in ``result.json``, before those that are told of the table and the silhouette."""
 
 

@@ -92,6 +92,13 @@ def test_the_worst_of_what_is_seen_is_told() -> None:
     assert "60 %" in crowded.found
 
 
+def test_what_no_tube_explains_either_is_unexplained() -> None:
+    assert shape_checks.of_sight(missed=0.21, unexplained=0.0, fill=0.1, structure=0.05).state == "fair"
+    alone = shape_checks.of_sight(missed=0.21, unexplained=0.0, fill=0.0, structure=None)
+    assert alone.state == "bad"
+    assert "21.0 %" in alone.found
+
+
 def test_motion_is_untold_without_roots_and_bad_where_they_sway() -> None:
     assert shape_checks.of_motion(None).state == "untold"
     assert shape_checks.of_motion(0.3).state == "bad"

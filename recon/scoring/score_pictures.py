@@ -1,0 +1,220 @@
+"""Score a result by pictures that it has not seen: what it would show in them, against what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.morphology import skeletonize
+
+from rhizotwin.recon.calibration.cameras import Camera, Cameras
+from rhizotwin.recon.calibration.curve import read_by_edges
+from rhizotwin.recon.calibration.find_cameras import find_cameras
+from rhizotwin.recon.coverage.measure import measure_coverage
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, signed_distance
+from rhizotwin.recon.pictures import content_of, read_pictures
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result_files import Json, Mesh
+from rhizotwin.recon.scoring import drawn
+from rhizotwin.recon.scoring.score_solid import table_of
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
+
+NEAR_PX = 2.0
+"""Root that is drawn this near counts as explained: the blur's width to either side, beyond which a picture of a root
+is empty."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureScore:
+    """A result against pictures that were not used. Pixels are those of the pictures."""
+
+    scene: str
+    pictures: int
+    """Which were compared."""
+    known: int
+    """Pictures of the same folder that the result was made from, which say nothing."""
+    iou: float
+    """Area that both cover over the area that either covers, by outlines, all pictures together."""
+    edge_median_px: float
+    """Distance of the outlines, each from the other."""
+    edge_p95_px: float
+    line_median_px: float
+    """Distance of the centre lines, each from the other."""
+    line_p95_px: float
+    explained: float
+    """Share of the pictures' centre lines within `NEAR_PX` of what is drawn."""
+    seen: float
+    """Share of the drawn centre lines within `NEAR_PX` of what the pictures show."""
+    per_view: dict[str, float]
+    """The area by picture."""
+
+    def to_dict(self) -> Json:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """Return the score as lines of text for the terminal."""
+        said = f", {self.known} more were used" if self.known else ""
+        rows = [
+            ("pictures", f"{self.pictures} that were not used{said}"),
+            ("area", f"{100.0 * self.iou:.1f} % of what either covers, both do"),
+            ("outlines apart", f"median {self.edge_median_px:.2f} px, 95 % {self.edge_p95_px:.2f} px"),
+            ("centre lines apart", f"median {self.line_median_px:.2f} px, 95 % {self.line_p95_px:.2f} px"),
+            ("root seen, explained", f"{100.0 * self.explained:.1f} %"),
+            ("root drawn, seen", f"{100.0 * self.seen:.1f} %"),
+        ]
+        return table_of(f"{self.scene}, against pictures that it has not seen", rows)
+
+
+def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *, monitor: Monitor) -> PictureScore:
+    """Score a result by the pictures of a dataset that it was not made from.
+
+    Cameras and coverage of all of them are measured as a reconstruction does; nothing is fitted to the result.
+
+    Parameters
+    ----------
+    result : Result or path
+        As it was reconstructed, or its folder.
+    dataset : Dataset or path
+        Of the same plant on the same rig: the whole scan of which a part was reconstructed, or another one.
+    monitor : Monitor
+        Hears how far the work is.
+
+    Raises
+    ------
+    UserError
+        Where all pictures were used, or they cannot be read.
+    """
+    found = result if isinstance(result, Result) else load_result(result)
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+    if dataset.sha256 and dataset.sha256 == found.dataset_sha256:
+        raise UserError(f"{dataset.folder} is the dataset that the result was made from; give one with pictures that were not used")
+    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    used = {camera.sha256: camera for camera in found.cameras if camera.sha256 and camera.used}
+    cameras = find_cameras(pictures, monitor=monitor)
+    same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := content_of(dataset, frame)) in used}
+    cameras = _in_frame_of(found, cameras, same, bare=dataset.scene.strip.rows == 0)
+    coverage = measure_coverage(pictures, cameras, monitor=monitor)
+    chosen = [k for k in cameras.order if k not in same]
+    if not chosen:
+        raise UserError(f"{dataset.folder}: all pictures with a camera were used for the result; give some that were not")
+    mesh = Mesh(vertices_mm=np.asarray(found.solid.mesh.vertices, np.float64), faces=np.asarray(found.solid.mesh.faces, np.int64))
+
+    def one(k: int) -> Compared:
+        return compare(drawn.coverage(cameras.by_frame[k], cameras.optics, mesh, found.roots), coverage.silhouettes[k])
+
+    with monitor.stage("score"):
+        compared = monitor.each(one, "score", chosen)
+    return gather(found.scene, [pictures.frames[k].file for k in chosen], compared, known=len(same))
+
+
+def _in_frame_of(found: Result, cameras: Cameras, same: dict[int, Camera], *, bare: bool) -> Cameras:
+    """Return cameras in the result's canister frame, through the water that it found.
+
+    Markers hold the frame; without them it begins at the first picture, so that pictures which both have tell the
+    angle between.
+    """
+    n_water = found.rig.get("n_water")
+    optics = cameras.optics if n_water is None else replace(cameras.optics, n_water=float(n_water))
+    if not bare:
+        return replace(cameras, optics=optics)
+    turns = [
+        frames.to_rotvec(frames.invert(cameras.pose(k)) @ camera.cam_from_canister)[2]
+        for k, camera in same.items()
+        if camera.cam_from_canister is not None and cameras.all[k].cam_from_canister is not None
+    ]
+    if not turns:
+        raise UserError(
+            "without markers the pictures must hold some of those that the result was made from, which tell where its turn begins; "
+            "give the whole scan"
+        )
+    turned = frames.rotation_z(float(np.angle(np.mean(np.exp(1j * np.array(turns))))))
+    every = tuple(
+        camera if camera.cam_from_canister is None else replace(camera, cam_from_canister=camera.cam_from_canister @ turned)
+        for camera in cameras.all
+    )
+    return replace(cameras, all=every, optics=optics)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One picture against what is drawn for it."""
+
+    both_px2: float
+    either_px2: float
+    edges_px: NDArray[np.float32]
+    """(N,) how far outlines are apart, at both outlines."""
+    lines_px: NDArray[np.float32]
+    """(N,) how far centre lines are apart, where one is near the other's root."""
+    explained: tuple[float, float]
+    """Length of the picture's centre lines near to what is drawn, and in all, px."""
+    seen: tuple[float, float]
+    """Length of the drawn centre lines near to what the picture shows, and in all."""
+
+
+def compare(shape: Image, picture: Silhouette) -> Compared:
+    """Compare what is drawn (H, W) with what a picture shows, where it tells something."""
+    shown, made = signed_distance(picture), signed_distance(Silhouette(shape, picture.seen))
+    told = shown < UNSEEN_PX
+    root, own = (shown > 0.0) & told, (made > 0.0) & told
+    apart = np.abs(made - shown)[(_rim(root) | _rim(own)) & told]
+    explained, off = _along(root, own)
+    seen, back = _along(own, root)
+    return Compared(
+        both_px2=float((root & own).sum()) / UPSAMPLING**2,
+        either_px2=float((root | own).sum()) / UPSAMPLING**2,
+        edges_px=apart,
+        lines_px=np.concatenate([off, back]),
+        explained=explained,
+        seen=seen,
+    )
+
+
+def _rim(inside: Mask) -> Mask:
+    """Return the samples beside an outline, inside of it."""
+    return inside & ~ndimage.binary_erosion(inside, border_value=1)
+
+
+def _along(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.float32]]:
+    """Return the length of the centre lines of one that runs near to the other's area, and in all.
+
+    With them, the distances of that part from the other's centre lines; all in px.
+    """
+    line, line_of_other = skeletonize(one), skeletonize(other)
+    if not line.any() or not line_of_other.any():
+        return (0.0, float(line.sum()) / UPSAMPLING), np.zeros(0, np.float32)
+    near = line & (ndimage.distance_transform_edt(~other) <= NEAR_PX * UPSAMPLING)
+    off = ndimage.distance_transform_edt(~line_of_other)[near] / UPSAMPLING
+    return (float(near.sum()) / UPSAMPLING, float(line.sum()) / UPSAMPLING), off.astype(np.float32)
+
+
+def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known: int) -> PictureScore:
+    """Put the comparisons of pictures together."""
+
+    def share(parts: Sequence[tuple[float, float]]) -> float:
+        near, whole = np.sum(parts, axis=0)
+        return float(near / whole) if whole > 0.0 else 1.0
+
+    edges, lines = (np.concatenate([getattr(one, name) for one in found]) for name in ("edges_px", "lines_px"))
+    edge, line = (np.quantile(values, [0.5, 0.95]) if len(values) else np.full(2, np.inf) for values in (edges, lines))
+    return PictureScore(
+        scene=scene,
+        pictures=len(found),
+        known=known,
+        iou=share([(one.both_px2, one.either_px2) for one in found]),
+        edge_median_px=float(edge[0]),
+        edge_p95_px=float(edge[1]),
+        line_median_px=float(line[0]),
+        line_p95_px=float(line[1]),
+        explained=share([one.explained for one in found]),
+        seen=share([one.seen for one in found]),
+        per_view={file: share([(one.both_px2, one.either_px2)]) for file, one in zip(files, found, strict=True)},
+    )

@@ -1,0 +1,134 @@
+"""A result against pictures that it has not seen: the drawing against exact silhouettes, the numbers against shifts that are known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.scoring import drawn
+from rhizotwin.recon.scoring.score_pictures import compare, gather, score_pictures
+from rhizotwin.recon.settings import HullSettings, Settings
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.rsml import Root
+from tests.recon.hull import exact_pictures
+
+NOTHING = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))
+TUBE = ((8.0, -6.0, -30.0), (-14.0, 10.0, -80.0), 1.2)
+
+
+def scene() -> Scene:
+    small = Scene()
+    return replace(small, camera=small.camera.resized((320, 240)), plan=CapturePlan(rings=(Ring(views=4),)))
+
+
+def tube_mesh() -> Mesh:
+    """Return the tube with round ends, as a surface."""
+    a, b, radius_mm = np.array(TUBE[0]), np.array(TUBE[1]), TUBE[2]
+    height = float(np.linalg.norm(b - a))
+    made = trimesh.creation.capsule(radius=radius_mm, height=height, count=(32, 32))
+    made.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], (b - a) / height))
+    made.apply_translation(0.5 * (a + b))
+    # long triangles would be straight where light makes them bend
+    vertices, faces = trimesh.remesh.subdivide_to_size(made.vertices, made.faces, 2.0)
+    return Mesh(vertices_mm=vertices, faces=faces)
+
+
+@pytest.mark.parametrize("how", ["surface", "root"])
+def test_what_is_drawn_is_what_the_water_shows(how: str) -> None:
+    """Against silhouettes that follow every line of sight by itself."""
+    optics = Optics.of(scene())
+    root = Root(points_mm=np.linspace(TUBE[0], TUBE[1], 60), diameters_mm=np.full(60, 2.0 * TUBE[2]), order=0, parent=-1)
+    for view in exact_pictures.views_of(scene())[:2]:
+        exact = exact_pictures.drawn(view, optics, (TUBE,), samples=5)
+        made = drawn.coverage(view, optics, tube_mesh() if how == "surface" else NOTHING, (root,) if how == "root" else ())
+        area = float(exact.coverage[exact.seen].sum())
+        ends = np.pi * TUBE[2] ** 2 if how == "root" else 0.0  # a band has none
+        assert float(made[exact.seen].sum()) == pytest.approx(area, rel=0.03 + 0.02 * ends)
+        if how == "surface":
+            assert np.abs(made - exact.coverage)[exact.seen].max() < 0.25
+            assert compare(made, exact).edges_px.max() < 0.25
+
+
+def disc(column: float) -> Silhouette:
+    x, y = np.meshgrid(np.arange(120.0), np.arange(100.0))
+    return Silhouette(np.clip(30.5 - np.hypot(x - column, y - 50.0), 0.0, 1.0).astype(np.float32), np.ones((100, 120), bool))
+
+
+def stripe(column: float, rows: slice = slice(None)) -> Silhouette:
+    x = np.broadcast_to(np.arange(120.0), (100, 120))
+    cover = np.clip(2.0 - np.abs(x - column), 0.0, 1.0).astype(np.float32)
+    kept = np.zeros_like(cover)
+    kept[rows] = cover[rows]
+    return Silhouette(kept, np.ones(cover.shape, bool))
+
+
+@pytest.mark.parametrize("shift_px", [0.0, 0.6, 1.5])
+def test_a_shift_is_told_as_what_it_is(shift_px: float) -> None:
+    found = gather("disc", ["one"], [compare(disc(60.0 + shift_px).coverage, disc(60.0))], known=0)
+    radius, half = 30.0, 0.5 * shift_px
+    lens = 2.0 * radius**2 * np.arccos(half / radius) - 2.0 * half * np.sqrt(radius**2 - half**2)
+    assert found.iou == pytest.approx(lens / (2.0 * np.pi * radius**2 - lens), abs=0.01)
+    assert found.edge_median_px == pytest.approx(shift_px / np.sqrt(2.0), abs=0.1)  # half of a circle is moved by more
+    assert found.edge_p95_px == pytest.approx(shift_px, abs=0.1)
+
+
+def test_lines_that_run_beside_each_other_are_as_far_apart_as_they_are() -> None:
+    found = gather("stripe", ["one"], [compare(stripe(51.5).coverage, stripe(50.0))], known=0)
+    assert found.line_median_px == pytest.approx(1.5, abs=0.3)
+    assert (found.explained, found.seen) == (1.0, 1.0)
+
+
+def test_what_is_missed_and_what_is_too_much_are_told_apart() -> None:
+    half = stripe(50.0, np.s_[:50])
+    missed, too_much = compare(half.coverage, stripe(50.0)), compare(stripe(50.0).coverage, half)
+    shares = [(one.explained[0] / one.explained[1], one.seen[0] / one.seen[1]) for one in (missed, too_much)]
+    assert shares[0] == (pytest.approx(0.52, abs=0.04), 1.0)
+    assert shares[1] == (1.0, pytest.approx(0.52, abs=0.04))
+
+
+def test_nothing_drawn_explains_nothing() -> None:
+    found = gather("nothing", ["one"], [compare(np.zeros((100, 120), np.float32), disc(60.0))], known=0)
+    assert (found.iou, found.explained) == (0.0, 0.0)
+    assert found.edge_median_px > 10.0
+
+
+def write_scan(folder: Path, views: list[int], made: Scene) -> Path:
+    """Write exact silhouettes of some views, with their cameras, as a dataset."""
+    optics, every = Optics.of(made), exact_pictures.views_of(made)
+    listed = []
+    for k in views:
+        file = f"images/{k}.png"
+        atomic.write_image(folder / file, np.round(255.0 * exact_pictures.drawn(every[k], optics, (TUBE,)).coverage).astype(np.uint8))
+        pose = tuple(tuple(float(value) for value in row) for row in every[k].cam_from_canister)
+        listed.append(Frame(file=file, sha256=sha256_of(folder / file), cam_from_canister=pose))
+    save_dataset(Dataset(folder=folder, scene=made, frames=tuple(listed), masks=True))
+    return folder
+
+
+def test_only_pictures_that_were_not_used_count(tmp_path: Path) -> None:
+    from rhizotwin.recon.reconstruct import reconstruct
+
+    made = replace(scene(), plan=CapturePlan(rings=(Ring(views=18),)))
+    part = write_scan(tmp_path / "part", list(range(0, 18, 2)), made)
+    whole = write_scan(tmp_path / "whole", list(range(18)), made)
+    result = reconstruct(part, settings=Settings(voxel_mm=0.5, hull=HullSettings(finest_mm=0.5)))
+    found = score_pictures(result, whole, monitor=Monitor.of(None))
+    assert (found.pictures, found.known) == (9, 9)
+    assert found.iou > 0.9
+    assert found.edge_median_px < 0.3
+    assert found.explained > 0.97
+    assert found.seen > 0.97
+    assert "9 that were not used, 9 more were used" in found.table()
+    with pytest.raises(UserError, match="made from"):
+        score_pictures(result, part, monitor=Monitor.of(None))
+    with pytest.raises(UserError, match="all pictures"):
+        score_pictures(result, write_scan(tmp_path / "same", list(range(0, 16, 2)), made), monitor=Monitor.of(None))
