@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
-from rhizotwin.recon.uncertainty import canister_doubt, shape_checks, sight, solid_doubt, structure, tube_doubt
+from rhizotwin.recon.uncertainty import bare_doubt, canister_doubt, shape_checks, sight, solid_doubt, structure, tube_doubt
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
@@ -174,6 +174,12 @@ def _budget(found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None,
         *solid_doubt.doubt(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
         solid_doubt.water(volume_mm3),
+        *bare_doubt.terms(
+            carved.cameras.bare,
+            leaves,
+            views=carved.bank.count,
+            mm3_per_px=solid_doubt.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
+        ),
         canister_doubt.canister(
             carved.cameras.views, carved.bank.optics, leaves, volume_mm3, radius_excess_mm=_radius_excess_mm(carved.cameras)
         ),

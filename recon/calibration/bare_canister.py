@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.calibration.cameras import BareUncertainty
 from rhizotwin.recon.robust import MAD
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -73,6 +74,9 @@ STEPS_AGREE = 0.15
 view in six more or less is another plan."""
 HEIGHTS_AGREE_MM = 1.0
 """Less is the thickness of a meniscus."""
+CALLIPER_MM = 0.1
+"""Standard deviation of a diameter that a person measures: callipers give way to a tube's wall by a tenth of a
+millimetre (their scale reads a fifth of that)."""
 _ROUNDS = 200
 """Of relaxation; in the first quarter only the scale of the whole turn is sought."""
 
@@ -92,6 +96,7 @@ class BareCanister:
     """Height of the floor, where the pictures show it."""
     inner_radius_mm: float
     """Half the width through which the panel is seen."""
+    uncertainty: BareUncertainty
 
     def notes(self, scene: Scene) -> tuple[str, ...]:
         """Return what a person should know of cameras that were found so.
@@ -151,11 +156,11 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         raise UserError(f"{len(pictures)} pictures are too few to find cameras without markers; at least {LEAST_VIEWS} are needed")
     stack = np.stack(pictures)
     bare = _bare(stack)
-    edges = _find_edges(stack, bare)
+    edges, width_sigma_px = _find_edges(stack, bare)
     mm_per_px = 2.0 * scene.canister.outer_radius_mm / edges.width_px
     mass, moments = _moments(stack, bare, edges)
     start = -scene.turntable.direction * np.deg2rad(np.asarray(table_deg, np.float64) - table_deg[0])
-    azimuth, place, agreement = _turn(moments, mass, start)
+    azimuth, azimuth_sigma, place, agreement = _turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
             f"the pictures' rows do not turn as one body does under parallel straight rays (off by {agreement:.1f} px, at most "
@@ -165,7 +170,7 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     slope = np.column_stack([np.ones(len(azimuth)), -lean])
     _, tilt_x, tilt_y = np.linalg.lstsq(slope, edges.axis_px[:, 1], rcond=None)[0]
     nearer = np.cos(azimuth)[:, None] * place[0] + np.sin(azimuth)[:, None] * place[1]
-    shift, elevation = _lift(mass, nearer)
+    shift, shift_sigma_px, elevation = _lift(mass, nearer)
     towards = tilt_x * np.cos(azimuth) + tilt_y * np.sin(azimuth)
     level_row = edges.rows[0] - 0.5
     zero_row = level_row + scene.water.level_mm / mm_per_px
@@ -180,6 +185,12 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         elevation_deg=float(np.rad2deg(elevation)),
         floor_z_mm=-(edges.rows[1] - 0.5 - zero_row) * mm_per_px if edges.floor_seen else None,
         inner_radius_mm=0.5 * edges.inner_px * mm_per_px,
+        uncertainty=BareUncertainty(
+            scale=float(np.hypot(width_sigma_px / edges.width_px, CALLIPER_MM / (2.0 * scene.canister.outer_radius_mm))),
+            azimuth_rad=float(np.sqrt(np.mean(azimuth_sigma**2))),
+            lift_mm=float(np.sqrt(np.mean(shift_sigma_px**2))) * mm_per_px,
+            mm_per_px=mm_per_px,
+        ),
     )
 
 
@@ -197,8 +208,8 @@ def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
 
 
-def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> _Edges:
-    """Find the canister's outer edges in every view, and where the water is."""
+def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[_Edges, float]:
+    """Find the canister's outer edges in every view, and where the water is; with how well the width is known, px."""
     height, width = bare.shape
     panel = float(np.quantile(bare, 0.95))  # lights and their reflections cover less than the rest
     profile = np.median(bare[height // 4 : 3 * height // 4], axis=0)
@@ -219,15 +230,17 @@ def _find_edges(stack: Stack, bare: NDArray[np.float32]) -> _Edges:
     from_left = np.array([_edge_line(picture, rows, middle, left[-1][1], panel) for picture in stack])
     from_right = np.array([_edge_line(picture[:, ::-1], rows, middle, width - right[0][0], panel) for picture in stack])
     from_right = np.array([width - 1.0, 0.0]) - from_right
-    return _Edges(
+    widths = from_right[:, 0] - from_left[:, 0]
+    found = _Edges(
         axis_px=0.5 * (from_left + from_right),
-        width_px=float(np.median(from_right[:, 0] - from_left[:, 0])),
+        width_px=float(np.median(widths)),
         inner_px=float(inside[1] - inside[0]),
         middle=middle,
         rows=water,
         columns=inside,
         floor_seen=water[1] < height,
     )
+    return found, float(np.std(widths) / np.sqrt(len(widths)))
 
 
 def _edge_line(picture: Stack, rows: NDArray[np.int64], middle: float, at: int, panel: float) -> Array:
@@ -329,11 +342,12 @@ class _Moment:
         return own, off, by_angle @ own
 
 
-def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, float]:
-    """Find the azimuths (V,), and each row's turning point (2, R), px, from the rows' first and second moments.
+def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, Array, float]:
+    """Find the azimuths (V,), their standard deviations, each row's turning point (2, R), px, and the scatter, px.
 
-    Azimuths and what turns are improved by turns, first with equal steps of any size, then with each view's angle free.
-    The second moments help where a view looks along the line from the axis to the centres of mass.
+    It uses the rows' first and second moments. Azimuths and what turns are improved by turns, first with equal steps
+    of any size, then with each view's angle free. The second moments help where a view looks along the line from the
+    axis to the centres of mass.
     """
     shown = np.median(mass, axis=0) > 1.0
     if shown.sum() < ROWS_TOGETHER * 4:
@@ -341,7 +355,7 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
     known = (mass > 0.5 * np.median(mass, axis=0))[:, shown]
     orders = [_Moment(n + 1, np.where(known, moments[n][:, shown], 0.0), known, known.astype(np.float64)) for n in range(len(moments))]
     azimuth, ideal, table_sigma = start.copy(), start.copy(), ANGLE_SIGMA_RAD
-    points = np.zeros((2, int(shown.sum())))
+    points, sigma = np.zeros((2, int(shown.sum()))), np.full(len(start), table_sigma)
     for turn in range(_ROUNDS):
         gradient, curvature = np.zeros(len(start)), np.zeros(len(start))
         for moment in orders:
@@ -364,15 +378,18 @@ def _turn(moments: Array, mass: Array, start: Array) -> tuple[Array, Array, floa
             azimuth = azimuth + (gradient - off / table_sigma**2) / (curvature + table_sigma**-2)
             # how uneven this table is, by expectation and maximisation:
             # what a view's angle is off by, and how far it is not known
-            table_sigma = max(float(np.sqrt(np.mean(off**2 + 1.0 / (curvature + table_sigma**-2)))), LEAST_ANGLE_SIGMA_RAD)
+            sigma = 1.0 / np.sqrt(curvature + table_sigma**-2)
+            table_sigma = max(float(np.sqrt(np.mean(off**2 + sigma**2))), LEAST_ANGLE_SIGMA_RAD)
     everywhere = np.zeros((2, mass.shape[1]))
     everywhere[:, shown] = points
     turned = frames.rotation_z(-float(azimuth[0]))[:2, :2]
-    return azimuth - azimuth[0], turned @ everywhere, orders[0].scatter
+    return azimuth - azimuth[0], sigma, turned @ everywhere, orders[0].scatter
 
 
-def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
-    """Find by how many rows each view is lifted (V,), and the camera's elevation (rad), from the rows' masses.
+def _lift(mass: Array, nearer: Array) -> tuple[Array, Array, float]:
+    """Find by how many rows each view is lifted (V,), with standard deviations, and the camera's elevation (rad).
+
+    They come from the rows' masses.
 
     ``nearer`` (V, R) is how many pixels nearer than the axis a row's centre of mass lies. What is nearer by n is seen
     lower by elevation * n, so that the mass of a row changes by what flows out of it: d(mass * nearer) / d row for a
@@ -381,7 +398,7 @@ def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
     views, rows = mass.shape
     typical = np.median(mass, axis=0)
     slope, row = np.gradient(typical), np.arange(rows, dtype=np.float64)
-    unknown = np.zeros(views + 1)
+    unknown, left = np.zeros(views + 1), np.zeros(views)
     sigma_px = SHIFT_SIGMA_PX
     for _ in range(10):
         prior = np.diag(np.concatenate([np.full(views, sigma_px**-2.0), [1e-6]]))
@@ -398,7 +415,7 @@ def _lift(mass: Array, nearer: Array) -> tuple[Array, float]:
         unknown += np.linalg.solve(normal, right)
         left = np.diag(np.linalg.inv(normal))[:-1]
         sigma_px = max(float(np.sqrt(np.mean(unknown[:-1] ** 2 + left))), LEAST_SHIFT_PX)
-    return unknown[:-1], float(unknown[-1])
+    return unknown[:-1], np.sqrt(left), float(unknown[-1])
 
 
 def _pose(scene: Scene, mm_per_px: float, azimuth: float, elevation: float, axis_px: Array, middle: float, zero_row: float) -> Array:

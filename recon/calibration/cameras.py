@@ -62,6 +62,19 @@ class Ring:
     own_mm: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class BareUncertainty:
+    """How well cameras without markers are known: standard deviations, root mean squares over the views."""
+
+    scale: float
+    """Share of the scale: the canister's diameter, as a person measured it and as its edges show it."""
+    azimuth_rad: float
+    """Of a view's angle."""
+    lift_mm: float
+    """Of how far a view is lifted."""
+    mm_per_px: float
+
+
 @dataclass(frozen=True)
 class RigUncertainty:
     """How well markers and edges know the rig."""
@@ -138,6 +151,8 @@ class Cameras:
     """(V,) numbers of the frames that are used, in the order in which they are looked at."""
     uncertainty: RigUncertainty | None = None
     """None: the cameras were given and count as exact."""
+    bare: BareUncertainty | None = None
+    """Of cameras without markers."""
     markers: MarkerCalibration | None = None
     """None: the cameras were given."""
     roots: RootCalibration | None = None

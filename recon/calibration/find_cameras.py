@@ -62,7 +62,7 @@ def find_cameras(
         with monitor.stage("canister"):
             bare = bare_canister.find_cameras(pictures.images, scene, _table_deg(pictures))
         lens = replace(scene.camera, mm_per_px=bare.mm_per_px)
-        return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), warnings=bare.notes(scene)))
+        return _usable(pictures, replace(_exact(pictures, lens, bare.cam_from_canister), bare=bare.uncertainty, warnings=bare.notes(scene)))
     detected = _markers(pictures, measure, monitor)
     with monitor.stage("poses"):
         solved = poses.find_poses(detected, scene, pictures.frames, settings=settings, single_view=single_view)

@@ -38,7 +38,7 @@ def doubt(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half
     """
     volume, whole, thick_mm3 = (leaves.volume_mm3() for leaves in (trimmed.leaves, hull.leaves, thick.leaves))
     share = thick_mm3 / max(volume, 1e-9)
-    by_px = (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px) * min(1.0, volume / whole)
+    by_px = mm3_per_px(hull, slack_px=slack_px) * min(1.0, volume / whole)
     outline, removed, kept = share * _OUTLINE_PX * by_px, share * max(0.0, whole - volume), thick.kept_mm3
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
@@ -62,6 +62,11 @@ def doubt(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half
             why="parts of the shape are hull that could not be trimmed, too large where too few views bound it",
         ),
     )
+
+
+def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
+    """Return by how much a hull grows for every pixel that its outlines are moved out."""
+    return (hull.moved_out_mm3 - hull.moved_in_mm3) / (2.0 * slack_px)
 
 
 def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: Trimmed, water: Water) -> float:

@@ -75,8 +75,10 @@ def test_uneven_steps_scale_and_elevation_are_found(direction):
     scene = replace(SCENE, turntable=replace(SCENE.turntable, direction=direction))
     found = find_cameras(pictures(azimuth, elevation=np.deg2rad(0.5)), scene, TABLE_DEG)
     assert found.mm_per_px == pytest.approx(MM_PER_PX, rel=0.003)
+    assert abs(found.mm_per_px / MM_PER_PX - 1.0) < 3.0 * found.uncertainty.scale < 0.01
     off = found.azimuth_deg - np.rad2deg(azimuth)
     assert np.std(off) < 0.25
+    assert 0.3 * np.std(off) < np.rad2deg(found.uncertainty.azimuth_rad) < 3.0 * np.std(off)
     assert np.abs(off).max() < 0.6
     assert found.elevation_deg == pytest.approx(0.5, abs=0.2)
     assert found.floor_z_mm == pytest.approx(-80.0, abs=0.5)
