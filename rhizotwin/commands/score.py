@@ -24,7 +24,7 @@ def score(
     as_json: Annotated[bool, Parameter(name="--json", show_default=False)] = False,
     progress: Progress = Progress(),
 ) -> None:
-    """Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or pictures it has not seen.
+    """Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.
 
     With a simulated DATASET: volume, extents, voxels, surface distances, poses and silhouettes stage by stage, and
     every trait. With --truth: volume, extents and surface distances to a solid that is laid onto the result first,
