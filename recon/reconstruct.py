@@ -24,9 +24,9 @@ from rhizotwin.recon.roots import rooting
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, picture_checks, root_doubt, shape_checks
+from rhizotwin.recon.uncertainty import checks, picture_checks, root_uncertainty, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_doubt import Estimate
+from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
 from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.monitor import Listener, Monitor
@@ -94,7 +94,7 @@ def reconstruct(
     checked = (*_checks(pictures, cameras, coverage, settings.trust), *solid.checks)
     solid = _judged(solid, checked)
     shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
-    roots_said = () if roots is None else roots.law.warnings()
+    roots_said = () if roots is None else roots.attenuation.warnings()
     warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), shoot=shoot)
@@ -114,7 +114,7 @@ def _lost(solid: Solid) -> tuple[str, ...]:
 def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[Estimate, ...]:
     """Estimate length, tips and mean diameter, with intervals and verdicts of their own."""
     with monitor.stage("compare roots"):
-        return root_doubt.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
+        return root_uncertainty.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:

@@ -20,7 +20,15 @@ from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
 from rhizotwin.recon.roots.rooting import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
-from rhizotwin.recon.uncertainty import bare_doubt, canister_doubt, shape_checks, sight, solid_doubt, structure, tube_doubt
+from rhizotwin.recon.uncertainty import (
+    bare_uncertainty,
+    canister_uncertainty,
+    shape_checks,
+    sight,
+    solid_uncertainty,
+    structure,
+    tube_uncertainty,
+)
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
@@ -30,7 +38,8 @@ from rhizotwin.scenes.monitor import Monitor
 _MISSED_VIEWS = 8
 """Views that are looked at; they come in an order that spreads neighbours over the turn."""
 _MISSED_LEAVES = 100_000
-"""Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the other."""
+"""Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the
+other."""
 _MISSED_PX = 1.5
 """What lies this near to the hull in a picture is its own."""
 _SURFACE_LEAVES = 1_000_000
@@ -69,7 +78,7 @@ def carve_hull(
     ----------
     finest_mm : float
         Edge of the finest nodes.
-    slack_px, ignore_blindness
+    slack_px, ignore_blindness : float, bool
         As in `carve.carve`.
 
     Raises
@@ -131,7 +140,7 @@ def find_roots(found: TrimmedHull, coverage: Coverage, *, monitor: Monitor) -> R
     """Find the roots as a tree of tubes; None where there are none."""
     carved, trimmed = found.carved, found.trimmed
     seen = Evidence.of(carved.bank, carved.silhouettes)
-    return rooting.find(seen, carved.cameras, trimmed.balls, carved.water, coverage.attenuation, monitor=monitor)
+    return rooting.find(seen, carved.cameras, trimmed.spheres, carved.water, coverage.attenuation, monitor=monitor)
 
 
 def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
@@ -158,29 +167,29 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
-    law = system.law
-    sigma = None if law.mu_per_mm is None else law.sigma * law.mu_per_mm
-    return replace(solid, roots=system.roots(), mu_per_mm=law.mu_per_mm, mu_sigma_per_mm=sigma)
+    attenuation = system.attenuation
+    sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
+    return replace(solid, roots=system.roots(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
 def _budget(found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:
     """Gather what every part of the shape leaves open."""
     carved, trimmed = found.carved, found.trimmed
     volume_mm3 = leaves.volume_mm3()
-    half = solid_doubt.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, thick, carved.water)
-    told = None if system is None else tube_doubt.doubt(system.seen, system)
+    half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, thick, carved.water)
+    told = None if system is None else tube_uncertainty.estimate(system.seen, system)
     terms = (
         *(() if told is None else told.terms),
-        *solid_doubt.doubt(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
+        *solid_uncertainty.estimate(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
-        solid_doubt.water(volume_mm3),
-        *bare_doubt.terms(
+        solid_uncertainty.water(volume_mm3),
+        *bare_uncertainty.terms(
             carved.cameras.bare,
             leaves,
             views=carved.bank.count,
-            mm3_per_px=solid_doubt.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
+            mm3_per_px=solid_uncertainty.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
         ),
-        canister_doubt.canister(
+        canister_uncertainty.canister(
             carved.cameras.views, carved.bank.optics, leaves, volume_mm3, radius_excess_mm=_radius_excess_mm(carved.cameras)
         ),
     )
@@ -212,7 +221,8 @@ def _misses(carved: Carved, leaves: carve.Leaves) -> float:
     """Return the share of the pictures' coverage before which no part of a shape stands, over a few views."""
     some = np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES]
     index, edge = leaves.index[some], leaves.size[some]
-    views = list(range(min(_MISSED_VIEWS, carved.bank.count)))  # they come in an order that spreads neighbours over the turn
+    # they come in an order that spreads neighbours over the turn
+    views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
     seen = Evidence.of(carved.bank.chosen(views), [carved.silhouettes[k] for k in views])
     at = seen.project(np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge[:, None]) * leaves.grid.size_mm)
     half_mm = 0.5 * 3.0**0.5 * leaves.grid.size_mm * edge
@@ -275,7 +285,10 @@ def measure(
 
 
 def _spread(count: int) -> list[int]:
-    """Order views so that each is far from those before it (golden-ratio steps round the turn): nodes are carved early."""
+    """Order views so that each is far from those before it (golden-ratio steps round the turn).
+
+    Nodes are carved early.
+    """
     return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
 
 

@@ -238,7 +238,8 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
     if not trusted.any():  # all black: there is no light to fit
         return surface
     for number in range(_FITS):
-        some = basis[trusted]  # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
+        # normal equations: the basis is near to orthogonal, and an SVD of 40 000 rows takes ten times as long
+        some = basis[trusted]
         coefficients = np.linalg.lstsq(some.T @ some, some.T @ values[sample][trusted], rcond=None)[0]
         residual = values[sample] - basis @ coefficients
         scale = MAD * np.median(np.abs(residual[trusted])) + 1e-3 * np.abs(values[sample]).max()

@@ -10,7 +10,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.exposure import Exposures
 from rhizotwin.recon.coverage import background, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
-from rhizotwin.recon.coverage.translucency import Law
+from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
@@ -38,7 +38,7 @@ class Coverage:
 
     silhouettes: Mapping[int, Silhouette]
     """By number of the frame."""
-    attenuation: Law | None = None
+    attenuation: Attenuation | None = None
     """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
     exposures: Exposures | None = None
     """How the pictures were exposed, in the order of the cameras; None: not asked."""
@@ -154,21 +154,22 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
-        law = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
+        attenuation = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
-            clear = opacity[k] / np.float32(1.0 - law.own)  # noise and all, so that no faint root loses its flanks
-            if law.mu_per_mm is None:
-                drawn = silhouettes.measure(opacity[k], seen[k], settings, own=law.own)
+            # noise and all, so that no faint root loses its flanks
+            clear = opacity[k] / np.float32(1.0 - attenuation.own)
+            if attenuation.mu_per_mm is None:
+                drawn = silhouettes.measure(opacity[k], seen[k], settings, own=attenuation.own)
             else:
-                covered = translucency.covered(opacity[k], law, px_a_mm)
+                covered = translucency.covered(opacity[k], attenuation, px_a_mm)
                 drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k], settings), seen[k])
             return replace(drawn, opacity=clear)
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
     clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(light.lit[k].sum()) for k in keys))
     dirt = None if film is None else 1.0 - (1.0 - film) * clear
-    return Coverage(silhouettes=drawn, attenuation=law, exposures=light.exposures, dirt=dirt)
+    return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=light.exposures, dirt=dirt)
 
 
 def _without_wall(

@@ -83,7 +83,7 @@ _THINNEST_MM = 0.08
 
 
 @dataclass(frozen=True)
-class Law:
+class Attenuation:
     """How roots look before the backlight."""
 
     own: float
@@ -94,7 +94,7 @@ class Law:
     """Profiles that told it."""
 
 
-def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Law:
+def learn(opacities: list[Image], seen: list[Mask], px_a_mm: float) -> Attenuation:
     """Learn from pictures of opacity how much light roots let through.
 
     Parameters
@@ -192,9 +192,9 @@ def _bands(radius_px: Array, mu_a_px: float, blur_px: float) -> tuple[Array, Arr
     return x, cv2.GaussianBlur(opacity, (0, 0), sigmaX=blur_px * _FINE, sigmaY=1e-3, borderType=cv2.BORDER_CONSTANT)
 
 
-def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
-    """Find the law that explains profiles best; that of opaque roots where they are too few."""
-    opaque = Law(bright, None, len(profiles))
+def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenuation:
+    """Find the attenuation that explains profiles best; that of opaque roots where they are too few."""
+    opaque = Attenuation(bright, None, len(profiles))
     if len(profiles) < _LEAST:
         return opaque
     window = (np.abs(_OFFSETS) <= 0.5 * width[:, None] + _FLANK_PX).astype(np.float64)
@@ -216,7 +216,7 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Law:
     i, k = divmod(int(np.argmin(typical)), len(own))
     mu = _vertex(_MU_PER_MM, typical.min(axis=1), i)
     told = typical[-1].min() > CLEARLY * typical.min()
-    return Law(float(own[k]), mu, int(good.sum())) if told else Law(bright, None, int(good.sum()))
+    return Attenuation(float(own[k]), mu, int(good.sum())) if told else Attenuation(bright, None, int(good.sum()))
 
 
 def _vertex(at: Array, cost: Array, best: int) -> float:
@@ -228,16 +228,16 @@ def _vertex(at: Array, cost: Array, best: int) -> float:
     return float(at[best] * np.exp(-b / (2.0 * a))) if a > 0.0 else float(at[best])
 
 
-def covered(opacity: Image, law: Law, px_a_mm: float) -> Image:
+def covered(opacity: Image, attenuation: Attenuation, px_a_mm: float) -> Image:
     """Return the coverage of translucent roots from their opacity, both (H, W).
 
     The gain is that of a straight round root with the peak that blurred opacity has nearby; chosen so that the root's
     coverage, at most 1, adds up to its diameter.
     """
-    if law.mu_per_mm is None:
-        raise ValueError(f"{law=} is that of opaque roots")
-    peaks, gains = _gains(law.mu_per_mm, px_a_mm)
-    clear = np.clip(opacity / np.float32(1.0 - law.own), 0.0, 1.0).astype(np.float32)
+    if attenuation.mu_per_mm is None:
+        raise ValueError(f"{attenuation=} is that of opaque roots")
+    peaks, gains = _gains(attenuation.mu_per_mm, px_a_mm)
+    clear = np.clip(opacity / np.float32(1.0 - attenuation.own), 0.0, 1.0).astype(np.float32)
     peak = cv2.dilate(cv2.GaussianBlur(clear, (0, 0), _PEAK_BLUR_PX), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     return np.minimum(clear * np.interp(peak, peaks, gains), 1.0).astype(np.float32)
 

@@ -1,12 +1,12 @@
 """Octree carving through the refraction: mark and refine over a set of leaves (T3.4.4), in Dr.Jit.
 
-The water is cut into nodes. A node is *empty* when one view that sees all of it finds its whole footprint outside the silhouette,
-*full* when all views that see it find its footprint inside, and is cut into eight otherwise, down to the finest size. A view that
-does not see a node (or sees it twice, or whose picture says nothing there) neither carves it nor counts for it; nodes that too few
-views see are *blind*: reported, and not part of the shape.
+The water is cut into nodes. A node is *empty* when one view that sees all of it finds its whole footprint outside the
+silhouette, *full* when all views that see it find its footprint inside, and is cut into eight otherwise, down to the
+finest size. A view that does not see a node (or sees it twice, or whose picture says nothing there) neither carves it
+nor counts for it; nodes that too few views see are *blind*: reported, and not part of the shape.
 
-A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and no tree is
-kept: the thesis's dictionary of leaves becomes arrays of positions, without a look-up.
+A node is its integer position on the grid of its level, so neighbours, parents and children are arithmetic on keys and
+no tree is kept: the thesis's dictionary of leaves becomes arrays of positions, without a look-up.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ _EMPTY, _PARTIAL = 1 << 31, 1 << 30
 _CHUNK = 1 << 21
 """Nodes that are looked at in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
-"""Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having too little."""
+"""Memory that a node of the finest level takes until the shape is written, as measured; Dr.Jit does not survive having
+too little."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,10 @@ class Water:
 
 @dataclass(frozen=True)
 class DistanceMaps:
-    """Signed distances to the outlines of all views, positive inside, pixels; `UNSEEN_PX` where a picture says nothing."""
+    """Signed distances to the outlines of all views, positive inside, pixels.
+
+    `UNSEEN_PX` where a picture says nothing.
+    """
 
     values: Float
     """mi.Float, (V, 2 h, 2 w) flattened: those of a window (w, h), about which nothing is said."""
@@ -68,7 +72,10 @@ class DistanceMaps:
     _image: Vector2f = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Keep what kernels need of the sizes as their input: as constants, they would make every kernel new for every scan."""
+        """Keep what kernels need of the sizes as their input.
+
+        As constants, they would make every kernel new for every scan.
+        """
         object.__setattr__(self, "_low", mi.Vector2f(*(dr.opaque(mi.Float, low) for low in self.window.low_px)))
         object.__setattr__(self, "_samples", mi.Vector2u(*(dr.opaque(mi.UInt32, count) for count in self.samples_wh)))
         object.__setattr__(self, "_image", mi.Vector2f(*(dr.opaque(mi.Float, count) for count in self.image_wh)))
@@ -79,7 +86,8 @@ class DistanceMaps:
 
         Parameters
         ----------
-        image_wh, window : of the pictures, and the part of them that the maps are of; all of it where not given.
+        image_wh, window : tuple of int or None, Window or None
+            Of the pictures, and the part of them that the maps are of; all of it where not given.
         """
         size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
         return DistanceMaps(mi.Float(maps.ravel()), image_wh or size_px, window or Window((0, 0), size_px))
@@ -219,13 +227,15 @@ def _mark(
 ) -> _Marks:
     """Look at nodes from every view, until one finds them empty.
 
-    Only ``point`` is followed through the water; nodes beside it are placed by its Jacobian. What that neglects is half the change of the
-    scale on the way (3 % a mm, as in `_footprint_px`) times the way: at most 0.011 of an edge where edges are below `_BY_PARENT_MM`.
+    Only ``point`` is followed through the water; nodes beside it are placed by its Jacobian. What that neglects is half
+    the change of the scale on the way (3 % a mm, as in `_footprint_px`) times the way: at most 0.011 of an edge where
+    edges are below `_BY_PARENT_MM`.
 
     Parameters
     ----------
     parts : list of mi.Vector3f
-        From the point to the centres of the nodes: eight for the children of a node about the point, or nothing but zero for itself.
+        From the point to the centres of the nodes: eight for the children of a node about the point, or nothing but
+        zero for itself.
     half_mm : mi.Float
         Half an edge of these nodes.
 
@@ -268,7 +278,10 @@ def _mark(
 
 
 def _partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
-    """Tell which nodes have a corner that enough views see, though too few see the centre: the edge of the blind zone cuts them."""
+    """Tell which nodes have a corner that enough views see, though too few see the centre.
+
+    The edge of the blind zone cuts them.
+    """
     result = dr.zeros(mi.Bool, dr.width(point))
     chosen = dr.compress(asked)
     if dr.width(chosen) == 0:
@@ -442,7 +455,10 @@ def _centres(grid: Grid, nodes: list[Int32], edge_mm: float) -> Point3f:
 
 
 def _corners(half_mm: Float) -> list[Vector3f]:
-    """Return from a node's centre to its corners, in the order of `_children`; signs that are no constants leave one kernel for all."""
+    """Return from a node's centre to its corners, in the order of `_children`.
+
+    Signs that are no constants leave one kernel for all.
+    """
     signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
     return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]
 

@@ -1,10 +1,10 @@
 """What no picture needs is not root: from the hull to the roots inside it.
 
-A visual hull is too large: where a root hides behind another in the views that would bound its flanks, its cross-section grows tips
-and the crotches fill. But the largest ball about a point of a root's centre line that no view contradicts has the root's own
-radius, for it is bounded by whichever view shows the root alone. So the roots are rebuilt as the union of these balls along the
-hull's centre lines, and compared with the pictures: where a silhouette is not explained by the balls (parts that are no tubes,
-roots thinner than the skeleton's voxels), the hull is kept.
+A visual hull is too large: where a root hides behind another in the views that would bound its flanks, its
+cross-section grows tips and the crotches fill. But the largest sphere about a point of a root's centre line that no
+view contradicts has the root's own radius, for it is bounded by whichever view shows the root alone. So the roots are
+rebuilt as the union of these spheres along the hull's centre lines, and compared with the pictures: where a silhouette
+is not explained by the spheres (parts that are no tubes, roots thinner than the skeleton's voxels), the hull is kept.
 """
 
 from __future__ import annotations
@@ -33,33 +33,35 @@ Mask = NDArray[np.bool_]
 _SKELETON_MM = 0.5
 """About this edge have the voxels that are thinned to curves: finer ones grow hairs on rough surfaces."""
 _SPACING_MM = 0.16
-"""Of the points along a curve, at most: balls of 0.5 mm roots overlap by more than half."""
+"""Of the points along a curve, at most: spheres of 0.5 mm roots overlap by more than half."""
 _BIN_MM = 4.0
-"""Edge of the bins in which balls are looked up: a ball no larger lies in eight at most."""
+"""Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
 _DEEP_PX = 0.75
-"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts not at all, a third
-more in full."""
+"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
+not at all, a third more in full."""
 VOTES = 0.3
 """Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
 """Distance at which an outline's slope is read on both sides: a sample and a half of the map."""
 _TIGHT_PX = 0.4
-"""A view bounds a ball when its outline is no farther than this beyond it: outlines' noise, and the crease that sampling rounds off. Half
-of this bounds it in full, half as much again not at all."""
+"""A view bounds a sphere when its outline is no farther than this beyond it: outlines' noise, and the crease that
+sampling rounds off. Half of this bounds it in full, half as much again not at all."""
 _HELD = 0.25, 5.0 / 12.0
-"""A ball that a smaller share of the seeing views bounds is none, one that a larger share bounds is whole; between them it shrinks.
+"""A sphere that a smaller share of the seeing views bounds is none, one that a larger share bounds is whole; between
+them it shrinks.
 
-Every view that shows a root alone bounds its ball. A ball in a web between roots is bounded by the few views that graze the web."""
+Every view that shows a root alone bounds its sphere. A sphere in a web between roots is bounded by the few views that
+graze the web."""
 _LEAST_CURVE = 12
-"""Fewer points than this are no curve (a ball thins to one): they may move in every direction."""
+"""Fewer points than this are no curve (a sphere thins to one): they may move in every direction."""
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
 """The 26 directions to neighbouring cells."""
 _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
-class Balls:
-    """Balls inside the roots."""
+class Spheres:
+    """Spheres inside the roots."""
 
     centre_mm: Array
     """(N, 3), canister frame."""
@@ -72,10 +74,10 @@ class Trimmed:
     """A hull trimmed to what its silhouettes need."""
 
     leaves: Leaves
-    balls: Balls
-    """Balls along the centre lines."""
+    spheres: Spheres
+    """Spheres along the centre lines."""
     kept: NDArray[np.float32]
-    """(N,) of the leaves' occupancies what is hull still, because the balls leave a silhouette unexplained."""
+    """(N,) of the leaves' occupancies what is hull still, because the spheres leave a silhouette unexplained."""
 
     @property
     def kept_mm3(self) -> float:
@@ -98,10 +100,10 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
 
     The trimmed shape's occupancies are at most the hull's.
     """
-    balls = grow_balls(bank, maps, centre_lines(leaves))
-    if not len(balls.radius_mm):
-        return Trimmed(leaves, balls, leaves.occupancy)
-    index, size, hull, inside = _against_balls(balls, leaves)
+    spheres = grow_spheres(bank, maps, centre_lines(leaves))
+    if not len(spheres.radius_mm):
+        return Trimmed(leaves, spheres, leaves.occupancy)
+    index, size, hull, inside = _against_spheres(spheres, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > 0.02
     if missing.any():
@@ -109,7 +111,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
-    return Trimmed(trimmed, balls, (kept - np.minimum(hull, inside))[some])
+    return Trimmed(trimmed, spheres, (kept - np.minimum(hull, inside))[some])
 
 
 def centre_lines(leaves: Leaves) -> Array:
@@ -134,7 +136,8 @@ def centre_lines(leaves: Leaves) -> Array:
 def _across(points: Array) -> Array:
     """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves.
 
-    They are turned from the axis that the direction is least along: a straight row of points has no directions across of its own.
+    They are turned from the axis that the direction is least along: a straight row of points has no directions across
+    of its own.
     """
     near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -146,13 +149,14 @@ def _across(points: Array) -> Array:
     return across
 
 
-def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
-    """Move points across their curve to where the largest ball fits into all silhouettes, and return those balls."""
+def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> Spheres:
+    """Move points across their curve to where the largest spheres fit into all silhouettes; return these."""
     if not len(points):
-        return Balls(points, np.zeros(0))
+        return Spheres(points, np.zeros(0))
     everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
     points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
-    # where a curve ends inside a solid, the largest ball lies beyond its end: balls that none about them exceeds look for it
+    # where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that none about them exceeds
+    # look for it
     largest = _largest(points, radius)
     if len(largest):
         freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
@@ -163,11 +167,14 @@ def grow_balls(bank: ViewBank, maps: DistanceMaps, points: Array) -> Balls:
         none, whole = _HELD
         radius[good] *= np.clip((_held(bank, maps, points[good], blunt[good]) - none) / (whole - none), 0.0, 1.0)
         good = radius > 0
-    return Balls(points[good], radius[good])
+    return Spheres(points[good], radius[good])
 
 
 def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
-    """Move points (N, 3) along any of their directions (N, D, 3) to where the largest balls fit; return them with the radii (N,)."""
+    """Move points (N, 3) along any of their directions (N, D, 3) to where the largest spheres fit.
+
+    Return them with the radii (N,).
+    """
     radius = _radius(bank, maps, points)
     for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
         tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
@@ -179,18 +186,19 @@ def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array)
 
 
 def _largest(points: Array, radius: Array) -> NDArray[np.int64]:
-    """Return the numbers of the balls that no ball about a point inside them exceeds."""
+    """Return the numbers of the spheres that no sphere about a point inside them exceeds."""
     inside = cKDTree(points).query_ball_point(points, radius, workers=-1)
     return np.array([k for k, near in enumerate(inside) if radius[k] > 0 and radius[k] >= radius[near].max()], np.int64)
 
 
 def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
-    """Return the radius in mm of the largest ball about each point that every view allows.
+    """Return the radius in mm of the largest sphere about each point that every view allows.
 
-    In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the outline has the
-    normal g = a du + b dv in space, so the ball's radius is D / |g|. On a root's centre line D has a crease: |a| and |b| are taken from
-    the steeper of the two sides. The sampled map rounds the crease off; ``sharpen`` restores its height from the slopes on both sides,
-    for points that lie on it. Points that fewer than `VOTES` of the views see get the radius 0.
+    In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the
+    outline has the normal g = a du + b dv in space, so the sphere's radius is D / |g|. On a root's centre line D has a
+    crease: |a| and |b| are taken from the steeper of the two sides. The sampled map rounds the crease off; ``sharpen``
+    restores its height from the slopes on both sides, for points that lie on it. Points that fewer than `VOTES` of the
+    views see get the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -205,7 +213,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 
 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
-    """Return the share (N,) of the seeing views that bound balls (N,), `_radius` without sharpening."""
+    """Return the share (N,) of the seeing views that bound spheres (N,), `_radius` without sharpening."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
@@ -219,7 +227,10 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
 
 
 def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
-    """Return the radius in mm of the largest ball about a point that a view allows, px/mm there, and whether the view sees it."""
+    """Return the radius in mm of the largest sphere about a point that a view allows.
+
+    With it, px/mm there, and whether the view sees it.
+    """
     p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
     for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
@@ -236,16 +247,18 @@ def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *
     return peak / g, g, seen
 
 
-def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Cut leaves until each lies wholly inside the balls or is a finest node.
+def _against_spheres(
+    spheres: Spheres, leaves: Leaves
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Cut leaves until each lies wholly inside the spheres or is a finest node.
 
     Returns
     -------
-    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the balls (N,).
+    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the spheres (N,).
     """
     origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
     low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = _Listed.of(balls, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    listed = _Listed.of(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
     done: list[tuple[NDArray[np.generic], ...]] = []
     carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
     for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
@@ -263,43 +276,43 @@ def _against_balls(balls: Balls, leaves: Leaves) -> tuple[NDArray[np.int32], NDA
     return index, size, hull, inside
 
 
-def depth_in_balls(balls: Balls, points_mm: Array) -> NDArray[np.float32]:
-    """Return how deep (N,) points (N, 3) lie inside the union of balls; negative outside."""
-    if not len(points_mm) or not len(balls.radius_mm):
+def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
+    """Return how deep (N,) points (N, 3) lie inside the union of spheres; negative outside."""
+    if not len(points_mm) or not len(spheres.radius_mm):
         return np.full(len(points_mm), -np.inf, np.float32)
-    return _Listed.of(balls, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+    return _Listed.of(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
 
 
 @dataclass(frozen=True)
 class _Listed:
-    """Balls listed by the cubic bins they reach into."""
+    """Spheres listed by the cubic bins they reach into."""
 
     low_mm: Array
     shape: NDArray[np.int64]
     entries: UInt32
-    """mi.Float, x y z r of the balls of one bin after the other."""
+    """mi.Float, x y z r of the spheres of one bin after the other."""
     begins: UInt32
     """mi.UInt32, first entry of each bin, and the end."""
 
     @staticmethod
-    def of(balls: Balls, low: Array, high: Array, beside_mm: float) -> _Listed:
-        """List balls, and what lies so far beside them, in bins that cover a box."""
+    def of(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Listed:
+        """List spheres, and what lies so far beside them, in bins that cover a box."""
         shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
-        reach = balls.radius_mm[:, None] + beside_mm
-        first = np.clip(np.floor((balls.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
-        extent = np.clip(np.floor((balls.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
+        reach = spheres.radius_mm[:, None] + beside_mm
+        first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        extent = np.clip(np.floor((spheres.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
         count = extent.prod(axis=1)
-        ball = np.repeat(np.arange(len(count)), count)
-        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[ball]
+        sphere = np.repeat(np.arange(len(count)), count)
+        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[sphere]
         offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
-        bins = ((first[ball] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
+        bins = ((first[sphere] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
         order = np.argsort(bins, kind="stable")
         begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
-        packed = np.concatenate([balls.centre_mm, balls.radius_mm[:, None]], axis=1)[ball[order]].astype(np.float32)
+        packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
         return _Listed(low, shape, numbers(packed), wholes(begins))
 
     def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
-        """Return how deep (N,) points (N, 3) lie inside the union of the balls; negative outside."""
+        """Return how deep (N,) points (N, 3) lie inside the union of the spheres; negative outside."""
         if not len(points_mm):
             return np.zeros(0, np.float32)
         shape = self.shape
@@ -308,15 +321,17 @@ class _Listed:
         end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(vectors(points_mm))
 
         def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
-            ball = dr.gather(mi.Vector4f, self.entries, k)
-            return k + 1, dr.maximum(depth, ball.w - dr.norm(centre - mi.Point3f(ball.x, ball.y, ball.z)))
+            sphere = dr.gather(mi.Vector4f, self.entries, k)
+            return k + 1, dr.maximum(depth, sphere.w - dr.norm(centre - mi.Point3f(sphere.x, sphere.y, sphere.z)))
 
         state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(points_mm)))
         return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
 
 
-def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Tell how much (N,), 0 to 1, silhouettes need of the doubted finest nodes (N, 3) that the trimmed shape does not explain.
+def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Tell how much (N,), 0 to 1, silhouettes need of the uncertain finest nodes (N, 3).
+
+    The trimmed shape does not explain these.
 
     One view that lacks a node may be wrong: what the second most lacking one lacks is needed.
     """
@@ -325,8 +340,8 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
     some = filled > 0.25
     solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
     share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
-    doubtful = _points(trimmed, doubted, 1)
-    most, second = dr.zeros(mi.Float, dr.width(doubtful)), dr.zeros(mi.Float, dr.width(doubtful))
+    places = _points(trimmed, uncertain, 1)
+    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     values, columns = np.array(maps.values).reshape(bank.count, height, width), dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
         p, seen = _seen(bank, maps, view, solid)
@@ -338,7 +353,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, doubted: NDArra
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        p, seen = _seen(bank, maps, view, doubtful)
+        p, seen = _seen(bank, maps, view, places)
         lacks = dr.select(seen, replace(maps, values=numbers(_spread(lacking, 5))).at(0, p.px, seen), 0.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)

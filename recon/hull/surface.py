@@ -11,7 +11,8 @@ from rhizotwin.recon.hull.boxes import Box
 from rhizotwin.recon.hull.carve import Leaves
 
 _BRICK = 96
-"""Edge of the blocks, in voxels, in which the surface is drawn: one takes 3.5 MB, and its overlap with the next is 3 % of it."""
+"""Edge of the blocks, in voxels, in which the surface is drawn: one takes 3.5 MB, and its overlap with the next is 3 %
+of it."""
 
 
 def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
@@ -19,11 +20,17 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
 
     Parameters
     ----------
-    units : a power of two.
+    units : int
+        A power of two.
 
     Returns
     -------
-    index : (N, 3) lowest corner in voxels. size : (N,) edge in voxels, 1 or more. occupancy : (N,) fraction inside.
+    index : (N, 3) int32 array
+        Lowest corner in voxels.
+    size : (N,) int32 array
+        Edge in voxels, 1 or more.
+    occupancy : (N,) float32 array
+        Fraction inside.
     """
     large = leaves.size >= units
     small = ~large
@@ -51,7 +58,10 @@ def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[n
 def _bricks(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Yield (lowest corner, dense block) of the parts of space that hold leaves; blocks overlap by one layer and are padded."""
+    """Yield (lowest corner, dense block) of the parts of space that hold leaves.
+
+    Blocks overlap by one layer and are padded.
+    """
     low = index.min(axis=0) - 1
     # a leaf, smaller than a brick, touches one or two bricks a way
     first, last = -((low - index) // _BRICK) - 1, (index + size[:, None] - 1 - low) // _BRICK
@@ -74,7 +84,10 @@ def _bricks(
 def surface(
     index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32], *, origin_mm: NDArray[np.float64], voxel_mm: float
 ) -> trimesh.Trimesh:
-    """Return the surface at half occupancy as a closed mesh in the canister frame, mm (marching cubes, brick by brick)."""
+    """Return the surface at half occupancy as a closed mesh in the canister frame, mm.
+
+    Marching cubes, brick by brick.
+    """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     for corner, block in _bricks(index, size, occupancy):
         if block.max() <= 0.5 or block.min() >= 0.5:

@@ -87,7 +87,8 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
         logging.getLogger(__name__).warning("%s; the report leaves this picture out", error)
         return None
     picture /= max(np.percentile(picture, 99.8), 1.0)
-    return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)  # linear in light, which screens are not
+    # linear in light, which screens are not
+    return picture if dataset.masks else np.clip(picture, 0.0, 1.0) ** (1.0 / 2.2)
 
 
 def nominal_centres(dataset: Dataset) -> dict[str, Floats]:

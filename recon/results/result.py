@@ -32,7 +32,7 @@ from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, p
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_doubt import Estimate
+from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
 from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root

@@ -1,1 +1,4 @@
-"""From coverage to a tree of tubes and one solid: density, tracing, mending, ghosts, thick organs, and whose lateral is whose."""
+"""From coverage to a tree of tubes and one solid.
+
+Density, tracing, linking, ghosts, thick organs, and parent assignment.
+"""

@@ -1,16 +1,17 @@
 """Where in the water the roots are: a density over small cells that explains the coverage of all views at once.
 
-Each cell of the search space casts a shadow of area ``a`` (mm2); a pixel's coverage is the sum of the shadows on it, at most 1. The
-shadows are found by multiplicative algebraic reconstruction (MART; Gordon, Bender and Herman 1970, J. Theor. Biol. 29:471), the
-method by which tomographic particle velocimetry finds sparse particles from few views (Elsinga et al. 2006, Exp. Fluids 41:933):
+Each cell of the search space casts a shadow of area ``a`` (mm2); a pixel's coverage is the sum of the shadows on it, at
+most 1. The shadows are found by multiplicative algebraic reconstruction (MART; Gordon, Bender and Herman 1970, J.
+Theor. Biol. 29:471), the method by which tomographic particle velocimetry finds sparse particles from few views
+(Elsinga et al. 2006, Exp. Fluids 41:933):
 
     a <- a * exp( mean over views of log( measured / explained ) )
 
-A pixel that is explained in excess is no contradiction where it is measured as covered in full. Shadows without support in a single
-view shrink geometrically, so that ghosts, which every view explains by something else as well, die out; a plain hull keeps them all.
-A step needs no more than a subset of views that look from everywhere (ordered subsets; Hudson and Larkin 1994, IEEE TMI 13:601): ten of
-80 views give the same shadows in as many steps, each with an eighth of the work.
-Along a root the shadows add up to its diameter a millimetre of length.
+A pixel that is explained in excess is no contradiction where it is measured as covered in full. Shadows without support
+in a single view shrink geometrically, so that ghosts, which every view explains by something else as well, die out; a
+plain hull keeps them all. A step needs no more than a subset of views that look from everywhere (ordered subsets;
+Hudson and Larkin 1994, IEEE TMI 13:601): ten of 80 views give the same shadows in as many steps, each with an eighth of
+the work. Along a root the shadows add up to its diameter a millimetre of length.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ Array = NDArray[np.float64]
 STEPS = 30
 """More steps make roots thinner and darker, 60 take 8 % of their shadow: what the pictures do not tell apart drifts."""
 _VIEWS_A_STEP = 10
-"""Views from which one step of the estimate is made: ordered subsets, so that a pass over all of them is several steps."""
+"""Views from which one step of the estimate is made: ordered subsets, so that a pass over all of them is several
+steps."""
 _THIN_OUT = (6, 12, 20)
 """Steps after which cells that cast next to no shadow are left out."""
 _NOTHING = 1e-5
@@ -93,12 +95,15 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
 
     Parameters
     ----------
-    solid : cells of thick organs, which cover all that is behind them.
+    solid : Cells
+        Cells of thick organs, which cover all that is behind them.
 
     Returns
     -------
-    cells : with their shadows, some of those given.
-    number : (N,) which of them.
+    cells : Cells
+        With their shadows, some of those given.
+    number : (N,) int64 array
+        Which of them.
     """
     number = np.arange(len(cells.index))
     if not len(number):
@@ -128,7 +133,10 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
 
 
 def schedule(views: int) -> list[int]:
-    """Return into how many subsets the views are put in each pass: `STEPS` steps in all, the last of them over many views."""
+    """Return into how many subsets the views are put in each pass.
+
+    `STEPS` steps in all, the last of them over many views.
+    """
     most = max(1, views // _VIEWS_A_STEP)
     last = [most // 2, most // 4]
     whole, rest = divmod(STEPS - sum(last), most)

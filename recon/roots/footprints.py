@@ -1,8 +1,11 @@
-"""Where cells fall on the pictures of all views, kept small, and the two things done with it: casting shadows and reading pictures.
+"""Where cells fall on the pictures of all views, kept small, and the two things done with it.
 
-A cell's footprint in a view is six bytes: its column and row in steps of a fraction of a pixel, 16 bits each, and its area in half
-precision. Of every picture only the window that holds cells is kept, one view after the other, so that work goes with the plant
-and not with the picture. Views are a loop inside of one kernel: a kernel for each would cost more time to compile than to run.
+Casting shadows and reading pictures.
+
+A cell's footprint in a view is six bytes: its column and row in steps of a fraction of a pixel, 16 bits each, and its
+area in half precision. Of every picture only the window that holds cells is kept, one view after the other, so that
+work goes with the plant and not with the picture. Views are a loop inside of one kernel: a kernel for each would cost
+more time to compile than to run.
 """
 
 from __future__ import annotations
@@ -88,7 +91,10 @@ class Footprints:
         return Footprints(views, count, steps_a_px, place, area)
 
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the lowest and highest pixels (V, 2) of each view's footprints; the highest lie far below where there are none."""
+        """Return the lowest and highest pixels (V, 2) of each view's footprints.
+
+        The highest lie far below where there are none.
+        """
         lane = dr.arange(mi.UInt32, self.views * _PARTS)
         view, count = lane // _PARTS, dr.opaque(mi.UInt32, self.count)
 
@@ -142,7 +148,10 @@ class Table:
         return u, v, dr.gather(mi.UInt32, self._begin, view), dr.gather(mi.UInt32, self._width, view), area
 
     def cast(self, onto: Float, views: range, amount: Float) -> None:
-        """Add the shadows of cells (mi.Float, mm2) to the windows of consecutive views, bilinearly; ``onto`` begins with the first."""
+        """Add the shadows of cells (mi.Float, mm2) to the windows of consecutive views, bilinearly.
+
+        ``onto`` begins with the first.
+        """
         first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
 
         def body(view: UInt32) -> tuple[UInt32]:
@@ -158,11 +167,14 @@ class Table:
         dr.eval(onto)
 
     def mean_log(self, pictures: Float, views: range, least: float, most: float) -> Float:
-        """Return the mean over the views that see a cell of the logarithm of a picture there, clipped: mi.Float; 0 where none does.
+        """Return the mean over the views that see a cell of the logarithm of a picture there, clipped.
+
+        Mi.Float; 0 where none does.
 
         Parameters
         ----------
-        pictures : the windows of the views.
+        pictures : Float
+            The windows of the views.
         """
         first = dr.opaque(mi.UInt32, int(self.windows.begin[views.start]))
 

@@ -1,7 +1,9 @@
-"""Which parts of a tree of tubes are no roots: what explains nothing, what lies inside others, and short ends that prove nothing.
+"""Which parts of a tree of tubes are no roots.
 
-All functions tell nodes (N,) that should go, which `Tubes.staying` turns into cuts from the tips; but for `doubtful_ends`: these are
-mostly pieces of true roots, whose ends others hide. They stay, without a tip.
+What explains nothing, what lies inside others, and short ends that prove nothing.
+
+All functions tell nodes (N,) that should go, which `Tubes.staying` turns into cuts from the tips; but for
+`uncertain_ends`: these are mostly pieces of true roots, whose ends others hide. They stay, without a tip.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLANK_PX = 1.0
-"""The balls that stand for thick organs are not as precise as tubes, nor is the end at the rim of sight: this much about them is theirs."""
+"""The spheres that stand for thick organs are not as precise as tubes, nor is the end at the rim of
+sight: this much about them is theirs."""
 _EXPLAINED = 0.5
-"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a ghost."""
+"""A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a
+ghost."""
 _EXPLAINED_PX = 1.0
 """... or less than this squared coverage, in pixels of all views together: nothing tells of it."""
 _END_NODES = 3
@@ -27,21 +31,29 @@ _END_NODES = 3
 _INSIDE = 0.9
 """Share of a root's radius within which another centre line is its own."""
 _SHARED = 0.3
-"""A branch that explains for itself a smaller part of what it covers may be a second tube of a root, or a ghost among roots."""
+"""A branch that explains for itself a smaller part of what it covers may be a second tube of a root, or a ghost among
+roots."""
 _OWN = 0.1
-"""It is one where the others, fitted without it, leave less than this part of what it covers: false ones -0.03 to 0.09, true ones 0.19."""
+"""It is one where the others, fitted without it, leave less than this part of what it covers: false ones -0.03 to 0.09,
+true ones 0.19."""
 _SHORT_MM = 1.5
-"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them unexplained."""
+"""Branches that stand out less than this must prove that their neighbours, fitted without them, leave them
+unexplained."""
 _LONG_MM, _TIP_NODES = 8.0, 5
 """The tips of longer ends are tips, whatever speaks against them; what a tip leaves is that of its last nodes."""
 _FREE_MM, _OF_FREE, _OF_LEFT, _LEAST_TIMES = 1.0, 0.25, 0.1, 0.25
-"""A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as usual, a tenth less."""
+"""A tip that stands free by a millimetre is as good as one that a quarter more of shows; leaving e times as much as
+usual, a tenth less."""
 _CERTAIN = 0.15
-"""With less evidence a tip is none: here as many true ones are lost as false ones stay (see docs/decisions/tubes-for-thin-roots.md)."""
+"""With less evidence a tip is none: here as many true ones are lost as false ones stay (see
+docs/decisions/tubes-for-thin-roots.md)."""
 
 
 def flanked(tubes: Tubes, organ: Mask) -> Mask:
-    """Tell the nodes (N,) about which `FLANK_PX` more belong to them: thick organs, and the top, where the plant goes out of sight."""
+    """Tell the nodes (N,) about which `FLANK_PX` more belong to them.
+
+    Thick organs, and the top, where the plant goes out of sight.
+    """
     top = np.zeros(len(organ), bool)
     top[tubes.branches[0][0]] = True
     return organ | top
@@ -61,15 +73,19 @@ def unexplaining(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
 
 
 def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
-    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top: second paths along the same root.
+    """Tell the nodes (N,) that lie inside an earlier branch, or on an organ's flank or about the top.
+
+    Second paths along the same root.
 
     Parameters
     ----------
-    flank_mm : `FLANK_PX` in mm.
+    flank_mm : float
+        `FLANK_PX` in mm.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     reach = np.where(flanked(tubes, organ), tubes.radius_mm + flank_mm, _INSIDE * tubes.radius_mm)
-    held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)  # by thick roots many, their own nodes among them
+    # by thick roots many, their own nodes among them
+    held = cKDTree(centre).query_ball_point(centre, reach, workers=-1)
     node = np.concatenate([np.asarray(nodes, np.int64) for nodes in held])
     host = np.repeat(np.arange(len(centre)), [len(nodes) for nodes in held])
     inside = np.zeros(len(centre), bool)
@@ -77,8 +93,11 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
     return inside
 
 
-def doubted(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of branches that explain for themselves only a small part of what they cover: second tubes of a root, perhaps."""
+def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
+    """Tell the nodes (N,) of branches that explain for themselves only a small part of what they cover.
+
+    Second tubes of a root, perhaps.
+    """
     found = np.zeros(len(organ), bool)
     for k in range(1, len(tubes.branches)):
         own = tubes.own(k)
@@ -91,9 +110,12 @@ def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
 
     Parameters
     ----------
-    without : (N,) nodes that were left out.
-    more : (N,) by how much the squared difference about each node grew.
-    alone : (N,) what each explains where nothing else does.
+    without : (N,) bool array
+        Nodes that were left out.
+    more : (N,) float64 array
+        By how much the squared difference about each node grew.
+    alone : (N,) float64 array
+        What each explains where nothing else does.
     """
     gone = np.zeros(len(without), bool)
     for k in np.unique(tubes.owner[without]).tolist():
@@ -103,7 +125,7 @@ def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
 
 
 def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of branches that bear none and are so short that they may be an artefact of their neighbours."""
+    """Tell the nodes (N,) of short branches that bear none: they may be an artefact of their neighbours."""
     gone = np.zeros(len(organ), bool)
     for k, line in _ends(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
@@ -111,16 +133,18 @@ def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
     return gone & ~organ
 
 
-def doubtful_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
+def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> Mask:
     """Tell the nodes (N,) of ends, from a branch's last lateral to its tip, whose tips are likely none.
 
-    Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little of what lies about
-    it unexplained, compared with what tips usually leave (noise and blur count for all of them). They are weighed together, as a false tip
-    may pass in one of them. What stands out of its parent by less than its own diameter is a bulge and has no tip, whatever speaks for it.
+    Three things speak for a tip: that no other root hides it, that it stands free of others, and that it leaves little
+    of what lies about it unexplained, compared with what tips usually leave (noise and blur count for all of them).
+    They are weighed together, as a false tip may pass in one of them. What stands out of its parent by less than its
+    own diameter is a bulge and has no tip, whatever speaks for it.
 
     Parameters
     ----------
-    visible : (N,) share of each node, over all views, that no other hides.
+    visible : (N,) float64 array
+        Share of each node, over all views, that no other hides.
     """
     gone = np.zeros(len(organ), bool)
     ends = _ends(tubes)
@@ -153,7 +177,10 @@ def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
 
 
 def _ends(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return the branches but the first that go on beyond their last lateral, with the nodes from where that leaves, or from their base."""
+    """Return the branches but the first that go on beyond their last lateral.
+
+    With the nodes from where that leaves, or from their base.
+    """
     bearing = np.zeros(len(tubes.radius_mm), bool)
     bearing[[nodes[0] for nodes in tubes.branches[1:]]] = True
     found = []

@@ -1,7 +1,10 @@
-"""Which root is whose lateral: roots that were traced through a crossing or from tip to base are put in order, without moving a point.
+"""Parent assignment: roots that were traced through a crossing or from tip to base are put in order.
 
-Tracing joins what touches. Three signs tell it from growth: a root goes on where it is thick, a lateral leaves its parent onward, not back,
-and none leaves at the very base of its parent (the basal zone of a root has no laterals: Leitner et al. 2010, Plant and Soil 332:177).
+No point is moved.
+
+Tracing joins what touches. Three signs tell it from growth: a root goes on where it is thick, a lateral leaves its
+parent onward, not back, and none leaves at the very base of its parent (the basal zone of a root has no laterals:
+Leitner et al. 2010, Plant and Soil 332:177).
 """
 
 from collections.abc import Sequence
@@ -22,7 +25,8 @@ _THICKER = 1.25
 _ROUNDS = 10
 """At most; three or four are enough."""
 _BASAL_MM = 2.0
-"""A lateral that begins this near the root on which its parent grows is that root's own: it only runs beside the parent at first."""
+"""A lateral that begins this near the root on which its parent grows is that root's own: it only runs beside the parent
+at first."""
 _TOUCH_MM = 1.0
 """An end this near another root's skin touches it: tracing leaves gaps of about this size at thick roots."""
 
@@ -44,7 +48,10 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
 
 def _turn(roots: list[Root], index: int) -> None:
-    """Turn a lateral round that leaves against its parent's growth, if its tip touches a root that it then leaves onward."""
+    """Turn a lateral round that leaves against its parent's growth.
+
+    Its tip must touch a root that it then leaves onward.
+    """
     root = roots[index]
     if root.parent < 0 or _onward(roots[root.parent], root.points_mm) >= 0.0:
         return
@@ -58,12 +65,12 @@ def _turn(roots: list[Root], index: int) -> None:
         if away.min() < least_mm and _onward(candidate, backward) > 0.0:
             best, least_mm = other, float(away.min())
     if best >= 0:
-        # its tip is what was taken for its base, and nobody has doubted that
+        # its tip is what was taken for its base, and nobody has unproven that
         roots[index] = replace(root, points_mm=backward.copy(), diameters_mm=root.diameters_mm[::-1].copy(), parent=best, tip_seen=True)
 
 
 def _move_up(roots: list[Root]) -> None:
-    """Give laterals that begin in the basal zone of their parent to the root on which that one grows, again and again."""
+    """Give laterals in the basal zone of their parent to the root on which that one grows, again and again."""
     moved = True
     while moved:
         moved = False

@@ -1,4 +1,7 @@
-"""Thick organs among the tubes: which of a tree's nodes they are, and the balls of the trimmed hull that give their radii and axes."""
+"""Thick organs among the tubes.
+
+Which of a tree's nodes they are, and the spheres of the trimmed hull that give their radii and axes.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import vectors
 from rhizotwin.recon.hull import parsimony
-from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.hull.parsimony import Spheres
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import tracing
 from rhizotwin.recon.roots.density import Cells
@@ -26,22 +29,23 @@ Mask = NDArray[np.bool_]
 LEAST_PX = 3.0
 """Roots of a larger radius are thick organs."""
 _TO_CORNER = 3.0**0.5
-"""A solid's corner lies so many radii of its largest ball from its centre, at most: that of a cube."""
+"""A solid's corner lies so many radii of its largest sphere from its centre, at most: that of a cube."""
 _GAP_NODES = 3
 """Gaps of fewer nodes do not end an organ."""
-_COURSE_NODES = 3
-"""An organ's direction is that of its balls, smoothed over so many nodes."""
+_TANGENT_NODES = 3
+"""An organ's direction is that of its spheres, smoothed over so many nodes."""
 
 
-def thick(core: Cells, balls: Balls, least_mm: float) -> Cells:
-    """Return the cells of a core about balls of at least some radius: what is thinner is a tube, or a crowd of them.
+def thick(core: Cells, spheres: Spheres, least_mm: float) -> Cells:
+    """Return the cells of a core about spheres of at least some radius: what is thinner is a tube, or a crowd of them.
 
-    A part of the core as deep as that about which no ball stands is no root, and stays whole: few views bound the balls in a box.
+    A part of the core as deep as that about which no sphere stands is no root, and stays whole: few views bound the
+    spheres in a box.
     """
     if not len(core.index):
         return core
-    large = balls.radius_mm >= least_mm
-    kept = parsimony.depth_in_balls(Balls(balls.centre_mm[large], _TO_CORNER * balls.radius_mm[large]), core.centre_mm) > 0.0
+    large = spheres.radius_mm >= least_mm
+    kept = parsimony.depth_in_spheres(Spheres(spheres.centre_mm[large], _TO_CORNER * spheres.radius_mm[large]), core.centre_mm) > 0.0
     part = core.parts()
     deep = part[tracing.core_depth(core, core.index, reach_mm=core.grid.size_mm) > least_mm]
     return core.chosen(kept | (np.isin(part, deep) & ~np.isin(part, part[kept])))
@@ -52,7 +56,8 @@ def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.b
 
     Parameters
     ----------
-    margin_px : within this of a core lies the whole of an organ.
+    margin_px : float
+        Within this of a core lies the whole of an organ.
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
@@ -69,24 +74,27 @@ def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.b
     return covered
 
 
-def thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest ball.
+def thicken(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tuple[Tubes, Mask, Mask]:
+    """Give the nodes of thick organs the radius of the nearest sphere.
 
     A branch that runs within the core for more than the organ's width is the organ itself; others only begin inside it.
 
     Returns
     -------
-    tubes : with the organs' radii.
-    buried : (N,) nodes inside thick organs.
-    organ : (N,) those of them that belong to the organ's own centre line.
+    tubes : Tubes
+        With the organs' radii.
+    buried : (N,) bool array
+        Nodes inside thick organs.
+    organ : (N,) bool array
+        Those of them that belong to the organ's own centre line.
     """
     none = np.zeros(len(start.radius_mm), bool)
-    if not len(core.index) or not len(balls.radius_mm):
+    if not len(core.index) or not len(spheres.radius_mm):
         return start, none, none
     buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < near_mm
-    away, nearest = cKDTree(balls.centre_mm).query(start.centre_mm)
-    radius, organ = balls.radius_mm[nearest], none.copy()
-    width = np.where(away < radius + near_mm, 2.0 * radius, np.inf)  # what lies in no ball is no root
+    away, nearest = cKDTree(spheres.centre_mm).query(start.centre_mm)
+    radius, organ = spheres.radius_mm[nearest], none.copy()
+    width = np.where(away < radius + near_mm, 2.0 * radius, np.inf)  # what lies in no sphere is no root
     for k in range(len(start.branches)):
         own = start.own(k)
         run, count = ndimage.label(buried[own] | ndimage.binary_closing(buried[own], np.ones(_GAP_NODES, bool)))
@@ -96,20 +104,22 @@ def thicken(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tu
     return tubes.moved(start, start.centre_mm, np.where(organ, radius, start.radius_mm)), buried, organ
 
 
-def centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest ball, and its centre sideways of the organ.
+def centred(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tuple[Tubes, Mask, Mask]:
+    """Give the nodes of thick organs the radius of the nearest sphere, and its centre sideways of the organ.
 
-    Where some pictures end at an organ, at the rim of sight, its core is torn, and the path through it strays towards the flank.
+    Where some pictures end at an organ, at the rim of sight, its core is torn, and the path through it strays towards
+    the flank.
 
     Parameters
     ----------
-    core : of organs only, as from `thick`.
+    core : Cells
+        Of organs only, as from `thick`.
 
     Returns
     -------
     As from `thicken`.
     """
-    wide, buried, organ = thicken(start, core, balls, near_mm)
+    wide, buried, organ = thicken(start, core, spheres, near_mm)
     if not organ.any():
         return wide, buried, organ
     centre = wide.centre_mm.copy()
@@ -119,22 +129,25 @@ def centred(start: Tubes, core: Cells, balls: Balls, near_mm: float) -> tuple[Tu
             nodes = wide.own(k)[run == number]
             if len(nodes) < 2:
                 continue
-            ball = balls.centre_mm[cKDTree(balls.centre_mm).query(centre[nodes])[1]]
-            course = np.gradient(gaussian_filter1d(ball, _COURSE_NODES, axis=0, mode="nearest"), axis=0)
-            course /= np.maximum(np.linalg.norm(course, axis=1, keepdims=True), 1e-9)
-            off = ball - centre[nodes]
-            centre[nodes] += gaussian_filter1d(off - (off * course).sum(axis=1, keepdims=True) * course, 1.0, axis=0, mode="nearest")
+            sphere = spheres.centre_mm[cKDTree(spheres.centre_mm).query(centre[nodes])[1]]
+            tangent = np.gradient(gaussian_filter1d(sphere, _TANGENT_NODES, axis=0, mode="nearest"), axis=0)
+            tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+            off = sphere - centre[nodes]
+            centre[nodes] += gaussian_filter1d(off - (off * tangent).sum(axis=1, keepdims=True) * tangent, 1.0, axis=0, mode="nearest")
     return tubes.moved(wide, centre, wide.radius_mm), buried, organ
 
 
 def in_solids(tree: Tubes, core: Cells, organ: Mask, margin_mm: float) -> Mask:
-    """Tell the nodes (N,) in and about cores that bear no organ: balls, boxes and bulbs, which no root explains.
+    """Tell the nodes (N,) in and about cores that bear no organ: spheres, boxes and bulbs, which no root explains.
 
     Parameters
     ----------
-    core : of organs and solids, as from `thick`.
-    organ : (N,) as from `thicken`.
-    margin_mm : within this of a core's cells lies the whole of a solid.
+    core : Cells
+        Of organs and solids, as from `thick`.
+    organ : (N,) bool array
+        As from `thicken`.
+    margin_mm : float
+        Within this of a core's cells lies the whole of a solid.
     """
     if not len(core.index):
         return np.zeros(len(organ), bool)

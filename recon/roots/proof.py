@@ -42,8 +42,8 @@ class Proof:
 def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Proof:
     """Weigh what every node explains.
 
-    With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the difference without
-    the node is d + u c: it explains (d + u c)^2 - d^2.
+    With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the
+    difference without the node is d + u c: it explains (d + u c)^2 - d^2.
     """
     cut = Sections.of(evidence, tubes, at)
     if cut is None:

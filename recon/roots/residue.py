@@ -1,13 +1,14 @@
 """Roots that the tubes found so far leave unexplained: traced on what is left of the coverage, and hung on the tree.
 
-Where tubes are drawn already, a pixel of measured coverage m and explained coverage e = 1 - exp(-t) tells of another root by
+Where tubes are drawn already, a pixel of measured coverage m and explained coverage e = 1 - exp(-t) tells of another
+root by
 
     d = m - e = u c,    u = exp(-t)
 
-with u the part of the pixel that the tubes leave free and c the other root's own coverage. Over all views the least-squares estimate of
-c at a point of the search space is sum(u d) / sum(u^2): views in which the place is hidden say nothing, and a place that is empty in
-some views, as a ghost is, gets little. It needs no iteration, and it sees short laterals beside thick roots, which the density stage
-cannot tell from their parents.
+with u the part of the pixel that the tubes leave free and c the other root's own coverage. Over all views the
+least-squares estimate of c at a point of the search space is sum(u d) / sum(u^2): views in which the place is hidden
+say nothing, and a place that is empty in some views, as a ghost is, gets little. It needs no iteration, and it sees
+short laterals beside thick roots, which the density stage cannot tell from their parents.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
 
     Parameters
     ----------
-    depth : optical depth of the tubes in all views, as `recon.tubes.tube_picture.optical_depth` draws it.
+    depth : Float
+        Optical depth of the tubes in all views, as `recon.tubes.tube_picture.optical_depth` draws it.
     """
     free = dr.exp(-depth)
     left = (evidence.coverage - (1.0 - free)) * evidence.seen
@@ -77,9 +79,12 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
 
     Parameters
     ----------
-    organ : (N,) nodes of thick organs.
-    cells : search space, thick organs left out.
-    px_a_mm : scale in the middle of the water.
+    organ : (N,) bool array
+        Nodes of thick organs.
+    cells : Cells
+        Search space, thick organs left out.
+    px_a_mm : float
+        Scale in the middle of the water.
     """
     centre = cells.centre_mm  # once: it is computed anew each time
     own = own_coverage(evidence, centre, depth)

@@ -15,17 +15,17 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage import evidence
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Silhouette, Window
-from rhizotwin.recon.coverage.translucency import Law
+from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.device import Float
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Water
-from rhizotwin.recon.hull.parsimony import Balls
-from rhizotwin.recon.roots import density, ghosts, hierarchy, mending, organs, proof, residue, tracing
+from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.roots import density, ghosts, hierarchy, linking, organs, proof, residue, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.proof import Proof
-from rhizotwin.recon.tubes import root_calibration, tube_fit, tube_law, tube_picture, tube_profiles, tubes
-from rhizotwin.recon.tubes.tube_law import TubeLaw
-from rhizotwin.recon.tubes.tube_profiles import Pull
+from rhizotwin.recon.tubes import root_calibration, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
+from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
@@ -69,13 +69,13 @@ class RootTree:
     organ: Mask
     """(N,) nodes that are thick organs: they are not fitted."""
     solid: Mask
-    """(N,) nodes in what no root explains: balls, boxes and bulbs."""
+    """(N,) nodes in what no root explains: spheres, boxes and bulbs."""
     core_mm: Array
     """(M, 3) points deep inside thick organs."""
     margin_mm: float
     """Within this of a core point lies the whole of a thick organ."""
     px_a_mm: float
-    law: TubeLaw
+    attenuation: TubeAttenuation
     """How much light roots let through, and how blurred the pictures are."""
     seen: Evidence
     """What it was fitted to."""
@@ -85,14 +85,14 @@ class RootTree:
     @property
     def blur_px(self) -> float:
         """Return the standard deviation of the pictures' blur."""
-        return self.law.blur_px
+        return self.attenuation.blur_px
 
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
     """Roots at rest."""
 
-    doubtful: Mask
+    uncertain: Mask
     """(N,) nodes of ends whose tips are likely none."""
 
     def roots(self) -> tuple[Root, ...]:
@@ -107,22 +107,24 @@ class RootSystem(RootTree):
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)
-                order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.doubtful | self.solid)[nodes[run[-1]]]
+                order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
                 root = Root(points_mm=self.tubes.centre_mm[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
                 roots.append(root)
         return hierarchy.arrange(roots)
 
 
-def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuation: Law | None, *, monitor: Monitor) -> RootTree | None:
+def find(
+    seen: Evidence, cameras: Cameras, spheres: Spheres, water: Water, learned: Attenuation | None, *, monitor: Monitor
+) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
     ----------
     seen, cameras : Evidence, Cameras
         Measured coverage, and the cameras of its views in their order.
-    balls : Balls
+    spheres : Spheres
         Inside the hull, as `parsimony.trim` grew them.
-    attenuation : Law or None
+    learned : Attenuation or None
         With which opacity became coverage; None where the pictures were silhouettes already.
     """
     px_a_mm = _scale(seen, water)
@@ -131,7 +133,8 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         cells, core = _search_space(seen, water, _CELL_PX / px_a_mm, monitor)
         if not len(cells.index):
             return None
-        dr.flush_malloc_cache()  # what carving left to be used again is in the way of the footprints, and these of what follows
+        # what carving left to be used again is in the way of the footprints, and these of what follows
+        dr.flush_malloc_cache()
     with monitor.stage("density"):
         cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
         dr.flush_malloc_cache()
@@ -142,16 +145,17 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
-        start = tubes.from_axes(organs.thicken(start, core, balls, near_mm)[0])  # what is wide begins wide, a tube or not
-        core = organs.thick(core, balls, organs.LEAST_PX / px_a_mm)
+        # what is wide begins wide, a tube or not
+        start = tubes.from_axes(organs.thicken(start, core, spheres, near_mm)[0])
+        core = organs.thick(core, spheres, organs.LEAST_PX / px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
         seen = seen.beside(organs.footprint(seen, core, CORE_PX + _BEYOND_PX))
-        start, _, organ = organs.centred(start, core, balls, near_mm)
+        start, _, organ = organs.centred(start, core, spheres, near_mm)
         fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
     with monitor.stage("translucency"):
-        law, seen, fitted = _attenuated(seen, fitted, organ, attenuation)
+        attenuation, seen, fitted = _attenuated(seen, fitted, organ, learned)
     with monitor.stage("branches"):
-        settle = _Settling(seen, core, balls, near_mm, law.blur_px, ghosts.FLANK_PX / px_a_mm)
+        settle = _Settling(seen, core, spheres, near_mm, attenuation.blur_px, ghosts.FLANK_PX / px_a_mm)
         fitted, _, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(ghosts.short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
@@ -160,11 +164,11 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
     solid = organs.in_solids(fitted, core, organ, margin_mm)
     if solid.all():
         return None
-    if law.mu_per_mm is not None:
+    if attenuation.mu_per_mm is not None:
         with monitor.stage("translucency again"):
-            law, fitted = tube_law.refine(seen, fitted, organ, law)
-            seen = replace(seen, mu_per_mm=law.mu_per_mm)
-            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=law.blur_px, steps=_AFTER_STEPS)
+            attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation)
+            seen = replace(seen, mu_per_mm=attenuation.mu_per_mm)
+            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=attenuation.blur_px, steps=_AFTER_STEPS)
     return RootTree(
         tubes=fitted,
         buried=buried,
@@ -173,31 +177,35 @@ def find(seen: Evidence, cameras: Cameras, balls: Balls, water: Water, attenuati
         core_mm=core.centre_mm,
         margin_mm=margin_mm,
         px_a_mm=px_a_mm,
-        law=law,
+        attenuation=attenuation,
         seen=seen,
         cameras=cameras,
     )
 
 
 def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
-    """Estimate how much root is in each cell; return the cells that hold any, those of thick organs last, and their depth (N,), mm."""
+    """Estimate how much root is in each cell.
+
+    Return the cells that hold any, those of thick organs last, and their depth (N,), mm.
+    """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
     thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
     return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
 
 
-def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: Law | None) -> tuple[TubeLaw, Evidence, Tubes]:
+def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, learned: Attenuation | None) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Find how much light thin roots let through; return that, what the pictures say then, and the tubes."""
-    law, fitted = tube_law.find(seen, fitted, organ, find_blur(seen, fitted))
-    if law.mu_per_mm is None and attenuation is not None and attenuation.mu_per_mm is not None:
-        # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is their coverage
+    attenuation, fitted = tube_attenuation.find(seen, fitted, organ, find_blur(seen, fitted))
+    if attenuation.mu_per_mm is None and learned is not None and learned.mu_per_mm is not None:
+        # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is
+        # their coverage
         seen = seen.by_light()
         fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
-        law = replace(law, blur_px=find_blur(seen, fitted))
-    if law.mu_per_mm is not None:
-        seen = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
-    return law, seen, fitted
+        attenuation = replace(attenuation, blur_px=find_blur(seen, fitted))
+    if attenuation.mu_per_mm is not None:
+        seen = replace(seen.by_light(), mu_per_mm=attenuation.mu_per_mm)
+    return attenuation, seen, fitted
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
@@ -216,8 +224,8 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
 def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
     """Bring the tubes to rest, and tell which ends are likely none."""
     with monitor.stage("last tubes"):
-        fitted, pull = tube_fit.fit(tree.seen, tree.tubes, tree.organ, blur_px=tree.blur_px, steps=_AFTER_STEPS)
-        doubtful = ghosts.doubtful_ends(fitted, pull.visible, _proof(tree.seen, fitted, tree.blur_px), tree.organ)
+        fitted, residual = tube_fit.fit(tree.seen, tree.tubes, tree.organ, blur_px=tree.blur_px, steps=_AFTER_STEPS)
+        uncertain = ghosts.uncertain_ends(fitted, residual.visible, _proof(tree.seen, fitted, tree.blur_px), tree.organ)
     return RootSystem(
         tubes=fitted,
         buried=tree.buried,
@@ -226,28 +234,28 @@ def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
         core_mm=tree.core_mm,
         margin_mm=tree.margin_mm,
         px_a_mm=tree.px_a_mm,
-        law=tree.law,
+        attenuation=tree.attenuation,
         seen=tree.seen,
         cameras=tree.cameras,
-        doubtful=doubtful,
+        uncertain=uncertain,
     )
 
 
 @dataclass(frozen=True)
 class _Settling:
-    """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and mended."""
+    """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and linked."""
 
     seen: Evidence
     core: Cells
-    balls: Balls
+    spheres: Spheres
     near_mm: float
     blur_px: float
     flank_mm: float
     """Within this of an organ's radius, what is found is the organ's."""
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
-        """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are the organs."""
-        tree, _, organ = organs.centred(tree, self.core, self.balls, self.near_mm)
+        """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are organs."""
+        tree, _, organ = organs.centred(tree, self.core, self.spheres, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         gone = ghosts.unexplaining(tree, _proof(self.seen, tree, self.blur_px), organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
@@ -271,14 +279,14 @@ class _Settling:
             tree, _, organ = self.settled(grown, _BETWEEN_STEPS)
         tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
         tree, organ = self.alone(tree, organ)
-        tree, pull = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_AFTER_STEPS)
-        return self.ended(tree, pull, organ)
+        tree, residual = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_AFTER_STEPS)
+        return self.ended(tree, residual, organ)
 
     def alone(self, tree: Tubes, organ: Mask) -> tuple[Tubes, Mask]:
         """Return a tree without the tubes that the others, fitted without them, can do without; and its organs."""
         proved = _proof(self.seen, tree, self.blur_px)
-        doubted = ghosts.doubted(tree, proved, organ)
-        others = tree.staying(doubted)
+        unproven = ghosts.unproven(tree, proved, organ)
+        others = tree.staying(unproven)
         if others.all():
             return tree, organ
         fitted, _ = tube_fit.fit(self.seen, tree.keep(others), organ[others], blur_px=self.blur_px, steps=_BETWEEN_STEPS)
@@ -291,23 +299,25 @@ class _Settling:
         depth = tube_picture.optical_depth(self.seen, tree, self.seen.project(tree.centre_mm), self.blur_px)
         return tube_picture.unexplained(self.seen, depth)
 
-    def ended(self, tree: Tubes, pull: Pull, organ: Mask) -> tuple[Tubes, Mask, Mask]:
+    def ended(self, tree: Tubes, residual: ResidualGradient, organ: Mask) -> tuple[Tubes, Mask, Mask]:
         """Join the ends that are none where they can go on; return as `settled` does.
 
         Parameters
         ----------
-        pull : what the pictures said of each node of the tree at rest.
-        organ : (N,) nodes of organs.
+        residual : ResidualGradient
+            What the pictures said of each node of the tree at rest.
+        organ : (N,) bool array
+            Nodes of organs.
         """
-        doubtful = ghosts.doubtful_ends(tree, pull.visible, _proof(self.seen, tree, self.blur_px), organ)
-        tree, kept = mending.mend(tree, doubtful)
+        uncertain = ghosts.uncertain_ends(tree, residual.visible, _proof(self.seen, tree, self.blur_px), organ)
+        tree, kept = linking.link(tree, uncertain)
         inner = ghosts.inside_another(tree, organ[kept], self.flank_mm)
         return self.joined(tree.keep(tree.staying(inner)))
 
     def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
         """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        tree = tubes.without_gaps(tubes.without_stubs(mending.mend(tree)[0]))
-        return organs.centred(tubes.from_axes(tree), self.core, self.balls, self.near_mm)
+        tree = tubes.without_gaps(tubes.without_stubs(linking.link(tree)[0]))
+        return organs.centred(tubes.from_axes(tree), self.core, self.spheres, self.near_mm)
 
 
 def _proof(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:

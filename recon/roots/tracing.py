@@ -1,9 +1,9 @@
 """From a density to centre lines: the tree of easiest paths to the top of the root system.
 
-The paths from every cell to the top (Dijkstra), with a cost a millimetre that falls with the density, form a tree. Branches are read
-off it as TEASAR does (Sato et al. 2000, Pacific Graphics): the path from the farthest cell that no branch has claimed yet is a
-branch down to where it meets another; it claims the cells about it; and so on until no dense cell is left. Gaps are bridged where
-the search space allows it, at a cost.
+The paths from every cell to the top (Dijkstra), with a cost a millimetre that falls with the density, form a tree.
+Branches are read off it as TEASAR does (Sato et al. 2000, Pacific Graphics): the path from the farthest cell that no
+branch has claimed yet is a branch down to where it meets another; it claims the cells about it; and so on until no
+dense cell is left. Gaps are bridged where the search space allows it, at a cost.
 """
 
 from __future__ import annotations
@@ -79,8 +79,10 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
 
     Parameters
     ----------
-    cells : search space with shadows.
-    depth_mm : (N,) depth of the cells in the cores of thick organs, as from `core_depth`; cells that lie outside of a core but not
+    cells : Cells
+        Search space with shadows.
+    depth_mm : (N,) float64 array
+        Depth of the cells in the cores of thick organs, as from `core_depth`; cells that lie outside of a core but not
         as far as the lowest of the depths belong to the organ and bear no tips.
 
     Returns
@@ -95,7 +97,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     centre = cells.centre_mm
     joined = graph(cells, density)
     # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
-    body = (density > _DENSE) | (depth_mm > depth_mm.min())  # with the organs, and what lies between them and the roots on them
+    # with the organs, and what lies between them and the roots on them
+    body = (density > _DENSE) | (depth_mm > depth_mm.min())
     number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
     plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
     plant = plant[dense[plant]]
@@ -169,10 +172,14 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
 
     Parameters
     ----------
-    before : (N,) the cell before each on its path, negative at its beginning.
-    length : (N,) of the paths, mm; negative where a cell is no tip.
-    claim_mm : (N,) cells this near a branch belong to it.
-    least_mm : length that a branch must have among cells that no other has claimed.
+    before : (N,) int32 array
+        The cell before each on its path, negative at its beginning.
+    length : (N,) float64 array
+        Of the paths, mm; negative where a cell is no tip.
+    claim_mm : (N,) float64 array
+        Cells this near a branch belong to it.
+    least_mm : float
+        Length that a branch must have among cells that no other has claimed.
     """
     tree = cKDTree(centre)
     owned = np.zeros(len(centre), bool)
@@ -191,7 +198,7 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
         if fresh < max(least_mm, claim_mm[tip]):
             left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
             continue
-        # in thick organs the balls are large: a few of them cover the way
+        # in thick organs the spheres are large: a few of them cover the way
         for cell in line[_apart(centre[line], claim_mm[line])]:
             left[tree.query_ball_point(centre[cell], claim_mm[cell])] = -1.0
         owned[line] = True

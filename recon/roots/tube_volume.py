@@ -1,4 +1,7 @@
-"""One solid from tubes and thick organs: the tubes' volume painted into the finest nodes of the trimmed hull's lattice."""
+"""One solid from tubes and thick organs.
+
+The tubes' volume painted into the finest nodes of the trimmed hull's lattice.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Turn round the branches of a tree that were traced from their tips, by the ways to the top and by how roots leave each other."""
+"""Turn round the branches of a tree that were traced from their tips.
+
+The ways to the top and how roots leave each other tell them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, children_of, owners
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, children_of, owners
 
 Array = NDArray[np.float64]
 
@@ -19,12 +22,13 @@ _ROUNDS = 8
 def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
     """Turn round branches that begin at their tips.
 
-    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that leave their parent
-    against its growth and end at a root that they would leave onward.
+    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that
+    leave their parent against its growth and end at a root that they would leave onward.
 
     Parameters
     ----------
-    branches : node numbers of each, None where one is gone; changed in place, and returned.
+    branches : list of Index or None
+        Node numbers of each, None where one is gone; changed in place, and returned.
     """
     centre = tubes.centre_mm
     owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
@@ -69,8 +73,11 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
 
 
 def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
-    """Tell whether a branch leaves its parent against growth, and would leave another root, at a node near its tip, onward."""
-    centre, reach = tubes.centre_mm, min(COURSE_NODES, len(line) - 1)
+    """Tell whether a branch leaves its parent against growth, and would leave another root onward.
+
+    The other root is left at a node near its tip.
+    """
+    centre, reach = tubes.centre_mm, min(TANGENT_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]
     return bool(away @ _growth(tubes, branches, owner, int(line[0])) < 0.0 < back @ _growth(tubes, branches, owner, root))
 
@@ -80,4 +87,6 @@ def _growth(tubes: Tubes, branches: list[Index | None], owner: Index, node: int)
     line = branches[int(owner[node])]
     assert line is not None
     place = int(np.flatnonzero(line == node)[0])
-    return np.asarray(tubes.centre_mm[line[min(place + COURSE_NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - COURSE_NODES, 0)]])
+    return np.asarray(
+        tubes.centre_mm[line[min(place + TANGENT_NODES, len(line) - 1)]] - tubes.centre_mm[line[max(place - TANGENT_NODES, 0)]]
+    )

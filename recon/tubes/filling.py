@@ -40,7 +40,10 @@ class Filled:
 
 
 def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill the union of tubes with points some ``spacing_mm`` apart: where branches overlap, the later one's points are left out."""
+    """Fill the union of tubes with points some ``spacing_mm`` apart.
+
+    Where branches overlap, the later one's points are left out.
+    """
     filled = fill_each(tubes, spacing_mm, left_out=left_out)
     earlier = np.zeros(len(filled.branch), bool)
     point, other, _ = within(tubes, filled.point_mm, filled.branch)
@@ -55,7 +58,8 @@ def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) 
 
     Parameters
     ----------
-    left_out : (N,) nodes; segments between two of them are not filled.
+    left_out : (N,) bool array or None
+        Nodes; segments between two of them are not filled.
     """
     a, b = tubes.segments.T
     branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
@@ -101,8 +105,10 @@ def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Arr
 
     Returns
     -------
-    point, other : (K,) a point and a branch it lies in.
-    along_mm : (K,) how far along that branch.
+    point, other : (K,) int64 array
+        A point and a branch it lies in.
+    along_mm : (K,) float64 array
+        How far along that branch.
     """
     centre, radius, owner, along = _dense(tubes)
     pairs: list[tuple[Index, Index]] = []
@@ -118,15 +124,15 @@ def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Arr
         one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
         touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
         mixed[one[touch]] = mixed[other[touch]] = True
-    doubted = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
+    unproven = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
     for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
-        if not len(part) or not len(doubted):
+        if not len(part) or not len(unproven):
             continue
         tree, width = cKDTree(centre[part]), radius[part]
-        distance, near = tree.query(point[doubted], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
+        distance, near = tree.query(point[unproven], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
         near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
-        row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[doubted][:, None]))
-        pairs.append((doubted[row], part[near[row, column]]))
+        row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[unproven][:, None]))
+        pairs.append((unproven[row], part[near[row, column]]))
     if not pairs:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
     inside, node = (np.concatenate(found) for found in zip(*pairs, strict=True))
@@ -148,7 +154,10 @@ def _dense(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
 
 
 def levelled(occupancy: Array) -> Array:
-    """Return occupancies (N,) of at most 1 with the same sum: what sampling put too much into full nodes goes to the others."""
+    """Return occupancies (N,) of at most 1 with the same sum.
+
+    What sampling put too much into full nodes goes to the others.
+    """
     factor, total = 1.0, float(occupancy.sum())
     for _ in range(5):
         factor *= total / max(float(np.minimum(factor * occupancy, 1.0).sum()), 1e-12)

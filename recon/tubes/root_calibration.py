@@ -1,16 +1,19 @@
-"""What the roots themselves tell about the rig: the water's index, and whether cameras and canister are where the markers put them.
+"""What the roots themselves tell about the rig.
 
-Roots are seen in all views, at every distance from the axis: a wrong index makes them miss their places in the pictures in a way that no
-shape and hardly any camera can mend. Each node of the fitted tubes says in each view how far off the tube lies sideways
-(`tube_picture`), and `sight_change` how a change of the rig would move it. The nodes' own positions and radii are eliminated (Schur
-complement, 4x4 blocks), and
+The water's index, and whether cameras and canister are where the markers put them.
+
+Roots are seen in all views, at every distance from the axis: a wrong index makes them miss their places in the pictures
+in a way that no shape and hardly any camera can link. Each node of the fitted tubes says in each view how far off the
+tube lies sideways (`tube_picture`), and `sight_change` how a change of the rig would move it. The nodes' own positions
+and radii are eliminated (Schur complement, 4x4 blocks), and
 
     (S / phi + prior) q = g / phi
 
-is solved for the shared quantities q: the index, and together with it the focal length, the canister's pose in the strip, each
-station's camera and each view's table angle, which the markers know as well as their covariances say. Residuals along a root and within a
-view belong together, so that phi, the variance of a unit of evidence, comes from the scatter of whole roots and whole views (sandwich
-with two ways of clustering: Cameron, Gelbach and Miller 2011, equation 2.11), and not from the pixels, which would claim far too much.
+is solved for the shared quantities q: the index, and together with it the focal length, the canister's pose in the
+strip, each station's camera and each view's table angle, which the markers know as well as their covariances say.
+Residuals along a root and within a view belong together, so that phi, the variance of a unit of evidence, comes from
+the scatter of whole roots and whole views (sandwich with two ways of clustering: Cameron, Gelbach and Miller 2011,
+equation 2.11), and not from the pixels, which would claim far too much.
 """
 
 from __future__ import annotations
@@ -29,18 +32,20 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.sight_change import QUANTITIES
-from rhizotwin.recon.tubes.tube_profiles import HostProfiles, Pull
+from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 INDEX_PRIOR = 0.003
-"""How far the water's index may be from the given one: ten degrees are 0.001, 2 g/l of salts 0.0003, red or blue light 0.002."""
+"""How far the water's index may be from the given one: ten degrees are 0.001, 2 g/l of salts 0.0003, red or blue light
+0.002."""
 INDEX_LIMITS = 1.32, 1.36
 """Water, from hot to salty."""
 SURE = 3.0
-"""An index is believed beyond this many standard deviations of the given one, and not for fewer than `LEAST_NODES` nodes."""
+"""An index is believed beyond this many standard deviations of the given one, and not for fewer than `LEAST_NODES`
+nodes."""
 LEAST_NODES = 100
 """Sixty millimetres of root: fewer come from one or two roots, whose scatter tells no uncertainty."""
 MOST_NODES = 1500
@@ -48,10 +53,11 @@ MOST_NODES = 1500
 TURN_PRIOR_RAD = 7e-5
 """How well markers know a table angle: 0.004 degrees."""
 _LEAST_VIEWS = 8
-"""Fewer views than this leave a node's own place in doubt."""
+"""Fewer views than this leave a node's own place uncertain."""
 MARKERS_SHARE = 3.0
-"""Factor on the cameras' standard deviations: the marker fit takes corners for independent, but a still camera sees the same edges on
-the same rows of pixels in every view, and what they are off by does not average out (clean twin: 1.3 to 6 standard deviations)."""
+"""Factor on the cameras' standard deviations: the marker fit takes corners for independent, but a still camera sees the
+same edges on the same rows of pixels in every view, and what they are off by does not average out (clean twin: 1.3 to 6
+standard deviations)."""
 LEAST_VARIANCE = 1e-5
 """Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
 _RIDGE, _ALONG = 1e-3, 0.5
@@ -74,7 +80,8 @@ class Found:
     """(K,) standard deviations."""
     nodes: int
     before_px: float
-    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its best place."""
+    """Root mean square distance sideways of the roots in the pictures from where the tubes put them, each node at its
+    best place."""
     after_px: float
     """The same when the rig is changed as found."""
 
@@ -113,7 +120,9 @@ class _Columns:
 
 
 def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float) -> tuple[Evidence, Tubes, Cameras]:
-    """Ask fitted tubes for the index; where it is believed, change index and cameras and fit the tubes anew, until nothing changes.
+    """Ask fitted tubes for the index.
+
+    Where it is believed, change index and cameras and fit the tubes anew, until nothing changes.
 
     Parameters
     ----------
@@ -162,8 +171,10 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blu
 
     Parameters
     ----------
-    fixed : (N,) nodes that were not fitted.
-    taken : (K,) change that the cameras hold already, beyond what markers and edges said.
+    fixed : (N,) bool array
+        Nodes that were not fitted.
+    taken : (K,) float64 array or None
+        Change that the cameras hold already, beyond what markers and edges said.
     """
     views, known = cameras.views, cameras.uncertainty
     at = seen.project(tubes.centre_mm)
@@ -180,7 +191,7 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blu
     points = tubes.centre_mm[chosen]
     moves = [sight_change.moves(view, cameras.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
-    system = _System.of(sums, profiles.pull().of(chosen), by, columns, tubes.tangents[chosen])
+    system = _System.of(sums, profiles.residual_gradient().of(chosen), by, columns, tubes.tangents[chosen])
     before = np.zeros(len(columns.precision)) if taken is None else taken
     more, covariance = system.solve(tubes.owner[chosen], before)
     return Found(
@@ -232,9 +243,9 @@ class _System:
     """(K,)"""
 
     @staticmethod
-    def of(sums: HostProfiles, pull: Pull, by: Array, columns: _Columns, tangent: Array) -> _System:
+    def of(sums: HostProfiles, residual: ResidualGradient, by: Array, columns: _Columns, tangent: Array) -> _System:
         count, unknowns = len(tangent), len(columns.precision)
-        own = pull.hessian.copy()
+        own = residual.hessian.copy()
         mean = np.trace(own[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
         own[:, :3, :3] += mean * (_RIDGE * np.eye(3) + _ALONG * tangent[:, :, None] * tangent[:, None, :])
         own[:, 3, 3] += _RIDGE * own[:, 3, 3] + 1e-9
@@ -246,13 +257,16 @@ class _System:
             right[j] += sums.shift[v] @ by_j
             mixed[:, :3, j] += (sums.shift_2[v, :, None] * sums.across[v])[:, :, None] * by_j[:, None, :]
             mixed[:, 3, j] += (sums.shift_width[v] * sums.scale[v])[:, None] * by_j
-        start = np.asarray(np.linalg.solve(own, pull.gradient[..., None])[..., 0], np.float64)
+        start = np.asarray(np.linalg.solve(own, residual.gradient[..., None])[..., 0], np.float64)
         follow = np.asarray(np.linalg.solve(own, mixed), np.float64)
         reduced = _positive(whole - np.einsum("nij,nik->jk", mixed, follow))
         return _System(sums, by, columns, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
 
     def solve(self, root: NDArray[np.int64], before: Array) -> tuple[Array, Array]:
-        """Return the change (K,) and its covariance; ``root`` (N,) is the branch of each node, ``before`` (K,) was changed already."""
+        """Return the change (K,) and its covariance.
+
+        ``root`` (N,) is the branch of each node, ``before`` (K,) was changed already.
+        """
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
             covariance = _inverse(self.reduced + phi * prior)

@@ -1,16 +1,19 @@
-"""How the picture of a point in the water moves when the rig is a little other than thought: index, lens, camera, canister.
+"""How the picture of a point in the water moves when the rig is a little other than thought.
+
+Index, lens, camera, canister.
 
 A camera ray is fixed by its pixel; followed into the water it passes a point at
 
-    F1 = P . nu - b_w,    F2 = z_line(P) - P_z          (`recon.optics.refraction`: both are 0 for the ray that meets the point)
+    F1 = P . nu - b_w,    F2 = z_line(P) - P_z          (`recon.optics.refraction`: both 0 where it meets the point)
 
-and when a quantity q of the rig changes by dq, the same pixel's ray misses by dF. A shift of the point by D = nu dF1 - z dF2 makes the
-ray miss by just as much (D has no part along the ray's horizontal direction). So by the implicit function theorem the picture of the point
-moves as if the point itself had moved by D,
+and when a quantity q of the rig changes by dq, the same pixel's ray misses by dF. A shift of the point by D = nu dF1 -
+z dF2 makes the ray miss by just as much (D has no part along the ray's horizontal direction). So by the implicit
+function theorem the picture of the point moves as if the point itself had moved by D,
 
     dpx / dq = (dpx / dP) . D / dq,
 
-with the gradients dpx / dP that every projection gives. F is closed form, so that its difference quotient is exact to rounding (float64).
+with the gradients dpx / dP that every projection gives. F is closed form, so that its difference quotient is exact to
+rounding (float64).
 """
 
 from __future__ import annotations
@@ -100,7 +103,10 @@ def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> A
 
 
 def normals(view: View, optics: Optics, directions: Array) -> Array:
-    """Return the horizontal normals (N, 3) in the water, canister frame, of rays of directions (N, 3), camera's frame."""
+    """Return the horizontal normals (N, 3) in the water of rays of directions (N, 3).
+
+    The normals are in the canister's frame, the directions in the camera's.
+    """
     w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
     line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -optics.w_limit, optics.w_limit), p_z)
     flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
@@ -108,13 +114,18 @@ def normals(view: View, optics: Optics, directions: Array) -> Array:
 
 
 def moves(view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Array, points_mm: Array, gradient: Array) -> Array:
-    """Return by how much positions in a picture change with quantities: (N, Q), gradient's unit times mm by the quantity's unit.
+    """Return by how much positions in a picture change with quantities.
+
+    (N, Q), gradient's unit times mm by the quantity's unit.
 
     Parameters
     ----------
-    px : (N, 2) where the points lie in the picture.
-    points_mm : (N, 3) canister frame.
-    gradient : (N, 3) of the position in the picture (column, row, or along a direction) by the point.
+    px : (N, 2) float64 array
+        Where the points lie in the picture.
+    points_mm : (N, 3) float64 array
+        Canister frame.
+    gradient : (N, 3) float64 array
+        Of the position in the picture (column, row, or along a direction) by the point.
     """
     directions = camera_directions(view.camera, px)
 

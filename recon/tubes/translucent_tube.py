@@ -1,14 +1,14 @@
 """How a translucent root looks as a tube: two strips, one in the other, narrower and fainter the thinner the root is.
 
-A round root of radius w and attenuation mu, whose axis makes the angle theta with the line of sight, has at the share x of its radius
-the chord ``2 w sqrt(1 - x^2) / sin(theta)``, so that it keeps back
+A round root of radius w and attenuation mu, whose axis makes the angle theta with the line of sight, has at the share x
+of its radius the chord ``2 w sqrt(1 - x^2) / sin(theta)``, so that it absorbs
 
     alpha(x) = 1 - exp(-2 tau sqrt(1 - x^2)),    tau = mu w / sin(theta)
 
-of the light. Cut into levels, alpha is a heap of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1) integral s^(2k+1) dh``,
-and Gauss's quadrature of this heap (Golub and Welsch 1969, Math. Comp. 23:221) gives the two strips of half-widths e w and heights h that
-have the integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6 alpha`` in common with it: a pixel and a blur as wide as the root
-tell no more of it.
+of the light. Cut into levels, alpha is a heap of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1)
+integral s^(2k+1) dh``, and Gauss's quadrature of this heap (Golub and Welsch 1969, Math. Comp. 23:221) gives the two
+strips of half-widths e w and heights h that have the integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6
+alpha`` in common with it: a pixel and a blur as wide as the root tell no more of it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ Array = NDArray[np.float64]
 LAYERS = 2
 """Strips in place of a root."""
 _TAU = np.geomspace(1e-4, 50.0, 1201)
-"""Optical depths of half a root that are tabulated, linear in between to 1e-5; beyond, a root is opaque to 1e-4 of its width."""
+"""Optical depths of half a root that are tabulated, linear in between to 1e-5; beyond, a root is opaque to 1e-4 of its
+width."""
 _NODES = 400
 """Of the Gauss-Legendre quadrature of the moments."""
 LEAST_SINE = 0.2
-"""A root that points at the camera more than this is taken for leaning so: no root is straight for more than a few diameters."""
+"""A root that points at the camera more than this is taken for leaning so: no root is straight for more than a few
+diameters."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ def strips(tau: Array) -> Strips:
 
     Parameters
     ----------
-    tau : (...) attenuation times radius over the sine of the angle between axis and line of sight.
+    tau : (...) float64 array
+        Attenuation times radius over the sine of the angle between axis and line of sight.
     """
     log_tau, table = _table()
     place = (np.log(np.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
@@ -77,12 +80,16 @@ class Layer:
 
 
 def layers(mu_per_mm: float | None, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
-    """Return the strips in place of roots: `strips` in a picture, as a kernel has it; one and opaque without attenuation.
+    """Return the strips in place of roots.
+
+    `strips` in a picture, as a kernel has it; one and opaque without attenuation.
 
     Parameters
     ----------
-    radius_mm, half_px : the roots', mi.Float.
-    sine : of the angle between axis and line of sight, mi.Float.
+    radius_mm, half_px : Float
+        The roots', mi.Float.
+    sine : Float
+        Of the angle between axis and line of sight, mi.Float.
     """
     if mu_per_mm is None:
         return [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
@@ -103,14 +110,20 @@ def layers(mu_per_mm: float | None, radius_mm: Float, sine: Float, half_px: Floa
 
 
 def radius_of(opaque_mm: Array, mu_per_mm: float) -> Array:
-    """Return the radii (N,) of translucent roots, seen from the side, that keep back as much light as opaque ones of given radii (N,)."""
+    """Return the radii (N,) of translucent roots that absorb as much light as opaque ones of given radii (N,).
+
+    Seen from the side.
+    """
     log_tau, (width, height, *_) = _table()
     area = _TAU * (width * height).sum(axis=0)
     return np.asarray(np.exp(np.interp(np.log(opaque_mm * mu_per_mm), np.log(area), log_tau)) / mu_per_mm)
 
 
 def opaque_radius(radius_mm: Array, mu_per_mm: float) -> Array:
-    """Return the radii (N,) of opaque roots that keep back as much light as translucent ones of given radii (N,), seen from the side."""
+    """Return the radii (N,) of opaque roots that absorb as much light as translucent ones of given radii (N,).
+
+    Seen from the side.
+    """
     seen = strips(mu_per_mm * radius_mm)
     return np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
 

@@ -1,7 +1,8 @@
 """Fit tubes to the coverage of all views: Gauss-Newton with smooth branches.
 
-Where tubes hide each other their pulls are taken one by one (the nodes' normal equations are independent but for the
-smoothness along a branch); the pictures are drawn anew at every step, so that the steps settle where all agree.
+Where tubes hide each other their residual gradients are taken one by one (the nodes' normal equations are independent
+but for the smoothness along a branch); the pictures are drawn anew at every step, so that the steps settle where all
+agree.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.tubes import tube_picture, tube_profiles
-from rhizotwin.recon.tubes.tube_profiles import Pull
+from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes, moved
 
 Array = NDArray[np.float64]
@@ -24,15 +25,17 @@ STEPS = 8
 _BEND = 2.0
 """Weight of the squared second differences of positions, 1/mm2: a view's full profile weighs some 10."""
 _TAPER = 12.0
-"""Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a centimetre.
+"""Weight of the squared relative differences of radii along a branch: roots keep their radius over more than a
+centimetre.
 
-With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others hide is not held thin.
+With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others
+hide is not held thin.
 """
 _DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
 """Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
 _RELAXED = 0.6
-"""Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing without end between
-too wide and too thin."""
+"""Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing
+without end between too wide and too thin."""
 LEAST = 0.5
 """Curvature, 1/mm2, that every node has: one that no view sees stays where it is."""
 _LARGEST_STEP_MM = 0.15
@@ -47,41 +50,45 @@ _BULGE = 1.12
 """A radius stays within this ratio of its stretch's median: a bulge is another root that runs beside."""
 
 
-def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, Pull]:
+def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, ResidualGradient]:
     """Move the nodes and change their radii until the tubes explain the pictures.
 
     Parameters
     ----------
-    fixed : (N,) nodes that stay as they are (thick organs, which hide others but are measured otherwise).
-    blur_px : standard deviation of the pictures' blur.
+    fixed : (N,) bool array
+        Nodes that stay as they are (thick organs, which hide others but are measured otherwise).
+    blur_px : float
+        Standard deviation of the pictures' blur.
 
     Returns
     -------
-    tubes : fitted.
-    pull : what the pictures said of each node at the last step.
+    tubes : Tubes
+        Fitted.
+    residual : ResidualGradient
+        What the pictures said of each node at the last step.
     """
     smooth = prior(tubes)
     for _ in range(steps):
         at = evidence.project(tubes.centre_mm)
         depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
         difference = tube_picture.unexplained(evidence, depth)
-        pull = tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).pull()
-        tubes = _step(tubes, pull, smooth, fixed)
+        residual = tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).residual_gradient()
+        tubes = _step(tubes, residual, smooth, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
-    return tubes, pull
+    return tubes, residual
 
 
-def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tubes:
+def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, fixed: Mask) -> Tubes:
     """Take one damped Gauss-Newton step."""
     count, tangent = len(tubes.radius_mm), tubes.tangents
-    hessian = pull.hessian.copy()
+    hessian = residual.hessian.copy()
     mean = np.trace(hessian[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
     hessian[:, :3, :3] += (_DAMPING * mean + LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
     hessian[:, 3, 3] += _RADIUS_DAMPING * hessian[:, 3, 3] + LEAST
     hessian[fixed] += _STIFF * np.eye(4)
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
-    step = spsolve((blocks + prior).tocsc(), pull.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
+    step = spsolve((blocks + prior).tocsc(), residual.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = 0.3 * tubes.radius_mm + 0.01
@@ -90,7 +97,10 @@ def _step(tubes: Tubes, pull: Pull, prior: sparse.csr_matrix, fixed: Mask) -> Tu
 
 
 def _even(tubes: Tubes) -> Array:
-    """Return radii (N,) held near the median of their stretch of the branch: a bulge is another root that runs beside."""
+    """Return radii (N,) held near the median of their stretch of the branch.
+
+    A bulge is another root that runs beside.
+    """
     typical = _typical(tubes)
     return np.clip(tubes.radius_mm, typical / _BULGE, typical * _BULGE)
 
@@ -108,9 +118,12 @@ def _typical(tubes: Tubes) -> Array:
 
 
 def prior(tubes: Tubes) -> sparse.csr_matrix:
-    """Return the quadratic form (4 N, 4 N) of smooth branches: little bending, radii that change slowly within a branch.
+    """Return the quadratic form (4 N, 4 N) of smooth branches.
 
-    Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a lateral.
+    Little bending, radii that change slowly within a branch.
+
+    Radii change by parts of what is typical of their stretch, so that a taproot may taper by as much of its width as a
+    lateral.
     """
     count = len(tubes.radius_mm)
     line, first, last = tubes.strung

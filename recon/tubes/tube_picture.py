@@ -4,12 +4,13 @@ A tube's segment is a strip in a picture: with its axis at distance d from a pix
 
     c = F(d + w) - F(d - w)
 
-of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the direction (t_x, t_y) it
-is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|: the square pixel seen along the edge.
-Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact in variance). Roots hide each other: coverages
-combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c) add up. Along its axis a segment fades in and out at its ends,
-so that the segments of a branch add up to a strip without seams. A kernel walks along the rows of each strip, from where it begins to
-cover them to where it ends: of its bounding box it would cover a third.
+of the pixel, where F(x) is the part of the pixel on one side of a straight edge at distance x. For an edge in the
+direction (t_x, t_y) it is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|:
+the square pixel seen along the edge. Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
+in variance). Roots hide each other: coverages combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c)
+add up. Along its axis a segment fades in and out at its ends, so that the segments of a branch add up to a strip
+without seams. A kernel walks along the rows of each strip, from where it begins to cover them to where it ends: of its
+bounding box it would cover a third.
 """
 
 from __future__ import annotations
@@ -31,9 +32,11 @@ PIXEL_SIGMA = 12.0**-0.5
 _NARROWEST_PX = 0.1
 """An edge along the rows sees a pixel of no width without blur: a box this wide stands for it."""
 _NOTHING, _ENDS = 1e-4, 4.0
-"""Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of it."""
+"""Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of
+it."""
 _STEEPEST = 1e-3
-"""Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel beside."""
+"""Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel
+beside."""
 _FAR_PX = 3.0
 """Beyond this from an edge a pixel lies on one side of it, blur and all."""
 _HIDDEN = 5.3

@@ -1,7 +1,10 @@
-"""What each view says across the tubes at every node: coverage along a profile, and how it would change with the node (Dr.Jit).
+"""What each view says across the tubes at every node.
 
-In a profile across a tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its half-width w by
-(g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave visible.
+Coverage along a profile, and how it would change with the node (Dr.Jit).
+
+In a profile across a tube at offsets o the coverage changes with its shift by -(g(o + w) - g(o - w)) v and with its
+half-width w by (g(o + w) + g(o - w)) v, where g is the Gaussian of the pixel and v the share that other tubes leave
+visible.
 """
 
 from __future__ import annotations
@@ -26,7 +29,8 @@ Array = NDArray[np.float64]
 _SAMPLES = 14
 """Samples of a profile, half of them at either edge."""
 _MARGIN_PX = 1.8
-"""A profile is compared so far to both sides of either edge, or to the middle: nothing else tells of shift and width."""
+"""A profile is compared so far to both sides of either edge, or to the middle: nothing else tells of shift and
+width."""
 _INTERPOLATION_VARIANCE = 0.1
 """Variance, px2, by which bilinear interpolation blurs."""
 _LEAST_SPEED_PX = 0.3
@@ -34,7 +38,8 @@ _LEAST_SPEED_PX = 0.3
 OUTLIER = 0.05
 """Sum of squared differences over a profile, px, from which a view loses weight: something else is there.
 
-Only what the tubes leave uncovered counts: that may be another root. What they cover and the picture shows empty is wrong for certain.
+Only what the tubes leave uncovered counts: that may be another root. What they cover and the picture shows empty is
+wrong for certain.
 """
 
 
@@ -94,7 +99,10 @@ class Sections:
         return reach_px * ((2.0 * mi.Float(k) - (samples - 1)) / (samples - 1))
 
     def at_edge(self, k: UInt32 | int) -> Float:
-        """Return the offset across the tube, px, of one of `_SAMPLES` samples about its two edges, `edge_step` apart."""
+        """Return the offset across the tube, px, of one of `_SAMPLES` samples about its two edges.
+
+        They are `edge_step` apart.
+        """
         number, half = mi.Float(k), _SAMPLES // 2
         first = number < half
         inward = dr.select(first, number, number - half) + 0.5
@@ -119,7 +127,7 @@ class Sections:
 
 
 @dataclass(frozen=True)
-class Pull:
+class ResidualGradient:
     """What the pictures want of each node: the normal equations of position and radius, H x = g."""
 
     hessian: Array
@@ -129,9 +137,9 @@ class Pull:
     visible: Array
     """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
 
-    def of(self, nodes: NDArray[np.int64]) -> Pull:
+    def of(self, nodes: NDArray[np.int64]) -> ResidualGradient:
         """Return that of some nodes."""
-        return Pull(*(getattr(self, field.name)[nodes] for field in fields(self)))
+        return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -183,7 +191,7 @@ class Profiles:
             np.stack([read(part) for part in self.across], axis=-1), *(read(getattr(self, field.name)) for field in fields(self)[2:])
         )
 
-    def pull(self) -> Pull:
+    def residual_gradient(self) -> ResidualGradient:
         """Return the normal equations of all views together."""
         views, count = self.shape
         nodes = dr.opaque(mi.UInt32, count)
@@ -212,7 +220,7 @@ class Profiles:
         row, column = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
         hessian[:, row, column] = hessian[:, column, row] = found[:, :10]
         shown, whole = found[:, 14:].T
-        return Pull(hessian, found[:, 10:14], shown / np.maximum(whole, 1e-9))
+        return ResidualGradient(hessian, found[:, 10:14], shown / np.maximum(whole, 1e-9))
 
 
 def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Profiles:
@@ -220,8 +228,10 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
 
     Parameters
     ----------
-    at : where the nodes lie.
-    depth, difference : as `tube_picture.optical_depth` and `tube_picture.unexplained` have them.
+    at : Nodes
+        Where the nodes lie.
+    depth, difference : Float
+        As `tube_picture.optical_depth` and `tube_picture.unexplained` have them.
     """
     cut = Sections.of(evidence, tubes, at)
     if cut is None:
@@ -258,7 +268,10 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
 
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
-    """Return the squared difference (V, N), px, integrated over both edges of every node; not a number where a view has none."""
+    """Return the squared difference (V, N), px, integrated over both edges of every node.
+
+    Not a number where a view has none.
+    """
     at = evidence.project(tubes.centre_mm)
     cut = Sections.of(evidence, tubes, at)
     whole = np.full(at.shape, np.nan)

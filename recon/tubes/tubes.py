@@ -16,8 +16,8 @@ Index = NDArray[np.int64]
 
 SPACING_MM = 0.6
 """Distance between the nodes of a branch."""
-COURSE_NODES = 4
-"""The course of a branch is that over so many nodes."""
+TANGENT_NODES = 4
+"""The tangent of a branch is taken over so many nodes."""
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
 _FEW = 16  # nodes near a path's beginning, among which one that came before it is sought first
@@ -29,8 +29,8 @@ _STUB_MM = 0.7  # a little more than the distance between nodes
 class Tubes:
     """A tree of tubes.
 
-    A branch lists its nodes from its beginning to its tip. The first node of every branch but the first belongs to its parent: there
-    it leaves the parent's centre line, with its own radius that of its second node.
+    A branch lists its nodes from its beginning to its tip. The first node of every branch but the first belongs to its
+    parent: there it leaves the parent's centre line, with its own radius that of its second node.
     """
 
     centre_mm: Array
@@ -49,7 +49,10 @@ class Tubes:
 
     @property
     def segment_radii(self) -> tuple[Array, Array]:
-        """Return the radii (S,) with which each segment begins and ends; a branch's first one is as thick as its second node."""
+        """Return the radii (S,) with which each segment begins and ends.
+
+        A branch's first one is as thick as its second node.
+        """
         a, b = self.segments.T
         begin, end = self.radius_mm[a], self.radius_mm[b]
         first = np.cumsum([len(branch) - 1 for branch in self.branches[:-1]], dtype=np.int64)
@@ -62,7 +65,7 @@ class Tubes:
 
     @property
     def strung(self) -> tuple[Index, Index, Index]:
-        """Return the nodes (M,) of all branches in a row, and the places (M,) in it where each one's branch begins and ends."""
+        """Return the nodes (M,) of all branches in a row, and where in it each one's branch begins and ends (M,)."""
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
         return np.concatenate(self.branches), np.repeat(end - count, count), np.repeat(end - 1, count)
@@ -126,8 +129,10 @@ def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:
 
     Parameters
     ----------
-    paths : points (n, 3) of each branch, from a point of its parent to its tip; parents before children.
-    radius_mm : radii (n,) at these points.
+    paths : sequence of float64 array
+        Points (n, 3) of each branch, from a point of its parent to its tip; parents before children.
+    radius_mm : sequence of float64 array
+        Radii (n,) at these points.
     """
     strung = [_even(path, radius) for path, radius in zip(paths, radius_mm, strict=True)]
     strung[1:] = [(points[1:], thickness[1:]) for points, thickness in strung[1:]]  # the first is the parent's
@@ -153,9 +158,12 @@ def hang(tree: Tubes, paths: Sequence[Array], radius_mm: Sequence[Array], parent
 
     Parameters
     ----------
-    paths : points (n, 3) of each new branch, from its parent to its tip.
-    radius_mm : radii (n,) at these points.
-    parents : the node of the tree that each begins at; -1: the nearest of the new branches before it.
+    paths : sequence of float64 array
+        Points (n, 3) of each new branch, from its parent to its tip.
+    radius_mm : sequence of float64 array
+        Radii (n,) at these points.
+    parents : sequence of int
+        The node of the tree that each begins at; -1: the nearest of the new branches before it.
     """
     centres, radii, branches, count = [tree.centre_mm], [tree.radius_mm], list(tree.branches), len(tree.radius_mm)
     tips = {int(nodes[-1]): k for k, nodes in enumerate(branches)}
@@ -191,7 +199,8 @@ def _even(path: Array, radius: Array) -> tuple[Array, Array]:
 def without_stubs(tubes: Tubes) -> Tubes:
     """Let branches go on in the child that leaves where they end: no root ends where a lateral leaves it.
 
-    Of several children the one that bends least is chosen; what goes on beyond them for less than a node's distance is dropped.
+    Of several children the one that bends least is chosen; what goes on beyond them for less than a node's distance is
+    dropped.
     """
     centre, owner = tubes.centre_mm, tubes.owner
     branches, used = list[Index | None](tubes.branches), np.ones(len(centre), bool)
@@ -202,12 +211,12 @@ def without_stubs(tubes: Tubes) -> Tubes:
         last = int(starts.max())
         if last == 0 or np.linalg.norm(np.diff(centre[line[last:]], axis=0), axis=1).sum() > _STUB_MM:
             continue
-        course = centre[line[last]] - centre[line[max(last - COURSE_NODES, 0)]]
+        tangent = centre[line[last]] - centre[line[max(last - TANGENT_NODES, 0)]]
         onward: list[tuple[float, int]] = []
         for j in np.array(children[k])[starts == last].tolist():
             nodes = tubes.branches[j]
-            way = centre[nodes[min(COURSE_NODES, len(nodes) - 1)]] - centre[nodes[0]]
-            onward.append((float(course @ way) / max(float(np.linalg.norm(way)), 1e-9), j))
+            way = centre[nodes[min(TANGENT_NODES, len(nodes) - 1)]] - centre[nodes[0]]
+            onward.append((float(tangent @ way) / max(float(np.linalg.norm(way)), 1e-9), j))
         following = branches[max(onward)[1]]
         assert following is not None
         used[line[last + 1 :]] = False
@@ -235,7 +244,9 @@ def without_gaps(tubes: Tubes) -> Tubes:
 
 
 def from_axes(tubes: Tubes) -> Tubes:
-    """Let laterals leave their parents' axes where their courses point to: what runs on inside the parent, unseen, is dropped.
+    """Let laterals leave their parents' axes where their tangents point to.
+
+    What runs on inside the parent, unseen, is dropped.
 
     A path to the axis of a thick root runs along inside of it, as no picture says where it should not.
     """
@@ -249,10 +260,10 @@ def from_axes(tubes: Tubes) -> Tubes:
         if inner < 2 or inner == len(own):
             continue
         first = own[inner]
-        course = centre[own[min(inner + COURSE_NODES, len(own) - 1)]] - centre[first]
+        tangent = centre[own[min(inner + TANGENT_NODES, len(own) - 1)]] - centre[first]
         reach = centre[host] - centre[first]
-        back = np.minimum(reach @ course / max(float(course @ course), 1e-12), 0.0)
-        beside = np.linalg.norm(reach - back[:, None] * course, axis=1)
+        back = np.minimum(reach @ tangent / max(float(tangent @ tangent), 1e-12), 0.0)
+        beside = np.linalg.norm(reach - back[:, None] * tangent, axis=1)
         beside[np.linalg.norm(reach, axis=1) > _OBLIQUE * radius[host] + SPACING_MM] = np.inf
         begin = int(host[int(beside.argmin()) if np.isfinite(beside).any() else int(nearest[inner])])
         used[own[:inner]], instead[own[:inner]] = False, begin
@@ -276,11 +287,14 @@ def owners(branches: Sequence[Index | None], count: int) -> Index:
 
 
 def above(branches: Sequence[Index | None], owner: Index, branch: int) -> list[int]:
-    """Return a branch, that on which it hangs, and so on to the first (0); it ends before 0 where a parent is gone, or in a circle.
+    """Return a branch, that on which it hangs, and so on to the first (0).
+
+    It ends before 0 where a parent is gone, or in a circle.
 
     Parameters
     ----------
-    owner : (N,) branch of each node, -1 where it is in none.
+    owner : Index
+        (N,) branch of each node, -1 where it is in none.
     """
     found: list[int] = []
     while branch >= 0 and branch not in found and (nodes := branches[branch]) is not None:
@@ -294,7 +308,8 @@ def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, lis
 
     Parameters
     ----------
-    owner : (N,) branch of each node.
+    owner : Index
+        (N,) branch of each node.
     """
     children: dict[int, list[int]] = {}
     for k, nodes in enumerate(branches):
@@ -308,7 +323,8 @@ def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
 
     Parameters
     ----------
-    count : number of nodes.
+    count : int
+        Number of nodes.
     """
     children = children_of(branches, owners(branches, count))
     order, waiting = [], deque([0])

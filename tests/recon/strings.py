@@ -12,7 +12,7 @@ from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.roots.rooting import RootSystem
 from rhizotwin.recon.tubes import tube_picture, tubes
-from rhizotwin.recon.tubes.tube_law import TubeLaw
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.lines import line
@@ -61,8 +61,8 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, core_mm: np.ndarray | None = 
         core_mm=np.zeros((0, 3)) if core_mm is None else core_mm,
         margin_mm=0.6,
         px_a_mm=px_a_mm,
-        law=TubeLaw.opaque(blur_px),
+        attenuation=TubeAttenuation.opaque(blur_px),
         seen=pictured(found),
         cameras=standing(),
-        doubtful=no_nodes,
+        uncertain=no_nodes,
     )

@@ -49,7 +49,7 @@ def test_level_distance_of_a_disc_is_the_distance_to_its_circle() -> None:
 
 
 def test_the_middle_of_a_large_disc_is_as_deep_as_its_radius() -> None:
-    """A chamfer distance would be 1.7 % short there, and with it the largest ball in a silhouette."""
+    """A chamfer distance would be 1.7 % short there, and with it the largest sphere in a silhouette."""
     row, column = np.mgrid[:200, :200]
     true = 80.0 - np.hypot(column - 99.3, row - 100.6)
     found = silhouettes.level_distance(np.clip(true, -1.5, 1.5).astype(np.float32))

@@ -1,4 +1,4 @@
-"""The law of translucent roots, from profiles that are computed here by themselves."""
+"""The attenuation of translucent roots, from profiles that are computed here by themselves."""
 
 import numpy as np
 import pytest
@@ -24,27 +24,27 @@ def picture(mu_per_mm: float, diameters_mm: tuple[float, ...], *, own: float = 0
 @pytest.mark.parametrize("mu", [1.0, 2.0])
 def test_the_attenuation_comes_from_resolved_roots(mu: float) -> None:
     opacity, _ = picture(mu, (1.2, 1.5, 1.8, 2.2, 2.5), noise=0.01)
-    law = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
-    assert law.mu_per_mm == pytest.approx(mu, rel=0.1)
+    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+    assert attenuation.mu_per_mm == pytest.approx(mu, rel=0.1)
 
 
 def test_opaque_roots_stay_opaque_and_show_their_own_brightness() -> None:
     opacity, _ = picture(1e4, (1.2, 1.5, 1.8, 2.2, 2.5), own=0.05)
-    law = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
-    assert law.mu_per_mm is None
-    assert law.own == pytest.approx(0.05, abs=1e-3)
+    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+    assert attenuation.mu_per_mm is None
+    assert attenuation.own == pytest.approx(0.05, abs=1e-3)
 
 
 def test_nothing_is_learnt_from_an_empty_picture() -> None:
     empty = np.zeros((60, 80), np.float32)
-    law = translucency.learn([empty], [np.ones(empty.shape, bool)], PX_A_MM)
-    assert (law.mu_per_mm, law.own, law.profiles) == (None, 0.0, 0)
+    attenuation = translucency.learn([empty], [np.ones(empty.shape, bool)], PX_A_MM)
+    assert (attenuation.mu_per_mm, attenuation.own, attenuation.profiles) == (None, 0.0, 0)
 
 
 def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
-    found = translucency.covered(opacity, translucency.Law(0.0, 2.0, 100), PX_A_MM)
+    found = translucency.covered(opacity, translucency.Attenuation(0.0, 2.0, 100), PX_A_MM)
     for k in range(len(diameters)):
         part = np.s_[60, int(36.4 * k) : int(36.4 * k) + 40]
         assert found[part].sum() == pytest.approx(coverage[part].sum(), rel=0.1)

@@ -1,4 +1,4 @@
-"""Carving a ball from exact silhouettes drawn with the reference projection."""
+"""Carving a sphere from exact silhouettes drawn with the reference projection."""
 
 from functools import cache
 
@@ -22,8 +22,8 @@ def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBan
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
     optics = refraction.Optics.of(scene)
     views = exact_pictures.views_of(scene)
-    ball = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
-    maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (ball,))) for view in views]
+    sphere = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
+    maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (sphere,))) for view in views]
     return projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
 
 
@@ -70,7 +70,7 @@ def test_nodes_placed_by_their_parents_give_the_hull_of_those_followed_one_by_on
 
 
 def test_a_ball_at_the_wall_survives_blind_directions() -> None:
-    """Beyond R_o / n_w from the axis some views are blind; carving there, as the thesis does, loses the ball."""
+    """Beyond R_o / n_w from the axis some views are blind; carving there, as the thesis does, loses the sphere."""
     centre_mm = (64.0, 0.0, -50.0)
     assert carved(centre_mm).leaves.volume_mm3() == pytest.approx(BALL_MM3, rel=0.15)
     assert carved(centre_mm, ignore_blindness=True).leaves.volume_mm3() < 0.6 * BALL_MM3

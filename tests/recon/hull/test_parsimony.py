@@ -16,7 +16,7 @@ from tests.recon.hull.exact_pictures import Segment
 
 TRUNK: Segment = ((0.0, 0.0, -20.0), (0.0, 0.0, -80.0), 4.0)
 TWIG: Segment = ((3.0, 0.0, -40.0), (27.0, 0.0, -58.0), 1.6)
-BALL: Segment = ((0.0, 0.0, -34.0), (0.0, 0.0, -34.001), 10.0)
+SPHERE: Segment = ((0.0, 0.0, -34.0), (0.0, 0.0, -34.001), 10.0)
 TAIL: Segment = ((0.0, 0.0, -34.0), (20.0, 0.0, -75.425), 2.0)
 OTHER: Segment = ((-2.0, 2.0, -36.0), (-20.0, 14.0, -56.0), 1.6)
 
@@ -51,20 +51,20 @@ def test_trimming_gives_tubes_their_volume_back() -> None:
     segments = (TRUNK, TWIG, OTHER)
     bank, maps, hull = hull_of(segments)
     found = parsimony.trim(bank, maps, hull)
-    trimmed, balls = found.leaves, found.balls
+    trimmed, spheres = found.leaves, found.spheres
     true = volume_of(segments)
     assert hull.volume_mm3() > 1.012 * true, "otherwise there is nothing to trim"
     assert trimmed.volume_mm3() == pytest.approx(true, rel=0.025)  # 2.1 %: the few views of one ring leave webs
     assert abs(trimmed.volume_mm3() - true) < 0.6 * (hull.volume_mm3() - true)
-    on_twig = (balls.centre_mm[:, 0] > 10) & (balls.centre_mm[:, 2] > -56)
-    assert np.median(balls.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
+    on_twig = (spheres.centre_mm[:, 0] > 10) & (spheres.centre_mm[:, 2] > -56)
+    assert np.median(spheres.radius_mm[on_twig]) == pytest.approx(1.6, abs=0.06)
 
 
 def test_a_ball_keeps_its_size_where_a_root_hangs_on_it() -> None:
-    """Its centre line is the end of the root's, short of its middle: the largest ball lies beyond."""
-    bank, maps, hull = hull_of((BALL, TAIL))
-    ball, tail, sunk = 4.0 / 3.0 * np.pi * 10.0**3, np.pi * 2.0**2 * 46.0 + 2.0 / 3.0 * np.pi * 2.0**3, np.pi * 2.0**2 * (10.0 - 0.2)
-    assert parsimony.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(ball + tail - sunk, rel=0.015)
+    """Its centre line is the end of the root's, short of its middle: the largest sphere lies beyond."""
+    bank, maps, hull = hull_of((SPHERE, TAIL))
+    sphere, tail, sunk = 4.0 / 3.0 * np.pi * 10.0**3, np.pi * 2.0**2 * 46.0 + 2.0 / 3.0 * np.pi * 2.0**3, np.pi * 2.0**2 * (10.0 - 0.2)
+    assert parsimony.trim(bank, maps, hull).leaves.volume_mm3() == pytest.approx(sphere + tail - sunk, rel=0.015)
 
 
 def test_trimmed_shape_lies_inside_the_hull_and_explains_the_pictures() -> None:
@@ -83,25 +83,25 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
     lines = parsimony.centre_lines(hull)
     monkeypatch.setattr(parsimony, "centre_lines", lambda _: lines[np.hypot(lines[:, 0], lines[:, 1]) < 2.0])
     found = parsimony.trim(bank, maps, hull)
-    trimmed, balls = found.leaves, found.balls
-    assert np.hypot(balls.centre_mm[:, 0], balls.centre_mm[:, 1]).max() < 3.0
+    trimmed, spheres = found.leaves, found.spheres
+    assert np.hypot(spheres.centre_mm[:, 0], spheres.centre_mm[:, 1]).max() < 3.0
     assert trimmed.volume_mm3() == pytest.approx(volume_of(segments), rel=0.05)
 
 
 def test_no_ball_stands_where_hardly_any_view_sees() -> None:
-    """Above the net pot's grid every picture is silent, so nothing bounds a ball there: it must not swallow the hull."""
+    """Above the net pot's grid every picture is silent, so nothing bounds a sphere there: it must not swallow the hull."""
     bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
     silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)))
-    balls = parsimony.grow_balls(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
-    assert len(balls.radius_mm) == 0
+    spheres = parsimony.grow_spheres(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
+    assert len(spheres.radius_mm) == 0
 
 
 def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
-    """In a tube of radius R a ball e beside the axis is bounded only by views that look nearly across the offset: R - e |cos|."""
+    """In a tube of radius R a sphere e beside the axis is bounded only by views that look nearly across the offset: R - e |cos|."""
     bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
     at = np.array([[0.0, 0.0, -75.0], [0.0, 3.0, -75.0]])
     share = parsimony._held(bank, maps, at, parsimony._radius(bank, maps, at))
     assert share[0] > 0.8
     assert share[1] < parsimony._HELD[0]
     lines = at + np.linspace(-1.0, 1.0, 15)[:, None, None] * np.array([0.0, 0.0, 1.0])
-    assert len(parsimony.grow_balls(bank, maps, lines[:, 0]).radius_mm) > 10
+    assert len(parsimony.grow_spheres(bank, maps, lines[:, 0]).radius_mm) > 10

@@ -26,7 +26,7 @@ def _judged(system: tubes.Tubes, worse: dict[int, tuple[float, float]]) -> np.nd
     for k, (shown, share) in worse.items():
         visible[system.own(k)], left[system.own(k)] = shown, share
     none = np.zeros(len(system.radius_mm), bool)
-    return ghosts.doubtful_ends(system, visible, proof.Proof(1.0 - left, left, left), none)
+    return ghosts.uncertain_ends(system, visible, proof.Proof(1.0 - left, left, left), none)
 
 
 def _laterals() -> list[np.ndarray]:
@@ -64,7 +64,7 @@ def test_what_stands_out_by_less_than_its_diameter_is_a_bulge_and_has_no_tip():
     system = tubes.moved(system, system.centre_mm, radius)
     good, everything = np.full(len(radius), 0.5), np.ones(len(radius), bool)
     for organ in (everything, ~everything):
-        judged = ghosts.doubtful_ends(system, good, proof.Proof(good, 0.02 * good, good), organ)
+        judged = ghosts.uncertain_ends(system, good, proof.Proof(good, 0.02 * good, good), organ)
         np.testing.assert_array_equal(judged, system.owner == 1)
 
 
@@ -76,7 +76,7 @@ def test_a_root_in_a_crowd_stays_though_hardly_any_of_it_shows():
     depth = tube_picture.optical_depth(seen, crowd, at, 0.0)
     left = tube_picture.unexplained(seen, depth)
     inner = crowd.branches[-1][3:-3]
-    assert np.median(tube_profiles.profiles(seen, crowd, at, depth, left, 0.0).pull().visible[inner]) < 0.15
+    assert np.median(tube_profiles.profiles(seen, crowd, at, depth, left, 0.0).residual_gradient().visible[inner]) < 0.15
     assert not ghosts.unexplaining(crowd, proof.weigh(seen, crowd, at, depth, left, 0.0), none)[inner].any()
 
 
@@ -107,7 +107,7 @@ def test_a_second_tube_of_a_root_is_dispensable_and_a_root_beside_it_is_not():
     at = seen.project(found.centre_mm)
     depth = tube_picture.optical_depth(seen, found, at, 0.0)
     proved = proof.weigh(seen, found, at, depth, tube_picture.unexplained(seen, depth), 0.0)
-    np.testing.assert_array_equal(ghosts.doubted(found, proved, none), found.owner == 2)
+    np.testing.assert_array_equal(ghosts.unproven(found, proved, none), found.owner == 2)
     without = found.owner > 0
     more = unexplained(found.keep(found.staying(without))) - unexplained(found)
     np.testing.assert_array_equal(np.unique(found.owner[ghosts.dispensable(found, without & (found.owner == 1), more, proved.alone)]), [])

@@ -67,7 +67,7 @@ def test_a_root_traced_from_its_tip_is_turned_round():
     turned = next(root for root in found if root.diameters_mm[0] == 0.2)
     assert (turned.order, turned.parent) == (1, 0)
     assert turned.points_mm[-1] == pytest.approx([14.0, 0.0, -30.0])
-    assert turned.tip_seen  # what was doubted is its base now
+    assert turned.tip_seen  # what was unproven is its base now
 
 
 def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():

@@ -1,9 +1,9 @@
-"""Thick organs among the tubes: told from crowds, as wide as their balls, and on their axes."""
+"""Thick organs among the tubes: told from crowds, as wide as their spheres, and on their axes."""
 
 import numpy as np
 
 from rhizotwin.recon.hull.carve import Grid
-from rhizotwin.recon.hull.parsimony import Balls
+from rhizotwin.recon.hull.parsimony import Spheres
 from rhizotwin.recon.roots import organs
 from rhizotwin.recon.roots.density import Cells
 from tests.recon.lines import line
@@ -14,21 +14,21 @@ def test_what_is_thinner_than_an_organ_is_no_core():
     grid = Grid(np.zeros(3), 0.5, 1, (8, 8, 8))
     index = np.stack(np.meshgrid(*[np.arange(16)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     core = Cells(grid, index, np.zeros(len(index), np.float32))
-    balls = Balls(np.array([[2.0, 2.0, 2.0], [6.0, 6.0, 6.0]]), np.array([1.0, 0.5]))
-    kept = organs.thick(core, balls, 0.75)
+    spheres = Spheres(np.array([[2.0, 2.0, 2.0], [6.0, 6.0, 6.0]]), np.array([1.0, 0.5]))
+    kept = organs.thick(core, spheres, 0.75)
     assert len(kept.index) > 0
     away = np.linalg.norm(core.centre_mm - 2.0, axis=1)
-    np.testing.assert_array_equal(kept.index, core.index[away < 3.0**0.5])  # a cube's corner lies so far from its largest ball's centre
+    np.testing.assert_array_equal(kept.index, core.index[away < 3.0**0.5])  # a cube's corner lies so far from its largest sphere's centre
     thin = core.chosen(core.index[:, 2] < 4)
-    assert not len(organs.thick(thin, balls, 1.5).index)
+    assert not len(organs.thick(thin, spheres, 1.5).index)
 
 
 def test_a_deep_core_without_a_ball_is_a_solid():
-    """Few views bound the balls in a box, so that it has none: it is no crowd all the same, and no root."""
+    """Few views bound the spheres in a box, so that it has none: it is no crowd all the same, and no root."""
     grid = Grid(np.array([0.0, 0.0, -30.0]), 0.5, 1, (20, 20, 40))
     index = np.stack(np.meshgrid(*[np.arange(12)] * 3, indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     core = Cells(grid, index, np.zeros(len(index), np.float32))
-    twig = Balls(np.array([[9.0, 9.0, -10.0]]), np.array([0.5]))
+    twig = Spheres(np.array([[9.0, 9.0, -10.0]]), np.array([0.5]))
     kept = organs.thick(core, twig, 1.5)
     assert len(kept.index) == len(index)
     tree = strung(line((3.0, 3.0, -30.0), (3.0, 3.0, -24.0)))
@@ -61,8 +61,8 @@ def test_a_ball_is_a_solid_and_a_taproot_is_none():
     cell = np.stack(np.meshgrid(np.arange(40), np.arange(20), np.arange(50), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
     cells = Cells(grid, cell, np.zeros(len(cell), np.float32))
     root = (np.linalg.norm(cells.centre_mm[:, :2], axis=1) < 0.6) & (cells.centre_mm[:, 2] > -40.0) & (cells.centre_mm[:, 2] < -20.0)
-    ball = np.linalg.norm(cells.centre_mm - [9.0, 0.0, -30.0], axis=1) < 2.0
-    core = cells.chosen(root | ball)
+    sphere = np.linalg.norm(cells.centre_mm - [9.0, 0.0, -30.0], axis=1) < 2.0
+    core = cells.chosen(root | sphere)
     organ = tree.owner == 0
     solid = organs.in_solids(tree, core, organ, 0.5)
     assert not solid[organ].any()
@@ -73,11 +73,11 @@ def test_a_ball_is_a_solid_and_a_taproot_is_none():
 
 def test_what_is_wide_begins_wide_where_its_core_has_a_gap():
     thick = line((0.0, 0.0, -20.0), (0.0, 0.0, -26.0))
-    balls = Balls(thick, np.full(len(thick), 0.9))
+    spheres = Spheres(thick, np.full(len(thick), 0.9))
     grid = Grid(np.array([-2.0, -2.0, -28.0]), 0.2, 1, (20, 20, 40))
     deep = np.array([[10, 10, k] for k in range(10, 40) if not 30 <= k < 34], np.int32)  # 4 of 30 cells are missing near the top
     core = Cells(grid, deep, np.zeros(len(deep), np.float32))
-    started, buried, organ = organs.thicken(strung(thick), core, balls, 0.3)
+    started, buried, organ = organs.thicken(strung(thick), core, spheres, 0.3)
     assert not buried.all()
     assert organ.all()
     np.testing.assert_allclose(started.radius_mm, 0.9)
@@ -90,8 +90,8 @@ def test_organs_stand_where_their_balls_do():
     grid = Grid(np.array([-2.0, -2.0, -30.0]), 0.2, 1, (20, 20, 60))
     deep = np.array([[i, 10, k] for i in (10, 11, 12) for k in range(10, 50)], np.int32)
     core = Cells(grid, deep, np.zeros(len(deep), np.float32))
-    balls = Balls(axis[::4], np.full(len(axis[::4]), 0.9))
-    centred, _, organ = organs.centred(strung(strayed), core, balls, 0.3)
+    spheres = Spheres(axis[::4], np.full(len(axis[::4]), 0.9))
+    centred, _, organ = organs.centred(strung(strayed), core, spheres, 0.3)
     assert organ.all()
     assert np.linalg.norm(centred.centre_mm[:, :2], axis=1).max() < 0.08
     np.testing.assert_allclose(centred.centre_mm[[0, -1], 2], (-20.0, -28.0), atol=0.05)

@@ -54,7 +54,7 @@ def evidence(views: list[View], optics: Optics) -> Evidence:
 
 
 def sure_rig(views: int) -> RigUncertainty:
-    """Return doubt as two rings of good markers leave it."""
+    """Return uncertainty as two rings of good markers leave it."""
     camera = np.diag(np.array([2e-5, 2e-5, 1e-5, 5e-3, 5e-3, 5e-3]) ** 2)
     return RigUncertainty(np.repeat([0, 1], views // 2), np.stack([camera, camera]), np.array([5e-6, 5e-6, 1e-3, 1e-3]), 1e-4)
 

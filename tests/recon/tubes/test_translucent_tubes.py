@@ -12,7 +12,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import translucent_tube, tube_fit, tube_law, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
@@ -119,12 +119,12 @@ def test_fitted_radii_are_those_of_translucent_roots() -> None:
 def test_tubes_tell_the_attenuation() -> None:
     truth = strung(*STAR)
     seen = pictured(truth, 2.0, noise=0.005)
-    start = tube_law.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
-    law, found = tube_law.find(seen, start, np.zeros(len(truth.radius_mm), bool), 0.0)
-    assert law.mu_per_mm == pytest.approx(2.0, rel=0.1)
+    start = tube_attenuation.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
+    attenuation, found = tube_attenuation.find(seen, start, np.zeros(len(truth.radius_mm), bool), 0.0)
+    assert attenuation.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.08)
-    light = replace(seen.by_light(), mu_per_mm=law.mu_per_mm)
-    again, _ = tube_law.refine(light, found, np.zeros(len(truth.radius_mm), bool), law)
+    light = replace(seen.by_light(), mu_per_mm=attenuation.mu_per_mm)
+    again, _ = tube_attenuation.refine(light, found, np.zeros(len(truth.radius_mm), bool), attenuation)
     assert abs(np.log(again.mu_per_mm / 2.0)) < 3.0 * again.sigma
     assert again.sigma < 0.15
 
@@ -132,13 +132,13 @@ def test_tubes_tell_the_attenuation() -> None:
 def test_opaque_tubes_stay_opaque() -> None:
     truth = strung(*STAR)
     seen = pictured(truth, None, noise=0.005)
-    law, found = tube_law.find(seen, truth, np.zeros(len(truth.radius_mm), bool), 0.0)
-    assert law.mu_per_mm is None
+    attenuation, found = tube_attenuation.find(seen, truth, np.zeros(len(truth.radius_mm), bool), 0.0)
+    assert attenuation.mu_per_mm is None
     assert found is truth
 
 
 def test_silhouettes_tell_no_attenuation() -> None:
     truth = strung(*STAR)
     blank = [Silhouette(s.coverage, s.seen) for s in dark().silhouettes]
-    law, _ = tube_law.find(replace(dark(), silhouettes=tuple(blank)), truth, np.zeros(len(truth.radius_mm), bool), 0.3)
-    assert (law.mu_per_mm, law.blur_px, law.profiles) == (None, 0.3, 0)
+    attenuation, _ = tube_attenuation.find(replace(dark(), silhouettes=tuple(blank)), truth, np.zeros(len(truth.radius_mm), bool), 0.3)
+    assert (attenuation.mu_per_mm, attenuation.blur_px, attenuation.profiles) == (None, 0.3, 0)

@@ -57,13 +57,13 @@ def test_sections_lie_across_the_tubes_and_leave_out_what_is_not_seen() -> None:
 
 def test_the_normal_equations_are_the_sums_over_the_views() -> None:
     profiles = measured(crowd())
-    told, pull = profiles.host(), profiles.pull()
+    told, residual = profiles.host(), profiles.residual_gradient()
     across = np.concatenate([told.across, told.scale[..., None]], axis=-1)
     weight = np.stack([[told.shift_2] * 3 + [told.shift_width]] * 3 + [[told.shift_width] * 3 + [told.width_2]])
-    np.testing.assert_allclose(pull.hessian, np.einsum("ijvn,vni,vnj->nij", weight, across, across), rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(residual.hessian, np.einsum("ijvn,vni,vnj->nij", weight, across, across), rtol=1e-4, atol=1e-3)
     force = np.stack([told.shift] * 3 + [told.width])
-    np.testing.assert_allclose(pull.gradient, np.einsum("ivn,vni->ni", force, across), rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(pull.visible, told.shown.sum(axis=0) / told.whole.sum(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(residual.gradient, np.einsum("ivn,vni->ni", force, across), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(residual.visible, told.shown.sum(axis=0) / told.whole.sum(axis=0), rtol=1e-4)
 
 
 def test_profiles_of_some_nodes_are_those_of_all() -> None:
@@ -71,7 +71,7 @@ def test_profiles_of_some_nodes_are_those_of_all() -> None:
     whole, part = profiles.host(), profiles.host(some)
     np.testing.assert_array_equal(part.across, whole.across[:, some])
     np.testing.assert_array_equal(part.width_2, whole.width_2[:, some])
-    np.testing.assert_array_equal(profiles.pull().of(some).hessian, profiles.pull().hessian[some])
+    np.testing.assert_array_equal(profiles.residual_gradient().of(some).hessian, profiles.residual_gradient().hessian[some])
 
 
 def test_a_tube_that_no_view_sees_has_no_sections() -> None:
@@ -82,7 +82,7 @@ def test_a_tube_that_no_view_sees_has_no_sections() -> None:
     depth = tube_picture.optical_depth(seen, away, at, 0.0)
     assert not np.array(depth).any()
     found = tube_profiles.profiles(seen, away, at, depth, tube_picture.unexplained(seen, depth), 0.0)
-    assert not found.pull().hessian.any()
+    assert not found.residual_gradient().hessian.any()
     assert not proof.weigh(seen, away, at, depth, tube_picture.unexplained(seen, depth), 0.0).explained.any()
     assert np.isnan(tube_profiles.misfit(seen, away, tube_picture.unexplained(seen, depth))).all()
 

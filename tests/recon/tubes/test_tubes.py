@@ -69,7 +69,7 @@ def test_fit_finds_moved_and_swollen_tubes_again():
     rng = np.random.default_rng(3)
     wave = 0.15 * np.sin(np.arange(len(true.radius_mm)) / 4.0)[:, None] * rng.normal(size=3)
     start = tubes.moved(true, true.centre_mm + wave, np.full(len(true.radius_mm), 0.15))
-    fitted, pull = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=15)
+    fitted, residual = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=15)
     inner = slice(3, -3)
     for branch in true.branches:
         off = fitted.centre_mm[branch][inner] - true.centre_mm[branch][inner]
@@ -77,7 +77,7 @@ def test_fit_finds_moved_and_swollen_tubes_again():
         across = np.linalg.norm(off - (off * along).sum(1, keepdims=True) * along, axis=1)
         assert np.median(across) < 0.03
     assert np.median(fitted.radius_mm) == pytest.approx(0.25, rel=0.03)
-    assert np.median(pull.visible) > 0.8
+    assert np.median(residual.visible) > 0.8
 
 
 def test_radii_of_tubes_that_share_pixels_do_not_swing():
@@ -119,13 +119,15 @@ def test_what_a_tube_covers_in_vain_counts_in_full_and_what_it_lacks_little():
     """Two roots of other widths than their tubes: too wide is wrong for certain, what is not covered may be another root."""
     narrow, wide = strung(TRUNK, radius_mm=0.3), strung(TRUNK, radius_mm=0.6)
 
-    def pulled(true: tubes.Tubes, drawn: tubes.Tubes) -> np.ndarray:
+    def slope(true: tubes.Tubes, drawn: tubes.Tubes) -> np.ndarray:
         seen = pictured(true)
         at = seen.project(drawn.centre_mm)
         depth = tube_picture.optical_depth(seen, drawn, at, 0.0)
-        return tube_profiles.profiles(seen, drawn, at, depth, tube_picture.unexplained(seen, depth), 0.0).pull().gradient[5:-5, 3]
+        return (
+            tube_profiles.profiles(seen, drawn, at, depth, tube_picture.unexplained(seen, depth), 0.0).residual_gradient().gradient[5:-5, 3]
+        )
 
-    inward, outward = pulled(narrow, wide), pulled(wide, narrow)
+    inward, outward = slope(narrow, wide), slope(wide, narrow)
     assert inward.max() < 0.0 < outward.min()
     assert -inward.mean() > 4.0 * outward.mean()
 

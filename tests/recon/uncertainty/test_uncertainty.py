@@ -12,7 +12,7 @@ from rhizotwin.recon import shaping
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Leaves, Water
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty import sight, solid_doubt
+from rhizotwin.recon.uncertainty import sight, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 
 
@@ -51,7 +51,7 @@ def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object
 @pytest.mark.parametrize("count", [20, 40, 41, 80])
 def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
     frames = [10 + place for place in shaping._spread(count)]
-    chosen = sorted(frames[place] for place in solid_doubt.every_second(frames))
+    chosen = sorted(frames[place] for place in solid_uncertainty.every_second(frames))
     assert chosen == list(range(10, 10 + count, 2))
 
 

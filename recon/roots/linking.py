@@ -1,9 +1,11 @@
-"""Mend the tree of branches where the tracing went astray: roots that touch each other are told apart by their courses.
+"""Link the tree of branches where the tracing went astray.
 
-Where two roots touch, the easiest path to the top may change from one to the other. What is left of the first is then traced as a branch
-of its own: it ends in the middle of nowhere beside the other, or begins there. Roots are smooth and few: of all ways to connect the
-pieces that meet the one is taken that costs least, where a bend costs the square of its angle (and what else speaks against it, see
-`_cost`), and every branch costs as much as a bend of one radian.
+Roots that touch each other are told apart by their tangents.
+
+Where two roots touch, the easiest path to the top may change from one to the other. What is left of the first is then
+traced as a branch of its own: it ends in the middle of nowhere beside the other, or begins there. Roots are smooth and
+few: of all ways to connect the pieces that meet the one is taken that costs least, where a bend costs the square of its
+angle (and what else speaks against it, see `_cost`), and every branch costs as much as a bend of one radian.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots import turning
-from rhizotwin.recon.tubes.tubes import COURSE_NODES, Index, Tubes, above, hanging_order
+from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, hanging_order
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,7 +33,7 @@ _FRAYED_NODES, _FRAYED = 3, 0.1
 """Ends wander where roots touch: so many nodes may be left out where pieces are joined, each at this cost."""
 _BESIDE_MM, _BESIDE_NODES = 0.7, 9
 """A beginning of at most so many nodes that runs so near another branch is a second path along the same root."""
-_BRANCH, _DOUBTFUL = 1.0, 2.0
+_BRANCH, _UNCERTAIN = 1.0, 2.0
 """What a branch costs, and what one that ends where no root ends costs more."""
 _GAIN = 0.1
 """Changes that make the tree cheaper by less are left."""
@@ -40,7 +42,7 @@ _ROUNDS = 8
 
 
 @dataclass(frozen=True)
-class _Courses:
+class _Tangents:
     """Where the branches come from and go to at each of their own nodes."""
 
     centre: Array
@@ -58,36 +60,41 @@ class _Courses:
     """(N,) number of the node in its branch."""
 
 
-def mend(tubes: Tubes, doubtful: Mask | None = None) -> tuple[Tubes, Mask]:
-    """Connect the pieces of the tree so that it is as cheap as can be; nodes stay where they are, but second paths are dropped.
+def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
+    """Connect the pieces of the tree so that it is as cheap as can be.
 
-    Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is turned round; a tip
-    takes over what follows of a branch that it runs into, of which what came before ends there, or goes on in a third that begins there,
-    or is dropped because it runs beside the first; a branch goes on in its child, and what followed becomes the child. Whose lateral a
-    root is, `hierarchy` settles at the end.
+    Nodes stay where they are, but second paths are dropped.
+
+    Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is
+    turned round; a tip takes over what follows of a branch that it runs into, of which what came before ends there, or
+    goes on in a third that begins there, or is dropped because it runs beside the first; a branch goes on in its child,
+    and what followed becomes the child. Whose lateral a root is, `hierarchy` settles at the end.
 
     Parameters
     ----------
-    doubtful : (N,) nodes of ends whose tips are likely none: such an end is worth more if it goes on.
+    uncertain : (N,) bool array or None
+        Nodes of ends whose tips are likely none: such an end is worth more if it goes on.
 
     Returns
     -------
-    tubes : connected.
-    kept : (N,) the nodes that are left.
+    tubes : Tubes
+        Connected.
+    kept : (N,) bool array
+        The nodes that are left.
     """
-    doubt = np.zeros(len(tubes.centre_mm), bool) if doubtful is None else doubtful
+    marked = np.zeros(len(tubes.centre_mm), bool) if uncertain is None else uncertain
     branches = turning.rightly_turned(tubes, list(tubes.branches))
     for _ in range(_ROUNDS):
-        courses = _courses(tubes, branches)
-        worth = _worth(courses, branches, doubt)
-        changes = sorted(_meetings(courses, branches, worth) + _takeovers(courses, branches, worth) + _exchanges(courses, branches))
+        tangents = _tangents(tubes, branches)
+        worth = _worth(tangents, branches, marked)
+        changes = sorted(_meetings(tangents, branches, worth) + _takeovers(tangents, branches, worth) + _exchanges(tangents, branches))
         touched: set[int] = set()
-        owner = courses.owner.copy()
+        owner = tangents.owner.copy()
         for _, end, node, third, kind in changes:
-            those = {int(courses.owner[end]), int(courses.owner[node])} | ({third} if third >= 0 else set())
+            those = {int(tangents.owner[end]), int(tangents.owner[node])} | ({third} if third >= 0 else set())
             if touched & those:
                 continue
-            tried = _changed(courses, branches, end, node, third, kind)
+            tried = _changed(tangents, branches, end, node, third, kind)
             now = _owner_now(owner, branches, tried, those)
             if all(above(tried, now, k)[-1] == 0 for k in those if tried[k] is not None):
                 branches, owner = tried, now
@@ -100,14 +107,14 @@ def mend(tubes: Tubes, doubtful: Mask | None = None) -> tuple[Tubes, Mask]:
     return Tubes(tubes.centre_mm, tubes.radius_mm, ordered).keep(used), used
 
 
-def _worth(courses: _Courses, branches: list[Index | None], doubtful: Mask) -> Array:
+def _worth(tangents: _Tangents, branches: list[Index | None], uncertain: Mask) -> Array:
     """Return what it is worth (N,) that the branch that owns a node does not end."""
-    ends = np.array([nodes is not None and bool(doubtful[nodes[-1]]) for nodes in branches])
-    return np.where(ends[courses.owner], _BRANCH + _DOUBTFUL, _BRANCH)
+    ends = np.array([nodes is not None and bool(uncertain[nodes[-1]]) for nodes in branches])
+    return np.where(ends[tangents.owner], _BRANCH + _UNCERTAIN, _BRANCH)
 
 
-def _courses(tubes: Tubes, branches: list[Index | None]) -> _Courses:
-    """Find the courses of branches."""
+def _tangents(tubes: Tubes, branches: list[Index | None]) -> _Tangents:
+    """Find the tangents of branches."""
     count, centre = len(tubes.centre_mm), tubes.centre_mm
     log_radius = np.log(tubes.radius_mm)
     arriving, leaving = np.zeros((count, 3)), np.zeros((count, 3))
@@ -117,7 +124,7 @@ def _courses(tubes: Tubes, branches: list[Index | None]) -> _Courses:
         if nodes is None:
             continue
         number = np.arange(len(nodes))
-        first, last = np.maximum(number - COURSE_NODES, 0), np.minimum(number + COURSE_NODES, len(nodes) - 1)
+        first, last = np.maximum(number - TANGENT_NODES, 0), np.minimum(number + TANGENT_NODES, len(nodes) - 1)
         own = number if k == 0 else number[1:]
         arriving[nodes[own]] = (centre[nodes] - centre[nodes[first]])[own]
         leaving[nodes[own]] = (centre[nodes[last]] - centre[nodes])[own]
@@ -125,7 +132,7 @@ def _courses(tubes: Tubes, branches: list[Index | None]) -> _Courses:
         before[nodes[own]] = ((total[number + 1] - total[first]) / (number + 1 - first))[own]
         after[nodes[own]] = ((total[last + 1] - total[number]) / (last + 1 - number))[own]
         owner[nodes[own]], place[nodes[own]] = k, own
-    return _Courses(centre, _unit(arriving), _unit(leaving), before, after, owner, place)
+    return _Tangents(centre, _unit(arriving), _unit(leaving), before, after, owner, place)
 
 
 def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Array:
@@ -133,8 +140,10 @@ def _cost(way: Array, arriving: Array, leaving: Array, log_ratio: Array) -> Arra
 
     Parameters
     ----------
-    way : (M, 3) from the end of one to the beginning of the other.
-    log_ratio : (M,) of their radii: roots as thick as the other go on in each other sooner.
+    way : (M, 3) float64 array
+        From the end of one to the beginning of the other.
+    log_ratio : (M,) float64 array
+        Of their radii: roots as thick as the other go on in each other sooner.
     """
     middle = _unit(arriving + leaving)
     along = (way * middle).sum(axis=1)
@@ -155,25 +164,26 @@ class _Kind(IntEnum):
 
 
 _Change = tuple[float, int, int, int, _Kind]
-"""Gain (negative), the node where a branch ends, that where it goes on, the branch that the interrupted one goes on in (or -1), and how."""
+"""Gain (negative), the node where a branch ends, that where it goes on, the branch that the interrupted one goes on in
+(or -1), and how."""
 
 
-def _meetings(courses: _Courses, branches: list[Index | None], worth: Array) -> list[_Change]:
+def _meetings(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
     """Return the tips that go on in a branch that begins near, and the tips that meet; ends may be frayed."""
-    tips, tip_fray = _ends(courses, branches, last=True)
-    starts, start_fray = _ends(courses, branches, last=False)
+    tips, tip_fray = _ends(tangents, branches, last=True)
+    starts, start_fray = _ends(tangents, branches, last=False)
     found: list[_Change] = []
     for turned, (ends, fray) in enumerate(((starts, start_fray), (tips, tip_fray))):
-        pairs = _pairs(courses.centre, tips, ends)
+        pairs = _pairs(tangents.centre, tips, ends)
         a, b = tips[pairs[:, 0]], ends[pairs[:, 1]]
         cost = _FRAYED * (tip_fray[pairs[:, 0]] + fray[pairs[:, 1]]) + _cost(
-            courses.centre[b] - courses.centre[a],
-            courses.arriving[a],
-            -courses.arriving[b] if turned else courses.leaving[b],
-            courses.log_before[a] - (courses.log_before[b] if turned else courses.log_after[b]),
+            tangents.centre[b] - tangents.centre[a],
+            tangents.arriving[a],
+            -tangents.arriving[b] if turned else tangents.leaving[b],
+            tangents.log_before[a] - (tangents.log_before[b] if turned else tangents.log_after[b]),
         )
         gain = cost - (np.maximum(worth[a], worth[b]) if turned else worth[a])
-        good = (gain < -_GAIN) & (courses.owner[a] != courses.owner[b]) & (courses.owner[b] > 0)
+        good = (gain < -_GAIN) & (tangents.owner[a] != tangents.owner[b]) & (tangents.owner[b] > 0)
         found += [
             (float(g), int(end), int(node), -1, _Kind.TURNED if turned else _Kind.SPLICED)
             for g, end, node in zip(gain[good], a[good], b[good], strict=True)
@@ -181,9 +191,12 @@ def _meetings(courses: _Courses, branches: list[Index | None], worth: Array) -> 
     return found
 
 
-def _ends(courses: _Courses, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
-    """Return the nodes (M,) at which branches may end (or begin), and how many nodes (M,) without laterals are left out there."""
-    bearing = np.zeros(len(courses.centre), bool)
+def _ends(tangents: _Tangents, branches: list[Index | None], *, last: bool) -> tuple[Index, Index]:
+    """Return the nodes (M,) at which branches may end (or begin).
+
+    With them, how many nodes (M,) without laterals are left out there.
+    """
+    bearing = np.zeros(len(tangents.centre), bool)
     bearing[[nodes[0] for k, nodes in enumerate(branches) if nodes is not None and k > 0]] = True
     ends: list[int] = []
     fray: list[int] = []
@@ -193,7 +206,7 @@ def _ends(courses: _Courses, branches: list[Index | None], *, last: bool) -> tup
         own = nodes[:0:-1] if last else nodes[1:]
         if not len(own):  # the first branch may be a single node
             own = nodes
-        for out in range(max(1, min(_FRAYED_NODES + 1, len(own) - COURSE_NODES))):
+        for out in range(max(1, min(_FRAYED_NODES + 1, len(own) - TANGENT_NODES))):
             ends.append(int(own[out]))
             fray.append(out)
             if bearing[own[out]]:
@@ -201,28 +214,30 @@ def _ends(courses: _Courses, branches: list[Index | None], *, last: bool) -> tup
     return np.array(ends, np.int64), np.array(fray, np.int64)
 
 
-def _takeovers(courses: _Courses, branches: list[Index | None], worth: Array) -> list[_Change]:
+def _takeovers(tangents: _Tangents, branches: list[Index | None], worth: Array) -> list[_Change]:
     """Return the tips that take over what follows of a branch that they run into."""
-    tips, fray = _ends(courses, branches, last=True)
+    tips, fray = _ends(tangents, branches, last=True)
     inner = np.concatenate([nodes[2 + (k == 0) : -1] for k, nodes in enumerate(branches) if nodes is not None])
     previous = np.concatenate([nodes[1 + (k == 0) : -2] for k, nodes in enumerate(branches) if nodes is not None])
     if not len(inner):
         return []
-    centre, owner = courses.centre, courses.owner
-    bend = np.arccos(np.clip((courses.arriving[previous] * courses.leaving[inner]).sum(axis=1), -1.0, 1.0))
-    held = bend**2 + (courses.log_before[previous] - courses.log_after[inner]) ** 2
+    centre, owner = tangents.centre, tangents.owner
+    bend = np.arccos(np.clip((tangents.arriving[previous] * tangents.leaving[inner]).sum(axis=1), -1.0, 1.0))
+    held = bend**2 + (tangents.log_before[previous] - tangents.log_after[inner]) ** 2
     pairs = _pairs(centre, tips, inner)
     a, at = tips[pairs[:, 0]], pairs[:, 1]
     b = inner[at]
-    cost = _cost(centre[b] - centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]) - held[at]
+    cost = (
+        _cost(centre[b] - centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a] - tangents.log_after[b]) - held[at]
+    )
     cost += _FRAYED * fray[pairs[:, 0]]
     good = (cost < worth[a] - _GAIN) & (owner[a] != owner[b])
     a, b, at, cost = a[good], b[good], at[good], cost[good]
-    rest = _continuations(courses, branches, np.unique(previous[at]))
+    rest = _continuations(tangents, branches, np.unique(previous[at]))
     found: list[_Change] = []
     for c, end, node, number in zip(cost, a, b, at, strict=True):
         first = int(owner[end])
-        if _is_second_path(courses, branches, first, int(node)):
+        if _is_second_path(tangents, branches, first, int(node)):
             found.append((float(c - worth[end]), int(end), int(node), -1, _Kind.SPLICED))
             continue
         best, third = min(
@@ -235,52 +250,55 @@ def _takeovers(courses: _Courses, branches: list[Index | None], worth: Array) ->
     return found
 
 
-def _is_second_path(courses: _Courses, branches: list[Index | None], first: int, node: int) -> bool:
-    """Tell whether the branch that owns a node is, up to there, a second path along the root that the first branch follows."""
-    second, place = int(courses.owner[node]), int(courses.place[node])
+def _is_second_path(tangents: _Tangents, branches: list[Index | None], first: int, node: int) -> bool:
+    """Tell whether the branch of a node is, up to there, a second path along the root of the first branch."""
+    second, place = int(tangents.owner[node]), int(tangents.place[node])
     line, beside = branches[first], branches[second]
     assert line is not None
     assert beside is not None
     if second == 0 or place > _BESIDE_NODES:
         return False
-    return bool(cKDTree(courses.centre[line]).query(courses.centre[beside[1:place]])[0].max() < _BESIDE_MM)
+    return bool(cKDTree(tangents.centre[line]).query(tangents.centre[beside[1:place]])[0].max() < _BESIDE_MM)
 
 
-def _exchanges(courses: _Courses, branches: list[Index | None]) -> list[_Change]:
+def _exchanges(tangents: _Tangents, branches: list[Index | None]) -> list[_Change]:
     """Return the branches that go on in a child of theirs rather than in what follows of their own."""
     found: list[_Change] = []
     for k, line in enumerate(branches):
-        if line is None or k == 0 or len(line) <= COURSE_NODES:
+        if line is None or k == 0 or len(line) <= TANGENT_NODES:
             continue
-        parent = branches[int(courses.owner[line[0]])]
-        place = int(courses.place[line[0]])
+        parent = branches[int(tangents.owner[line[0]])]
+        place = int(tangents.place[line[0]])
         assert parent is not None
-        if place < 2 or place + COURSE_NODES >= len(parent):
+        if place < 2 or place + TANGENT_NODES >= len(parent):
             continue
         here, ways = line[[0, 0]], np.array([line[1], parent[place + 1]])
         cost = _cost(
-            courses.centre[ways] - courses.centre[here],
-            courses.arriving[here],
-            courses.leaving[ways],
-            courses.log_before[here] - courses.log_after[ways],
+            tangents.centre[ways] - tangents.centre[here],
+            tangents.arriving[here],
+            tangents.leaving[ways],
+            tangents.log_before[here] - tangents.log_after[ways],
         )
         if cost[0] - cost[1] < -_GAIN:
             found.append((float(cost[0] - cost[1]), int(line[1]), int(parent[place]), -1, _Kind.EXCHANGED))
     return found
 
 
-def _continuations(courses: _Courses, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
-    """Return, for some nodes, the branches that begin near in which a root that ends there would go on, with the (negative) cost."""
+def _continuations(tangents: _Tangents, branches: list[Index | None], nodes: Index) -> dict[int, list[tuple[float, int]]]:
+    """Return for nodes the branches that begin near and in which a root that ends there would go on.
+
+    Each comes with its (negative) cost.
+    """
     starts = np.array([line[1] for k, line in enumerate(branches) if line is not None and k > 0 and len(line) > 2], np.int64)
     if not len(starts):
         return {}
-    pairs = _pairs(courses.centre, nodes, starts)
+    pairs = _pairs(tangents.centre, nodes, starts)
     a, b = nodes[pairs[:, 0]], starts[pairs[:, 1]]
     cost = _cost(
-        courses.centre[b] - courses.centre[a], courses.arriving[a], courses.leaving[b], courses.log_before[a] - courses.log_after[b]
+        tangents.centre[b] - tangents.centre[a], tangents.arriving[a], tangents.leaving[b], tangents.log_before[a] - tangents.log_after[b]
     )
     found: dict[int, list[tuple[float, int]]] = {}
-    for c, node, branch in zip(cost - _BRANCH, a, courses.owner[b], strict=True):
+    for c, node, branch in zip(cost - _BRANCH, a, tangents.owner[b], strict=True):
         if c < 0.0:
             found.setdefault(int(node), []).append((float(c), int(branch)))
     return found
@@ -298,24 +316,27 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def _changed(courses: _Courses, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
-    """Return branches of which one goes on from a node of its own in another's node, and what is left of that one in a third, if any."""
+def _changed(tangents: _Tangents, branches: list[Index | None], end: int, node: int, third: int, kind: _Kind) -> list[Index | None]:
+    """Return branches of which one goes on from a node of its own in another's node.
+
+    What is left of that one goes on in a third, if any.
+    """
     changed = list(branches)
-    a, b, place = int(courses.owner[end]), int(courses.owner[node]), int(courses.place[node])
+    a, b, place = int(tangents.owner[end]), int(tangents.owner[node]), int(tangents.place[node])
     whole, second = branches[a], branches[b]
     assert whole is not None
     assert second is not None
     if kind is _Kind.EXCHANGED:
         changed[b], changed[a] = np.concatenate([second[: place + 1], whole[1:]]), second[place:]
         return changed
-    first = whole[: courses.place[end] + 1]  # what is frayed is left out
+    first = whole[: tangents.place[end] + 1]  # what is frayed is left out
     if kind is _Kind.TURNED:
         changed[a], changed[b] = np.concatenate([first, second[place:0:-1]]), None
         return changed
     changed[a] = np.concatenate([first, second[place:]])
     if kind is _Kind.SPLICED:
         changed[b] = None
-        return _rehung(courses.centre, changed, second[1:place], first)
+        return _rehung(tangents.centre, changed, second[1:place], first)
     left = second[:place]
     changed[b] = left if len(left) > 1 else None
     following = branches[third] if third >= 0 else None

@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
 from rhizotwin.recon.roots.rooting import RootSystem
-from rhizotwin.recon.tubes import tube_fit, tube_law, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 _BLUR_STEP_PX = 0.1
 """The blur is found to half of this: the spacing of the blurs that are tried."""
 _UNTOLD = 0.25
-"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as much."""
+"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as
+much."""
 _EXPLAINED = 0.03
 """Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
 _INSIDE = 0.3
@@ -32,17 +33,19 @@ _INSIDE = 0.3
 _FLAT, _FLAT_PX = 0.1, 0.1
 """A section is flat where its half-width changes from view to view by more than this share, and more than this."""
 _FLATTEST = 0.26
-"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r / (3 pi)."""
+"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r
+/ (3 pi)."""
 _FLAT_NODES = 5
 """Nodes along which a section is taken to be alike: 3 mm."""
 _LEAST_FREE = 0.1
-"""Share of the root zone beside the tubes that is taken to be free at least, where what they hide is estimated from what they leave."""
+"""Share of the root zone beside the tubes that is taken to be free at least, where what they hide is estimated from
+what they leave."""
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
 
 @dataclass(frozen=True)
-class TubeDoubt:
+class TubeUncertainty:
     """Terms of the budget, and what the verdict looks at."""
 
     terms: tuple[Term, ...]
@@ -50,7 +53,7 @@ class TubeDoubt:
     fill: float
 
 
-def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
+def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
     """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
     tubes = system.tubes
     at = seen.project(tubes.centre_mm)
@@ -81,28 +84,31 @@ def doubt(seen: Evidence, system: RootSystem) -> TubeDoubt:
         ),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
-        _even("uncertain ends", float(0.5 * gain @ (tubes.radius_mm * system.doubtful)), "ends whose tips others hide may be no roots"),
+        _even("uncertain ends", float(0.5 * gain @ (tubes.radius_mm * system.uncertain)), "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
-    return TubeDoubt(terms, rest.unexplained, rest.fill)
+    return TubeUncertainty(terms, rest.unexplained, rest.fill)
 
 
 def _translucency(system: RootSystem) -> tuple[Term, ...]:
     """Return what the uncertainty of the roots' attenuation means: other radii would absorb as much light."""
-    law, tubes = system.law, system.tubes
+    attenuation, tubes = system.attenuation, system.tubes
 
     def volume_mm3(mu_per_mm: float | None) -> float:
-        radius = tube_law.scaled(tubes, system.buried, law.mu_per_mm, mu_per_mm).radius_mm
+        radius = tube_attenuation.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm).radius_mm
         return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
 
-    if law.mu_per_mm is not None:
-        now, (low, high) = volume_mm3(law.mu_per_mm), (law.mu_per_mm * np.exp(side * NINETY * law.sigma) for side in (-1.0, 1.0))
-        why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * law.sigma:.0f} % only"
+    if attenuation.mu_per_mm is not None:
+        now, (low, high) = (
+            volume_mm3(attenuation.mu_per_mm),
+            (attenuation.mu_per_mm * np.exp(side * NINETY * attenuation.sigma) for side in (-1.0, 1.0)),
+        )
+        why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * attenuation.sigma:.0f} % only"
         return (Term(name="translucency", less_mm3=now - volume_mm3(high), more_mm3=volume_mm3(low) - now, why=why),)
-    if law.rival_per_mm is not None:
-        why = f"roots may be translucent ({law.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
-        return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(law.rival_per_mm) - volume_mm3(None), why=why),)
+    if attenuation.rival_per_mm is not None:
+        why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+        return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(attenuation.rival_per_mm) - volume_mm3(None), why=why),)
     return ()
 
 
@@ -115,7 +121,10 @@ def _signed(name: str, change_mm3: float, why: str) -> Term:
 
 
 def _lengths(tubes: Tubes) -> Array:
-    """Return the length of tube (N,) that each node stands for: half of every segment at it, a branch's first segment its second node's."""
+    """Return the length of tube (N,) that each node stands for.
+
+    Half of every segment at it, a branch's first segment its second node's.
+    """
     half = np.zeros(len(tubes.radius_mm))
     for k, nodes in enumerate(tubes.branches):
         step = 0.5 * np.linalg.norm(np.diff(tubes.centre_mm[nodes], axis=0), axis=1)
@@ -125,11 +134,14 @@ def _lengths(tubes: Tubes) -> Array:
 
 
 def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
-    """Return by how much (N,) of its size the half-width of each node's section changes from view to view, 0 where it is round.
+    """Return by how much (N,) of its size the half-width of each node's section changes from view to view.
 
-    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike along a few nodes.
-    Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius r, drawn as a round one, have
-    the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root is two is its flatness.
+    0 where it is round.
+
+    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike
+    along a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of
+    radius r, drawn as a round one, have the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root
+    is two is its flatness.
     """
     unit = profiles.across / np.maximum(profiles.scale, 1e-9)[..., None]
     x, y, z = np.moveaxis(unit, -1, 0)
@@ -151,10 +163,13 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
 
 
 def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
-    """Return by how much each view (V,) alone would change the volume: its part of one more Gauss-Newton step of all radii.
+    """Return by how much each view (V,) alone would change the volume.
 
-    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the sandwich
-    (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common, such as its pose.
+    Its part of one more Gauss-Newton step of all radii.
+
+    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the
+    sandwich (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common,
+    such as its pose.
     """
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
     weight: Array = spsolve((sparse.diags(_told(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
@@ -167,7 +182,10 @@ def _told(profiles: HostProfiles) -> Array:
 
 
 def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
-    """Return the volume's 90 % half-width where pictures hardly tell the radii: alike along a branch, independent between branches."""
+    """Return the volume's 90 % half-width where pictures hardly tell the radii.
+
+    Alike along a branch, independent between branches.
+    """
     told = _told(profiles) / max(variance, 1e-9)
     sigma = 1.0 / np.sqrt(told + 1.0 / (_UNTOLD * tubes.radius_mm) ** 2)
     owner = tubes.owner
@@ -183,7 +201,8 @@ class _Rest:
     balance: float
     """Difference beside the tubes over the area they cover."""
     missing_px3: float
-    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a pixel's edge.
+    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a
+    pixel's edge.
 
     A root's volume is its covered area times a quarter of pi times its width."""
     unexplained: float

@@ -121,7 +121,8 @@ def estimates(
     diameter_mm = float(sum(_mean(root) for root in roots)) / max(length_mm, 1e-9)
     tips = float(sum(root.tip_seen for root in roots))
     by_line = [_LEVEL * (taken.line / made.line - 1.0) for taken, made in pairs]
-    by_end = [(taken.ends - made.ends) / max(made.ends - 1.0, 1.0) for taken, made in pairs]  # one end is the root system's base
+    # one end is the root system's base
+    by_end = [(taken.ends - made.ends) / max(made.ends - 1.0, 1.0) for taken, made in pairs]
     by_width = [(taken.area / taken.line) / (made.area / made.line) - 1.0 for taken, made in pairs if made.area > 0.0]
     return (
         _estimate("total_length_mm", length_mm, by_line, _MODEL["length"], lost, surplus=shared / max(length_mm, 1e-9)),
@@ -136,9 +137,9 @@ def _estimate(name: str, value: float, changes: Sequence[float], model: float, l
     scatter = NINETY * float(np.std(changes, ddof=1)) / len(changes) ** 0.5 if len(changes) >= LEAST_VIEWS else WIDEST
     less = float(np.hypot(np.hypot(scatter, model), max(0.0, -mean) + surplus))
     more = float(np.hypot(np.hypot(scatter, model), max(0.0, mean)))
-    doubts = list(lost)
+    reasons = list(lost)
     if max(less, more) > WIDEST:
-        doubts.append(
+        reasons.append(
             f"the pictures show {100.0 * abs(mean):.0f} % {'more' if mean > 0.0 else 'less'} of it than the roots that were found"
             if abs(mean) > scatter
             else f"the pictures disagree about it by {100.0 * scatter:.0f} %"
@@ -146,9 +147,9 @@ def _estimate(name: str, value: float, changes: Sequence[float], model: float, l
     low, high = max(0.0, value * (1.0 - less)), value * (1.0 + more)
     words = _WORDS[name]
     verdict = (
-        f"{words} not to be trusted: {'; '.join(doubts)}" if doubts else f"{words} between {low:.3g} and {high:.3g} with 90 % confidence"
+        f"{words} not to be trusted: {'; '.join(reasons)}" if reasons else f"{words} between {low:.3g} and {high:.3g} with 90 % confidence"
     )
-    return Estimate(name=name, value=value, interval=(low, high), trusted=not doubts, verdict=verdict.removeprefix(checks.NO_VOLUME))
+    return Estimate(name=name, value=value, interval=(low, high), trusted=not reasons, verdict=verdict.removeprefix(checks.NO_VOLUME))
 
 
 _WORDS = {
@@ -229,7 +230,7 @@ def _piece(canvas: NDArray[np.float32], px: Array, gradient: Array, radius_mm: A
     if size < 1e-6:
         return
     across = np.array([-step[1], step[0]]) / size
-    half = radius_mm * np.linalg.norm(np.einsum("i,nij->nj", across, gradient), axis=1)  # of a ball's outline, across
+    half = radius_mm * np.linalg.norm(np.einsum("i,nij->nj", across, gradient), axis=1)  # of a sphere's outline, across
     corners = np.stack([px[0] + half[0] * across, px[1] + half[1] * across, px[1] - half[1] * across, px[0] - half[0] * across])
     fixed = np.round(((corners + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)  # pixel centres at integers
     cv2.fillConvexPoly(canvas, fixed, dark, lineType=cv2.LINE_8, shift=_SHIFT)

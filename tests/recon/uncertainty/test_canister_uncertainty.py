@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.uncertainty.canister_doubt import CUBE_MM, misread
+from rhizotwin.recon.uncertainty.canister_uncertainty import CUBE_MM, misread
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 

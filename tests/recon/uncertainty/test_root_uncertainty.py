@@ -7,7 +7,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.uncertainty import root_doubt
+from rhizotwin.recon.uncertainty import root_uncertainty
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
@@ -38,12 +38,12 @@ def taken() -> tuple[ViewBank, tuple[Silhouette, ...]]:
     bank = ViewBank.of(views, Optics.of(SCENE))
     width, height = SCENE.camera.image_wh
     empty = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in views]
-    drawn = root_doubt._draw(root_doubt._Places.of(TRUE, bank), empty, None)
+    drawn = root_uncertainty._draw(root_uncertainty._Places.of(TRUE, bank), empty, None)
     return bank, tuple(Silhouette(picture, silhouette.seen) for picture, silhouette in zip(drawn, empty, strict=True))
 
 
 def told(roots, taken, lost=()):
-    return {estimate.name: estimate for estimate in root_doubt.estimates(roots, *taken, mu_per_mm=None, lost=lost)}
+    return {estimate.name: estimate for estimate in root_uncertainty.estimates(roots, *taken, mu_per_mm=None, lost=lost)}
 
 
 def length_mm(roots) -> float:
@@ -87,4 +87,4 @@ def test_nothing_is_trusted_where_the_scan_is_not_or_roots_are_finer_than_pixels
     assert not any(estimate.trusted for estimate in told(TRUE, taken, lost=("roots moved",)).values())
     fine = [line(root.points_mm[0], root.points_mm[-1], diameter_mm=0.2, parent=root.parent) for root in TRUE]
     assert "half a pixel" in told(fine, taken)["total_length_mm"].verdict
-    assert root_doubt.estimates([], *taken, mu_per_mm=None, lost=()) == ()
+    assert root_uncertainty.estimates([], *taken, mu_per_mm=None, lost=()) == ()

@@ -1,9 +1,10 @@
 """What fitted tubes tell of the roots' translucency: the attenuation that explains the pictures of all views best.
 
-A thin root's opacity fixes mu w^2 and leaves mu and w open, but not under all angles: a root that leans towards the line of sight is darker
-by 1 / sin(theta) where it is faint and hardly darker where it is nearly opaque; and a picture shows how wide it is. So for every tried mu
-the radii are guessed anew from the same light, the tubes are refitted, and what they leave is compared on the profiles of lone roots
-(`tube_profiles.misfit`), with the loss that the fit itself has: a profile in which something else stands counts little.
+A thin root's opacity fixes mu w^2 and leaves mu and w open, but not under all angles: a root that leans towards the
+line of sight is darker by 1 / sin(theta) where it is faint and hardly darker where it is nearly opaque; and a picture
+shows how wide it is. So for every tried mu the radii are guessed anew from the same light, the tubes are refitted, and
+what they leave is compared on the profiles of lone roots (`tube_profiles.misfit`), with the loss that the fit itself
+has: a profile in which something else stands counts little.
 """
 
 from __future__ import annotations
@@ -24,11 +25,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FAINTEST, _DARKEST = 0.5, 16.0
-"""Attenuations, 1/mm, between which is sought; roots of more count as opaque (one of 0.2 mm keeps back 97 % of the light)."""
+"""Attenuations, 1/mm, between which is sought; roots of more count as opaque (one of 0.2 mm absorbs 97 % of the
+light)."""
 _COARSE, _MIDDLE, _FINE = 2.0, 2.0**0.5, 2.0**0.25
-"""Ratios of neighbouring attenuations: on the way from opaque roots, for a first parabola, and for that of the tubes at rest."""
+"""Ratios of neighbouring attenuations: on the way from opaque roots, for a first parabola, and for that of the tubes at
+rest."""
 _STEPS = 4
-"""Gauss-Newton steps for every tried attenuation, from tubes that keep back as much light as those of the nearest one before."""
+"""Gauss-Newton steps for every tried attenuation, from tubes that absorb as much light as those of the nearest one
+before."""
 _MOST_PROFILES = 40_000
 """Nodes times views that are compared; of more, only some views are."""
 _LEAST_VIEWS = 12
@@ -50,29 +54,31 @@ _MOST_BLUR_PX = 0.8
 
 
 @dataclass(frozen=True)
-class TubeLaw:
+class TubeAttenuation:
     """The attenuation that the tubes found."""
 
     mu_per_mm: float | None
     """None: roots are opaque."""
     sigma: float
-    """Standard deviation of log mu, from the scatter of roots and views and from the doubt of the blur; 0 for opaque roots."""
+    """Standard deviation of log mu, from the scatter of roots and views and from the uncertainty of the blur; 0 for
+    opaque roots."""
     blur_px: float
     """With which it explains the pictures best."""
     against_opaque: float
-    """How many times more opaque roots leave unexplained on lone roots; less than 1 where they leave less, 0 where nothing was compared."""
+    """How many times more opaque roots leave unexplained on lone roots; less than 1 where they leave less, 0 where
+    nothing was compared."""
     profiles: int
     """Profiles of lone roots that told it."""
     rival_per_mm: float | None = None
     """Attenuation that explains the pictures better than opaque roots, but not clearly so."""
 
     @staticmethod
-    def opaque(blur_px: float, profiles: int = 0) -> TubeLaw:
-        """Return the law of opaque roots, where nothing was compared."""
-        return TubeLaw(None, 0.0, blur_px, 0.0, profiles)
+    def opaque(blur_px: float, profiles: int = 0) -> TubeAttenuation:
+        """Return the attenuation of opaque roots, where nothing was compared."""
+        return TubeAttenuation(None, 0.0, blur_px, 0.0, profiles)
 
     def warnings(self) -> list[str]:
-        """Return what is to be said of a law that is not sure."""
+        """Return what is to be said of an attenuation that is not sure."""
         if self.rival_per_mm is None:
             return []
         return [
@@ -130,66 +136,73 @@ class _Trials:
         return self.made[mu_per_mm, blur_px]
 
     def _guess(self, mu_per_mm: float | None) -> Tubes:
-        """Return the tubes of the nearest trial, with radii that keep back as much light from the side."""
+        """Return the tubes of the nearest trial, with radii that absorb as much light from the side."""
         known = [*self.made.values(), self.start]
         near = min(known, key=lambda trial: abs(np.log((trial.mu_per_mm or _OPAQUE) / (mu_per_mm or _OPAQUE))))
         return scaled(near.tubes, self.organ, near.mu_per_mm, mu_per_mm)
 
 
-def find(seen: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> tuple[TubeLaw, Tubes]:
+def find(seen: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> tuple[TubeAttenuation, Tubes]:
     """Find the attenuation, and the tubes as they are with it.
 
     Parameters
     ----------
-    seen : coverage; its silhouettes hold the opacity that is compared.
-    fitted : tubes that were fitted to it.
-    organ : (N,) nodes that stay as they are.
-    blur_px : of the pictures, as opaque roots have it.
+    seen : Evidence
+        Coverage; its silhouettes hold the opacity that is compared.
+    fitted : Tubes
+        Tubes that were fitted to it.
+    organ : (N,) bool array
+        Nodes that stay as they are.
+    blur_px : float
+        Of the pictures, as opaque roots have it.
 
     Returns
     -------
-    law : opaque where nothing is clearly better.
-    tubes : with the law's radii; ``fitted`` as they were for opaque roots.
+    attenuation : TubeAttenuation
+        Opaque where nothing is clearly better.
+    tubes : Tubes
+        With the attenuation's radii; ``fitted`` as they were for opaque roots.
     """
     if not seen.has_opacity:
-        return TubeLaw.opaque(blur_px), fitted
+        return TubeAttenuation.opaque(blur_px), fitted
     trials = _Trials.of(seen.by_light(), fitted, organ, blur_px)
     count = int(trials.lone.sum())
     if count < _LEAST_LONE:
-        return TubeLaw.opaque(blur_px, count), fitted
+        return TubeAttenuation.opaque(blur_px, count), fitted
     opaque, dark = trials.at(None, blur_px), trials.at(_DARKEST, blur_px)
     if opaque.cost <= dark.cost:
-        return TubeLaw(None, 0.0, blur_px, opaque.cost / dark.cost, count), fitted
+        return TubeAttenuation(None, 0.0, blur_px, opaque.cost / dark.cost, count), fitted
     mu = _DARKEST
     while mu > _FAINTEST and trials.at(mu / _COARSE, 0.0).cost < trials.at(mu, 0.0).cost:
         mu /= _COARSE
     least = _least(trials, mu, 0.0, _MIDDLE)
     if opaque.cost <= CLEARLY * least.cost:
         rival = least.mu_per_mm if opaque.cost > _PERHAPS * least.cost else None
-        return TubeLaw(None, 0.0, blur_px, opaque.cost / least.cost, count, rival), fitted
+        return TubeAttenuation(None, 0.0, blur_px, opaque.cost / least.cost, count, rival), fitted
     near = trials.at(
         min((mu for mu, blur in trials.made if mu and blur == least.blur_px), key=lambda mu: abs(np.log(mu / least.mu_per_mm))),
         least.blur_px,
     )
-    law = TubeLaw(least.mu_per_mm, least.sigma, least.blur_px, opaque.cost / least.cost, count)
-    return law, scaled(near.tubes, organ, near.mu_per_mm, least.mu_per_mm)
+    attenuation = TubeAttenuation(least.mu_per_mm, least.sigma, least.blur_px, opaque.cost / least.cost, count)
+    return attenuation, scaled(near.tubes, organ, near.mu_per_mm, least.mu_per_mm)
 
 
-def refine(seen: Evidence, fitted: Tubes, organ: Mask, law: TubeLaw) -> tuple[TubeLaw, Tubes]:
-    """Find attenuation and blur once more, with the tubes of ``law`` at rest.
+def refine(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation) -> tuple[TubeAttenuation, Tubes]:
+    """Find attenuation and blur once more, with the tubes of ``attenuation`` at rest.
 
     Parameters
     ----------
-    seen : opacity, with the attenuation of ``law``.
+    seen : Evidence
+        Opacity, with that attenuation.
     """
-    if law.mu_per_mm is None:
-        return law, fitted
-    trials = _Trials.of(seen, fitted, organ, law.blur_px)
+    if attenuation.mu_per_mm is None:
+        return attenuation, fitted
+    trials = _Trials.of(seen, fitted, organ, attenuation.blur_px)
     if trials.lone.sum() < _LEAST_LONE:
-        return law, fitted
-    least = _joint(trials, law.mu_per_mm, law.blur_px)
-    found = replace(law, mu_per_mm=least.mu_per_mm, sigma=least.sigma, blur_px=least.blur_px, profiles=int(trials.lone.sum()))
-    return found, scaled(fitted, organ, law.mu_per_mm, least.mu_per_mm)
+        return attenuation, fitted
+    least = _joint(trials, attenuation.mu_per_mm, attenuation.blur_px)
+    found = replace(attenuation, mu_per_mm=least.mu_per_mm, sigma=least.sigma, blur_px=least.blur_px, profiles=int(trials.lone.sum()))
+    return found, scaled(fitted, organ, attenuation.mu_per_mm, least.mu_per_mm)
 
 
 @dataclass(frozen=True)
@@ -205,7 +218,8 @@ class _Least:
 def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
     """Walk from a blur to the best of the neighbouring blurs, each with its best attenuation.
 
-    Blur and attenuation look alike to some degree, so that half of what a step of blur changes counts as doubt of the attenuation.
+    Blur and attenuation look alike to some degree, so that half of what a step of blur changes counts as uncertainty of
+    the attenuation.
     """
     known: dict[int, _Least] = {}
 
@@ -230,8 +244,8 @@ def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
         off = float(np.clip(-slope / (2.0 * bend), -0.5, 0.5)) if bend > 0.0 else 0.0
         mu_per_mm = found.mu_per_mm * float(np.exp(0.5 * (change[1] - change[0]) * off + 0.5 * (change[0] + change[1]) * off**2))
         found = replace(found, mu_per_mm=mu_per_mm, blur_px=found.blur_px + _BLUR_STEP_PX * off)
-    doubt = 0.5 * sum(abs(one) for one in change) / max(len(beside), 1)
-    return replace(found, sigma=float(np.hypot(found.sigma, doubt)))
+    more = 0.5 * sum(abs(one) for one in change) / max(len(beside), 1)
+    return replace(found, sigma=float(np.hypot(found.sigma, more)))
 
 
 def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _Least:
@@ -250,7 +264,8 @@ def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _
     at = np.log(ratio) * np.array([-1.0, 0.0, 1.0])
     bend, slope, level = np.polyfit(at, loss.sum(axis=(1, 2)), 2)
     if bend <= 0.0:
-        return _Least(mu_per_mm * ratio**best, blur_px, trial(best).cost, float(np.log(_DARKEST / _FAINTEST)))  # anything that was tried
+        # anything that was tried
+        return _Least(mu_per_mm * ratio**best, blur_px, trial(best).cost, float(np.log(_DARKEST / _FAINTEST)))
     off = float(np.clip(-slope / (2.0 * bend), at[0], at[-1]))
     # sandwich: the slope at the least that every root and every view has by itself
     variance = 0.0
@@ -261,7 +276,7 @@ def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _
 
 
 def scaled(fitted: Tubes, organ: Mask, before: float | None, after: float | None) -> Tubes:
-    """Give tubes the radii that keep back as much light from the side with another attenuation; None is opaque."""
+    """Give tubes the radii that absorb as much light from the side with another attenuation; None is opaque."""
     radius = fitted.radius_mm if before is None else translucent_tube.opaque_radius(fitted.radius_mm, before)
     radius = radius if after is None else translucent_tube.radius_of(radius, after)
     return tubes.moved(fitted, fitted.centre_mm, np.where(organ, fitted.radius_mm, radius))

@@ -16,7 +16,8 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
 
 _OUTLINE_PX = 0.1
-"""An outline may be this far off (90 %): bands of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their direction."""
+"""An outline may be this far off (90 %): bands of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their
+direction."""
 _ABSENT = 0.1
 """What no picture needs is taken to be absent; at 90 % confidence, a tenth of it may be there."""
 _COARSER = 4
@@ -27,14 +28,17 @@ _INDEX = 0.002
 """An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
 
 
-def doubt(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half_excess: float) -> tuple[Term, ...]:
+def estimate(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half_excess: float) -> tuple[Term, ...]:
     """Return the terms of a trimmed hull.
 
     Parameters
     ----------
-    thick : the part of it that is in the shape (the rest is given by tubes).
-    slack_px : by how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
-    half_excess : by how much the hull grows when half of the views carve it, as a share.
+    thick : Trimmed
+        The part of it that is in the shape (the rest is given by tubes).
+    slack_px : float
+        By how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
+    half_excess : float
+        By how much the hull grows when half of the views carve it, as a share.
     """
     volume, whole, thick_mm3 = (leaves.volume_mm3() for leaves in (trimmed.leaves, hull.leaves, thick.leaves))
     share = thick_mm3 / max(volume, 1e-9)
@@ -72,12 +76,14 @@ def mm3_per_px(hull: Hull, *, slack_px: float) -> float:
 def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull: Hull, thick: Trimmed, water: Water) -> float:
     """Return by how much a hull grows, as a share, when every other view carves it; 0 where little of it is kept.
 
-    A flat face that no view looks along is bounded by the two views beside: its excess goes with one over the number of views, so that
-    what half of the views add is what all of them have too much. (Round bodies' goes with its square: a third of that.)
+    A flat face that no view looks along is bounded by the two views beside: its excess goes with one over the number of
+    views, so that what half of the views add is what all of them have too much. (Round bodies' goes with its square: a
+    third of that.)
 
     Parameters
     ----------
-    frames : number of each view's frame, which rise round the turn.
+    frames : sequence of int
+        Number of each view's frame, which rise round the turn.
     """
     if thick.kept_mm3 <= _MUCH_KEPT * thick.leaves.volume_mm3():
         return 0.0
