@@ -162,23 +162,12 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     if not len(rows):
         return Panel(background, np.zeros_like(background), np.zeros(background.shape, bool))
 
-    def upper_mean(begin: int) -> None:
-        part = stack[:, begin : begin + _BLOCK_ROWS]
-        if inside.ndim == 3:
-            part = np.where(inside[:, begin : begin + _BLOCK_ROWS], part, 0.0)
-        # sorted from the brightest: what lies outside comes last,
-        # and the quintile is that of the views that look into the water
-        number = views if inside.ndim == 2 else inside[:, begin : begin + _BLOCK_ROWS].sum(axis=0)
-        rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
-        ranks = np.unique(rank)
-        upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
-        near = np.abs(part - upper) <= _ALIKE * upper
-        count = near.sum(axis=0)
-        background[begin : begin + _BLOCK_ROWS] = np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1)
-        agreed[begin : begin + _BLOCK_ROWS] = count >= _AGREED * number
+    def block(begin: int) -> None:
+        part = np.s_[begin : begin + _BLOCK_ROWS]
+        background[part], agreed[part] = _upper_mean(stack[:, part], inside[:, part] if inside.ndim == 3 else None)
 
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
-        list(pool.map(upper_mean, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
+        list(pool.map(block, range(int(rows[0]), int(rows[-1]) + 1, _BLOCK_ROWS)))
     background[~often] = 0.0
     smooth = _smooth_surface(background, often, agreed, settings)
     brighter = cv2.GaussianBlur(np.where(smooth > 0, background - smooth, 0.0), (0, 0), _GLARE_PX)
@@ -195,6 +184,24 @@ def estimate(stack: Image, inside: Mask, settings: CoverageSettings = CoverageSe
     # Always covered: darker than its surroundings foretell, away from the flanks where the surface is steep.
     covered = often & (background < _COVERED * smooth)
     return Panel(np.where(covered, smooth, background).astype(np.float32), added, np.asarray(glare))
+
+
+def _upper_mean(part: Image, inside: Mask | None) -> tuple[Image, Mask]:
+    """Return the mean (H, W) of the views (V, H, W) near the upper quintile, and where that is most of them.
+
+    ``inside`` (V, H, W): where views look into the water; None: everywhere.
+    """
+    views = len(part)
+    number = views if inside is None else inside.sum(axis=0)
+    # sorted from the brightest: what lies outside comes last,
+    # and the quintile is that of the views that look into the water
+    part = part if inside is None else np.where(inside, part, 0.0)
+    rank = np.broadcast_to(views - 1 - np.asarray(_UPPER * number, np.int64), part.shape[1:])
+    ranks = np.unique(rank)
+    upper = np.take_along_axis(np.partition(part, ranks, axis=0), rank[None], axis=0)[0]
+    near = np.abs(part - upper) <= _ALIKE * upper
+    count = near.sum(axis=0)
+    return np.where(near, part, 0.0).sum(axis=0) / np.maximum(count, 1), count >= _AGREED * number
 
 
 def _lies_before_roots(stack: Image, inside: Mask, smooth: Image, spots: Mask, added: Image) -> bool:

@@ -133,8 +133,7 @@ def find(
         cells, core = _search_space(seen, water, _CELL_PX / px_a_mm, monitor)
         if not len(cells.index):
             return None
-        # what carving left to be used again is in the way of the footprints, and these of what follows
-        dr.flush_malloc_cache()
+        dr.flush_malloc_cache()  # what carving left to be used again is in the footprints' way, and these in what follows
     with monitor.stage("density"):
         cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
         dr.flush_malloc_cache()
@@ -145,13 +144,8 @@ def find(
         start = tubes.string([path.points_mm for path in paths], [_first_radius(path) for path in paths])
     with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
-        # what is wide begins wide, a tube or not
-        start = tubes.from_axes(organs.thicken(start, core, spheres, near_mm)[0])
-        core = organs.thick(core, spheres, organs.LEAST_PX / px_a_mm)
+        seen, core, fitted, organ = _first_fit(seen, start, core, spheres, near_mm, px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
-        seen = seen.beside(organs.footprint(seen, core, CORE_PX + _BEYOND_PX))
-        start, _, organ = organs.centred(start, core, spheres, near_mm)
-        fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
     with monitor.stage("translucency"):
         attenuation, seen, fitted = _attenuated(seen, fitted, organ, learned)
     with monitor.stage("branches"):
@@ -166,9 +160,7 @@ def find(
         return None
     if attenuation.mu_per_mm is not None:
         with monitor.stage("translucency again"):
-            attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation)
-            seen = replace(seen, mu_per_mm=attenuation.mu_per_mm)
-            fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=attenuation.blur_px, steps=_AFTER_STEPS)
+            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation)
     return RootTree(
         tubes=fitted,
         buried=buried,
@@ -183,6 +175,22 @@ def find(
     )
 
 
+def _first_fit(
+    seen: Evidence, start: Tubes, core: Cells, spheres: Spheres, near_mm: float, px_a_mm: float
+) -> tuple[Evidence, Cells, Tubes, Mask]:
+    """Fit the traced tubes beside the thick organs.
+
+    Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are organs.
+    """
+    # what is wide begins wide, a tube or not
+    start = tubes.from_axes(organs.thicken(start, core, spheres, near_mm)[0])
+    core = organs.thick(core, spheres, organs.LEAST_PX / px_a_mm)
+    seen = seen.beside(organs.footprint(seen, core, CORE_PX + _BEYOND_PX))
+    start, _, organ = organs.centred(start, core, spheres, near_mm)
+    fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
+    return seen, core, fitted, organ
+
+
 def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
     """Estimate how much root is in each cell.
 
@@ -192,6 +200,14 @@ def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_m
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
     thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
     return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+
+
+def _refined(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation) -> tuple[TubeAttenuation, Evidence, Tubes]:
+    """Find the attenuation once more with all roots there, and fit the tubes with it; return as `_attenuated`."""
+    attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation)
+    seen = replace(seen, mu_per_mm=attenuation.mu_per_mm)
+    fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=attenuation.blur_px, steps=_AFTER_STEPS)
+    return attenuation, seen, fitted
 
 
 def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, learned: Attenuation | None) -> tuple[TubeAttenuation, Evidence, Tubes]:

@@ -34,7 +34,7 @@ def _laterals() -> list[np.ndarray]:
     return [line((0.0, 0.0, -24.0 - 4.0 * k), (4.0 * np.cos(a), 4.0 * np.sin(a), -27.0 - 4.0 * k)) for k, a in enumerate(angle)]
 
 
-def test_an_end_is_doubtful_where_little_shows_much_is_left_and_another_root_is_near():
+def test_an_end_is_uncertain_where_little_shows_much_is_left_and_another_root_is_near():
     beside = line((0.0, 0.0, -44.0), (0.4, 0.0, -46.0))  # its tip is 0.2 mm from the trunk's surface, those of the others far
     system = strung(TRUNK, *_laterals(), beside)
     near = len(system.branches) - 1
@@ -45,7 +45,7 @@ def test_an_end_is_doubtful_where_little_shows_much_is_left_and_another_root_is_
     np.testing.assert_array_equal(_judged(system, {3: (0.05, 0.9)}), system.owner == 3)
 
 
-def test_only_what_goes_on_beyond_the_last_lateral_is_doubtful_and_long_ends_are_not():
+def test_only_what_goes_on_beyond_the_last_lateral_is_uncertain_and_long_ends_are_not():
     laterals = _laterals()
     twig = line(tuple(laterals[2][20]), tuple(laterals[2][20] + np.array([0.0, 0.0, -3.0])))
     system = strung(TRUNK, *laterals, twig, line((0.0, 0.0, -47.0), (12.0, 0.0, -47.0)))

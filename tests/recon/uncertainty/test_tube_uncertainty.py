@@ -7,7 +7,7 @@ from rhizotwin.recon.uncertainty import tube_uncertainty
 from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 
 
-def test_doubt_about_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:
+def test_uncertainty_of_true_tubes_is_small_and_a_missing_twig_is_missed() -> None:
     true = strung(TRUNK, TWIG, radius_mm=0.25)
     seen = pictured(true)
     px_a_mm = float(np.median(np.linalg.norm(seen.project(true.centre_mm).du, axis=-1)))
