@@ -234,19 +234,25 @@ def score(
             from rhizotwin.recon.scoring.score import score as compare
 
             return compare(result, dataset)
-        from rhizotwin.recon.scoring import score_solid
-
         if volume_ml is not None:
-            return score_solid.score_volume(result, 1000.0 * volume_ml)
-        from rhizotwin.recon.results.result_files import Mesh
-        from rhizotwin.sim import meshes, solids
+            from rhizotwin.recon.scoring.score_solid import score_volume
 
-        solid, notes = meshes.load_solid(Path(str(truth)))
-        for note in notes:
-            log.info(note)
-        vertices, faces = solids.surface_of(solid)
-        shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
-        return score_solid.score_solid(result, shape, volume_mm3=float(solid.volume()))
+            return score_volume(result, 1000.0 * volume_ml)
+        return _score_part(result, Path(str(truth)))
+
+
+def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
+    """Lay the part that was scanned onto a result and compare them."""
+    from rhizotwin.recon.results.result_files import Mesh
+    from rhizotwin.recon.scoring.score_solid import score_solid
+    from rhizotwin.sim import meshes, solids
+
+    solid, notes = meshes.load_solid(file)
+    for note in notes:
+        log.info(note)
+    vertices, faces = solids.surface_of(solid)
+    shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
+    return score_solid(result, shape, volume_mm3=float(solid.volume()))
 
 
 def _choose(device: Device) -> None:

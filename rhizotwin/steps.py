@@ -54,6 +54,21 @@ def open_page(address: str, port: int, page: Page) -> None:
         webbrowser.open(address)
 
 
+def _refuse_place(output: Path, dataset: Path) -> None:
+    """Refuse a result folder in which something would be lost."""
+    from rhizotwin.recon.results.result_files import RESULT_NAMES
+
+    tidy(output)
+    there = contents(output)
+    if there and not (output / "result.json").is_file():
+        raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
+    strange = [name for name in there if name not in RESULT_NAMES]
+    if strange:
+        raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
+    if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
+        raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+
+
 def reconstruct_whole(
     dataset: Path,
     output: Path,
@@ -84,18 +99,9 @@ def reconstruct_whole(
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
-    from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
-
-    tidy(output)
-    there = contents(output)
-    if there and not (output / "result.json").is_file():
-        raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
-    strange = [name for name in there if name not in RESULT_NAMES]
-    if strange:
-        raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
-    if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
-        raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+    _refuse_place(output, dataset)
     from rhizotwin.recon.results import report
+    from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page

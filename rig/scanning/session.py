@@ -145,6 +145,18 @@ class Session:
         return replace(self._dataset, frames=tuple(frame for frame in found if frame is not None))
 
 
+def _stopped(folder: Path, resume: bool) -> Dataset:
+    """Return what a stopped scan left in a folder; refuse it unless it is to be taken up."""
+    before = load_dataset(folder)
+    if before.origin.get("program") != PROGRAM:
+        raise UserError(f"{folder} holds a dataset that was not made by scanning: choose a new folder for the scan")
+    if not resume:
+        state = "a finished scan" if before.origin.get("complete") else f"a scan that was stopped after {len(before.frames)} pictures"
+        hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
+        raise UserError(f"{folder} holds {state}: {hint}choose a new folder")
+    return before
+
+
 def take_up(
     folder: Path,
     scene: Scene,
@@ -195,13 +207,7 @@ def take_up(
         if any(path.is_file() for path in inside):
             raise UserError(f"{folder} is not empty and holds no stopped scan: choose a new folder for the dataset")
         return Session(new, planned)
-    before = load_dataset(folder)
-    if before.origin.get("program") != PROGRAM:
-        raise UserError(f"{folder} holds a dataset that was not made by scanning: choose a new folder for the scan")
-    if not resume:
-        state = "a finished scan" if before.origin.get("complete") else f"a scan that was stopped after {len(before.frames)} pictures"
-        hint = "" if before.origin.get("complete") else "add --resume to finish it, or "
-        raise UserError(f"{folder} holds {state}: {hint}choose a new folder")
+    before = _stopped(folder, resume)
     _refuse_differences(before, new)
     kept = tuple(frame for frame in before.frames if _is_whole(folder, frame))
     strange = {frame.file for frame in kept} - {file_of(view) for view in planned}
