@@ -92,6 +92,7 @@ class _Trial:
     """Tubes fitted with some attenuation and blur."""
 
     mu_per_mm: float | None
+    blur_px: float
     tubes: Tubes
     loss: Array
     """(V, N) what is left on each profile."""
@@ -121,7 +122,7 @@ class _Trials:
         found = tube_profiles.profiles(light, fitted, at, depth, difference, blur_px).host()
         alone = (found.shown > _ALONE * found.whole) & (found.whole > 0.0) & (at.sine(fitted.tangents) > _LEAST_SINE) & ~organ
         left = tube_profiles.misfit(light, fitted, difference)
-        return _Trials(light, organ, _Trial(light.mu_per_mm, fitted, left, 0.0), alone & np.isfinite(left))
+        return _Trials(light, organ, _Trial(light.mu_per_mm, blur_px, fitted, left, 0.0), alone & np.isfinite(left))
 
     def at(self, mu_per_mm: float | None, blur_px: float) -> _Trial:
         """Refit the tubes with some attenuation and blur."""
@@ -131,7 +132,7 @@ class _Trials:
             depth = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
             left = tube_profiles.misfit(seen, self.start.tubes, tube_picture.unexplained(seen, depth))
             loss = np.where(self.lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0)
-            self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, fitted, loss, float(loss.sum()))
+            self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, blur_px, fitted, loss, float(loss.sum()))
             dr.flush_malloc_cache()  # no trial's kernels have the sizes of another's
         return self.made[mu_per_mm, blur_px]
 
@@ -188,7 +189,10 @@ def find(seen: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> tuple[Tu
 
 
 def refine(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation) -> tuple[TubeAttenuation, Tubes]:
-    """Find attenuation and blur once more, with the tubes of ``attenuation`` at rest.
+    """Find attenuation and blur once more, with tubes at rest, or that roots are opaque after all.
+
+    Tubes that are not at rest leave what other attenuations seem to explain: of an opaque bean opaque ones left 1.37
+    times as much as translucent ones (4.3 a mm) at first, and 1.09 times as much at rest (10 a mm).
 
     Parameters
     ----------
@@ -201,6 +205,10 @@ def refine(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuat
     if trials.lone.sum() < _LEAST_LONE:
         return attenuation, fitted
     least = _joint(trials, attenuation.mu_per_mm, attenuation.blur_px)
+    opaque = _opaque(trials, least.blur_px)
+    if opaque.cost <= CLEARLY * least.cost:
+        against, rival = opaque.cost / least.cost, least.mu_per_mm if opaque.cost > _PERHAPS * least.cost else None
+        return TubeAttenuation(None, 0.0, opaque.blur_px, against, int(trials.lone.sum()), rival), opaque.tubes
     found = replace(attenuation, mu_per_mm=least.mu_per_mm, sigma=least.sigma, blur_px=least.blur_px, profiles=int(trials.lone.sum()))
     return found, scaled(fitted, organ, attenuation.mu_per_mm, least.mu_per_mm)
 
@@ -246,6 +254,18 @@ def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
         found = replace(found, mu_per_mm=mu_per_mm, blur_px=found.blur_px + _BLUR_STEP_PX * off)
     more = 0.5 * sum(abs(one) for one in change) / max(len(beside), 1)
     return replace(found, sigma=float(np.hypot(found.sigma, more)))
+
+
+def _opaque(trials: _Trials, blur_px: float) -> _Trial:
+    """Walk from a blur to the one with which opaque roots explain the pictures best."""
+    best = trials.at(None, blur_px)
+    while blur_px + _BLUR_STEP_PX < _MOST_BLUR_PX:
+        blur_px += _BLUR_STEP_PX
+        wider = trials.at(None, blur_px)
+        if wider.cost >= best.cost:
+            break
+        best = wider
+    return best
 
 
 def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _Least:

@@ -137,6 +137,15 @@ def test_opaque_tubes_stay_opaque() -> None:
     assert found is truth
 
 
+def test_opaque_tubes_taken_for_translucent_are_opaque_again_at_rest() -> None:
+    truth = strung(*STAR)
+    seen, organ = replace(pictured(truth, None, noise=0.005).by_light(), mu_per_mm=4.3), np.zeros(len(truth.radius_mm), bool)
+    wrong = tube_attenuation.TubeAttenuation(mu_per_mm=4.3, sigma=0.05, blur_px=0.0, against_opaque=1.37, profiles=1193)
+    attenuation, found = tube_attenuation.refine(seen, tube_attenuation.scaled(truth, organ, None, 4.3), organ, wrong)
+    assert attenuation.mu_per_mm is None
+    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.03)
+
+
 def test_silhouettes_tell_no_attenuation() -> None:
     truth = strung(*STAR)
     blank = [Silhouette(s.coverage, s.seen) for s in dark().silhouettes]
