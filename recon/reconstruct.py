@@ -5,6 +5,7 @@ Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
 from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import peak_memory_mib, versions
 from rhizotwin.scenes.schema import to_plain
@@ -80,7 +82,8 @@ def reconstruct(
     stages = StageFolder.begin(keep_stages)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
-    hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+    of_pictures = _checks(pictures, cameras, coverage, settings.trust)
+    hull = _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor)
     stages.keep("hull", hull, leave=_ON_DEVICE)
     tree = shaping.find_roots(hull, coverage, monitor=monitor)
     roots = None
@@ -91,7 +94,7 @@ def reconstruct(
             hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
             stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
-    checked = (*_checks(pictures, cameras, coverage, settings.trust), *solid.checks)
+    checked = (*of_pictures, *solid.checks)
     solid = _judged(solid, checked)
     shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
     roots_said = () if roots is None else roots.attenuation.warnings()
@@ -115,6 +118,16 @@ def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[
     """Estimate length, tips and mean diameter, with intervals and verdicts of their own."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
+
+
+def _first_hull(
+    dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, checked: Sequence[Check], monitor: Monitor
+) -> shaping.TrimmedHull:
+    """Carve; where nothing is left, say what the pictures failed, too: that is the cause more often than not."""
+    try:
+        return shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+    except UserError as error:
+        raise UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".") from None
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
