@@ -83,8 +83,7 @@ def reconstruct(
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
     of_pictures = _checks(pictures, cameras, coverage, settings.trust)
-    hull = _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor)
-    stages.keep("hull", hull, leave=_ON_DEVICE)
+    hull = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE)
     tree = shaping.find_roots(hull, coverage, monitor=monitor)
     roots = None
     if tree is not None:
