@@ -81,12 +81,16 @@ class RigUncertainty:
 
     station: NDArray[np.int64]
     """(F,) to which standing of the camera each frame belongs."""
-    camera: Array
-    """(R, 6, 6) covariance of the left-hand twist of each station's camera, rad and mm."""
-    canister: Array
-    """(4,) standard deviations of the canister's tilt about x, y (rad) and offset x, y (mm) in the strip."""
-    focus: float
-    """Standard deviation of the focal scale."""
+    covariance: Array
+    """(5 + 6 R, 5 + 6 R) of the focal scale, the canister's tilt about x, y (rad) and offset x, y (mm) in its own
+    frame, and the left-hand twist (rad, mm) of each station's camera."""
+    turn: Array
+    """(F,) standard deviation of each frame's table angle (rad)."""
+
+    @property
+    def stations(self) -> int:
+        """Number R of standings of the camera."""
+        return (len(self.covariance) - 5) // 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +101,8 @@ class MarkerCalibration:
     table_from_canister: Array | None
     """(4, 4) how the canister stands on the table: tilt and offset."""
     table_sigma: Array | None
-    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
+    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm): of the strip by its markers and of the
+    canister in the strip by its edges together."""
     inset_px: float
     """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
     focal_scale: float

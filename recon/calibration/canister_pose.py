@@ -9,16 +9,19 @@ edges of all views in one least-squares problem give the axis's offset and tilt;
 round: the support of an oval with radii R + e and R - e is R + e cos 2(azimuth - its own) to first order in e / R.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.optics.cameras import View, matrix
-from rhizotwin.recon.robust import MAD
+from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
@@ -39,9 +42,17 @@ LEAST_EDGES = 200
 """Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
 _SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1])
 """Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm."""
+_POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
+"""The same of a camera's twist."""
 PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25])
 """How misaligned a net pot may stand (rad, mm), how far the edges may lie from the nominal radius (mm), and how far
 from round cast tube is sold (half a millimetre between largest and smallest diameter)."""
+
+TOGETHER_MM = 20.0
+"""Places along one side of one picture are off alike over this length (correlation 0.7, 0.5, 0.3, 0.1 at 2.5, 5, 10, 20
+mm; 400x300 bench): the edge, hardly leaning, lies between the same two columns of pixels there."""
+LEAST_STIFFNESS = 0.1
+"""Mean derivative of Cauchy's psi: 0.14 where the edges scatter by twice the loss's scale, 0.03 at five times."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +61,12 @@ class CanisterPose:
 
     canister_from_strip: Array
     """(4, 4) without height and turn, which edges do not show."""
+    covariance: Array
+    """(4, 4) of tilt about x, y (rad) and offset x, y (mm), without the errors that the cameras share."""
+    by_cameras: Array
+    """(4, S) how the same follow the errors that the cameras share (`PoseErrors`)."""
     sigma: Array
-    """(4,) standard deviations: tilt about x, y (deg), offset x, y (mm)."""
+    """(4,) standard deviations, with those errors: tilt about x, y (deg), offset x, y (mm)."""
     radius_excess_mm: float
     """How far the edges lie outside the nominal radius."""
     oval_mm: float
@@ -65,7 +80,12 @@ class CanisterPose:
 
 
 def find_canister(
-    views: Sequence[View], images: Callable[[int], Grey], scene: Scene, *, settings: CalibrationSettings = CalibrationSettings()
+    views: Sequence[View],
+    images: Callable[[int], Grey],
+    scene: Scene,
+    *,
+    errors: PoseErrors | None = None,
+    settings: CalibrationSettings = CalibrationSettings(),
 ) -> CanisterPose | None:
     """Find how the canister stands in the strip.
 
@@ -77,6 +97,8 @@ def find_canister(
         Gives the picture of a view by its index.
     scene : Scene
         The canister's radius and height, the net pot's skirt.
+    errors : PoseErrors, optional
+        Of the cameras; without, they count as exact.
     settings : CalibrationSettings
         How loosely the edges are fitted.
 
@@ -86,34 +108,28 @@ def find_canister(
         None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
         surroundings).
     """
-    lines = [_edge_lines(view, images(k), scene) for k, view in enumerate(views)]
-    origin = np.concatenate([line[0] for line in lines])
-    direction = np.concatenate([line[1] for line in lines])
-    if len(origin) < LEAST_EDGES:
+    px = [_edge_pixels(view, images(k), scene) for k, view in enumerate(views)]
+    edges = _Edges.through(px, views, scene.canister.outer_radius_mm)
+    if len(edges.view) < LEAST_EDGES:
         return None
-    radius_mm = scene.canister.outer_radius_mm
-
-    def distances(unknown: Array) -> Array:
-        canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
-        start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
-        away_mm, azimuth = _from_axis(start, along)
-        return np.asarray(away_mm - radius_mm - unknown[5] * np.cos(2.0 * azimuth) - unknown[6] * np.sin(2.0 * azimuth))
 
     def residuals(unknown: Array) -> Array:
-        return np.concatenate([distances(unknown) - unknown[4], unknown / PRIOR * settings.edge_mm / np.sqrt(len(origin))])
+        return np.concatenate([edges.off(unknown), unknown / PRIOR * settings.edge_mm / np.sqrt(len(edges.view))])
 
     fit = least_squares(residuals, np.zeros(7), loss="cauchy", f_scale=settings.edge_mm, x_scale=_SCALE)
-    left = distances(fit.x) - fit.x[4]
+    left = edges.off(fit.x)
     spread_mm = MAD * float(np.median(np.abs(left)))
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None
-    jacobian = fit.jac[: len(left)][near]
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * spread_mm**2
-    sigma = np.sqrt(np.diag(covariance))[:4]
-    straight = distances(np.zeros(7))[near]
+    covariance, by_cameras = _doubt(edges.only(near), fit.x, views, errors, settings)
+    shared = np.zeros((1, 1)) if errors is None else errors.shared
+    sigma = np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T))
+    straight = edges.off(np.zeros(7))[near]
     return CanisterPose(
         canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),
+        covariance=covariance,
+        by_cameras=by_cameras,
         sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         radius_excess_mm=float(fit.x[4]),
         oval_mm=float(np.hypot(fit.x[5], fit.x[6])),
@@ -124,6 +140,101 @@ def find_canister(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Edges:
+    """Lines of sight through the canister's edges, in the strip's frame."""
+
+    view: NDArray[np.int64]
+    """(N,) index of the view."""
+    side: NDArray[np.int64]
+    """(N,) 0 or 1."""
+    origin: Array
+    """(N, 3) mm."""
+    direction: Array
+    """(N, 3)."""
+    place: NDArray[np.int64]
+    """(N,) number of the pixel in which the edge lies, with its neighbours along the edge over `TOGETHER_MM`."""
+    radius_mm: float
+
+    @staticmethod
+    def through(found: Sequence[tuple[Array, Array]], views: Sequence[View], radius_mm: float) -> _Edges:
+        """Return the lines of sight through each view's pixels (M, 2)."""
+        px = np.concatenate([pixels for pixels, _ in found])
+        of = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
+        undone = [
+            cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix(view.camera), np.array(view.camera.distortion)).reshape(-1, 2)
+            for (pixels, _), view in zip(found, views, strict=True)
+            if len(pixels)
+        ]
+        rays = np.column_stack([np.concatenate([*undone, np.empty((0, 2))]), np.ones(len(px))])
+        turned = np.einsum("ni,nij->nj", rays, np.array([view.cam_from_canister[:3, :3] for view in views])[of])
+        side = np.concatenate([sides for _, sides in found])
+        one = px[(of == of[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
+        along = int(np.argmax(np.ptp(one, axis=0)))  # rows, where edges stand upright in the pictures
+        block = np.ones(2)
+        block[along] = TOGETHER_MM * views[0].camera.focal_px[0] / views[0].rho_mm
+        return _Edges(
+            view=of,
+            side=side,
+            origin=np.array([view.centre_mm for view in views])[of],
+            direction=turned / np.linalg.norm(turned, axis=1, keepdims=True),
+            place=np.asarray(np.unique(np.floor(px / block), axis=0, return_inverse=True)[1].ravel(), np.int64),
+            radius_mm=radius_mm,
+        )
+
+    def off(self, unknown: Array) -> Array:
+        """Return how far (N,) outside a wall the lines pass: its tilt (2), offset (2), excess of radius, oval (2)."""
+        canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
+        start, along = frames.apply(canister_from_strip, self.origin), self.direction @ canister_from_strip[:3, :3].T
+        away_mm, azimuth = _from_axis(start, along)
+        oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
+        return np.asarray(away_mm - self.radius_mm - unknown[4] - oval_mm)
+
+    def only(self, some: NDArray[np.bool_]) -> _Edges:
+        """Return some of the lines."""
+        rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "origin", "direction")}
+        return replace(self, **rows)
+
+    def displaced(self, views: Sequence[View], step: Array) -> _Edges:
+        """Return the same pixels' lines when every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
+        turn, shift = (np.array([view.cam_from_canister[:3, :3].T @ part for view in views])[self.view] for part in (step[:3], step[3:]))
+        return replace(self, origin=self.origin - shift, direction=self.direction - np.cross(turn, self.direction))
+
+
+def _doubt(
+    edges: _Edges, found: Array, views: Sequence[View], errors: PoseErrors | None, settings: CalibrationSettings
+) -> tuple[Array, Array]:
+    """Return the covariance (4, 4) of tilt and offset, and how they follow the errors that the cameras share (4, S).
+
+    Edges belong together that are of one side of one view, and those on the same pixels of a camera that stands still,
+    in whatever view: where an edge lies between two pixels decides by how much it is misplaced. The two sides of a view
+    have nothing in common (correlation below 0.1) but the view's own pose, which is carried through with the others.
+    """
+    jacobian = _slopes(edges.off, found, _SCALE)
+    square = (edges.off(found) / settings.edge_mm) ** 2
+    pull = edges.off(found) / (1.0 + square)  # Cauchy's psi, and its mean derivative
+    stiff = max(float(np.mean((1.0 - square) / (1.0 + square) ** 2)), LEAST_STIFFNESS)
+    parts = stiff * jacobian[:, :, None] * jacobian[:, None, :]
+    normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR) ** 2 / len(edges.view))
+    meat = scatter(jacobian * pull[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
+    bread = inverse(normal)
+    covariance = sandwich(normal, meat, bread * float(np.mean(pull**2)) / stiff)[:4, :4]
+    if errors is None:
+        return covariance, np.zeros((4, 1))
+    by_pose = _slopes(lambda step: edges.displaced(views, step).off(found), np.zeros(6), _POSE_SCALE)
+    follow = np.zeros((len(views), 7, 6))
+    np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
+    follow = (bread @ follow)[:, :4]
+    own = follow @ errors.own @ follow.transpose(0, 2, 1)
+    return covariance + own.sum(axis=0), np.einsum("vij,vjs->is", follow, errors.carry)
+
+
+def _slopes(function: Callable[[Array], Array], at: Array, scale: Array) -> Array:
+    """Return central differences (N, K) of a function over a thousandth of each unknown's scale (K,)."""
+    steps = 1e-3 * np.diag(scale)
+    return np.stack([(function(at + step) - function(at - step)) / (2.0 * step.max()) for step in steps], axis=1)
+
+
 def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
     """Return the distance (N,) of lines (N, 3), (N, 3) from the z axis, and the azimuth (N,) at which they pass it."""
     cross = start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]
@@ -131,8 +242,8 @@ def _from_axis(start: Array, along: Array) -> tuple[Array, Array]:
     return np.abs(cross) / np.hypot(along[:, 0], along[:, 1]), azimuth
 
 
-def _edge_lines(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
-    """Return the lines of sight (origins, directions) through the edges of one picture, in the strip's frame."""
+def _edge_pixels(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
+    """Return the pixels (M, 2) of both edges of one picture, and the side (M,) of each."""
     canister = scene.canister
     low = -canister.height_mm + MARGIN_MM
     high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm) - MARGIN_MM
@@ -143,12 +254,7 @@ def _edge_lines(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
         _measured(view, image, _circle(azimuth + side * half, canister.outer_radius_mm, z), _circle(azimuth + side * half, 0.0, z))
         for side in (-1.0, 1.0)
     ]
-    px = np.concatenate(found)
-    if not len(px):
-        return np.empty((0, 3)), np.empty((0, 3))
-    undone = cv2.undistortPoints(px.reshape(-1, 1, 2), matrix(view.camera), np.array(view.camera.distortion))
-    rays = np.concatenate([undone.reshape(-1, 2), np.ones((len(px), 1))], axis=1) @ view.cam_from_canister[:3, :3]
-    return np.broadcast_to(centre, rays.shape), rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.concatenate(found), np.repeat([0, 1], [len(px) for px in found])
 
 
 def _circle(angle_rad: float, radius_mm: float, z: Array) -> Array:

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from rhizotwin.recon.calibration import bare_canister, markers, poses
-from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, RigUncertainty
+from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
+from rhizotwin.recon.calibration.chain import Chain
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
@@ -21,8 +22,6 @@ from rhizotwin.scenes.monitor import Monitor
 
 LEAST_VIEWS = 3
 """Two silhouettes bound no shape."""
-CANISTER_UNSEEN = np.array([0.1, 0.1, 0.2, 0.2])
-"""How misaligned (degrees, mm) a canister may stand in the strip where its edges were not seen."""
 FOCUS_GIVEN = 1e-4
 """How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
 
@@ -69,19 +68,16 @@ def find_cameras(
     lens = scene.camera.focused(solved.focal_scale)
     left_out = tuple(f"{view.file} is left out: {view.reason}" for view in solved.views if not view.used)
     with monitor.stage("canister"):
-        canister = None if single_view else _canister(pictures, solved.views, lens, settings)
-    strip_from_canister = np.eye(4) if canister is None else frames.invert(canister.canister_from_strip)
-    found = tuple(
-        view if view.cam_from_canister is None else replace(view, cam_from_canister=view.cam_from_canister @ strip_from_canister)
-        for view in solved.views
-    )
+        canister = None if single_view else _canister(pictures, solved, lens, settings)
+    chain = Chain.of(solved, canister)
+    found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
     cameras = Cameras(
         lens=lens,
         optics=optics,
         all=found,
         order=_used(found),
-        uncertainty=_uncertainty(pictures.frames, solved, canister),
-        markers=_calibration(pictures.frames, detected, solved, canister, strip_from_canister),
+        uncertainty=chain.uncertainty(pictures.frames, focus=FOCUS_GIVEN if solved.focal_scale == 1.0 else 0.0),
+        markers=_calibration(pictures.frames, detected, solved, canister, chain),
         warnings=(*solved.warnings, *left_out),
     )
     return _usable(pictures, cameras)
@@ -134,28 +130,13 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
     return cameras
 
 
-def _canister(pictures: Pictures, found: Sequence[Camera], lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
+def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
     """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
-    used = {k: view.cam_from_canister for k, view in enumerate(found) if view.used}
+    used = {k: view.cam_from_canister for k, view in enumerate(solved.views) if view.used}
     views = [View(camera=lens, cam_from_canister=pose) for pose in used.values() if pose is not None]
     keys = list(used)
-    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, settings=settings)
-
-
-def _uncertainty(captured: Sequence[Frame], solved: poses.Poses, canister: CanisterPose | None) -> RigUncertainty:
-    """Return how well markers and edges know the rig; a view of no station is a station of its own."""
-    stations = [(ring.ring, ring.placement) for ring in solved.rings]
-    camera = [ring.covariance for ring in solved.rings]
-    number = []
-    for frame, view in zip(captured, solved.views, strict=True):
-        if frame.station not in stations and view.covariance is not None:
-            number.append(len(camera))
-            camera.append(view.covariance)
-        else:
-            number.append(stations.index(frame.station) if frame.station in stations else 0)
-    sigma = CANISTER_UNSEEN if canister is None else canister.sigma
-    focus = solved.focal_sigma if solved.focal_scale != 1.0 and solved.focal_sigma is not None else FOCUS_GIVEN
-    return RigUncertainty(np.array(number), np.array(camera), np.concatenate([np.deg2rad(sigma[:2]), sigma[2:]]), focus)
+    errors = None if solved.errors is None else solved.errors.of(keys, [None] * len(keys))
+    return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 
 
 def _calibration(
@@ -163,7 +144,7 @@ def _calibration(
     detected: Sequence[markers.Markers],
     solved: poses.Poses,
     canister: CanisterPose | None,
-    strip_from_canister: frames.Array,
+    chain: Chain,
 ) -> MarkerCalibration:
     """Gather what all views together gave."""
     turned = [
@@ -172,11 +153,10 @@ def _calibration(
         if view.used and view.table_deg is not None and frame.table_deg is not None
     ]
     blurs = [found.blur_px for found in detected if found.blur_px is not None]
-    table_from_strip = solved.table_from_canister
     return MarkerCalibration(
         rings=solved.rings,
-        table_from_canister=None if table_from_strip is None else table_from_strip @ strip_from_canister,
-        table_sigma=solved.table_sigma,
+        table_from_canister=chain.table_from_canister,
+        table_sigma=chain.table_sigma,
         inset_px=solved.inset_px,
         focal_scale=solved.focal_scale,
         focal_found=solved.focal_found,

@@ -9,6 +9,7 @@ import numpy as np
 from rhizotwin.recon.calibration import view_fit
 from rhizotwin.recon.calibration.cameras import Camera, Ring
 from rhizotwin.recon.calibration.markers import Markers
+from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
 from rhizotwin.recon.calibration.rig_start import first_rig
 from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, Sightings
@@ -43,8 +44,10 @@ class Poses:
     rings: tuple[Ring, ...] = ()
     table_from_canister: Array | None = None
     """(4, 4) how the canister stands on the table: tilt and offset."""
-    table_sigma: Array | None = None
-    """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm)."""
+    errors: PoseErrors | None = None
+    """Of all views' poses together; None where each view stands for itself."""
+    turn_sigma_rad: Array | None = None
+    """(F,) standard deviations of the table angles; 0 for views that are not of the rig."""
     inset_px: float = 0.0
     """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
     focal_scale: float = 1.0
@@ -215,8 +218,9 @@ def _together(
         fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(seen) - set(keys):
             views[k] = _refocused(views[k], seen[k], focal_scale)
+    covariance = fit.errors.covariance()
     for i, k in enumerate(keys):
-        view = _placed(views[k], fit.rig.pose(i), fit.views[i], fit.covariance[i])
+        view = _placed(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
         views[k] = replace(
@@ -227,12 +231,15 @@ def _together(
             table_deg=float(turn) if first.known[i] else None,
         )
     _need_one(views, captured)
-    sigma = np.sqrt(np.diag(fit.offset_covariance))
+    place = {k: i for i, k in enumerate(keys)}
+    turn_sigma = np.zeros(len(views))
+    turn_sigma[keys] = fit.turn_sigma_rad
     return Poses(
         views=tuple(views),
+        errors=fit.errors.of([place.get(k) for k in range(len(views))], [view.covariance for view in views]),
+        turn_sigma_rad=turn_sigma,
         rings=_rings(fit, first.stations),
         table_from_canister=fit.rig.table_from_canister,
-        table_sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
         inset_px=fit.rig.inset_px,
         focal_scale=focal_scale,
         focal_found=refocused.rig.focal_scale,
@@ -250,7 +257,7 @@ def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]
             ring=ring,
             placement=placement,
             cam_from_rig=fit.rig.cam_from_rig[r],
-            covariance=fit.ring_covariance[r],
+            covariance=fit.ring_covariance(r),
             own_deg=float(np.rad2deg(fit.rig.spread[r, 0])),
             own_mm=float(fit.rig.spread[r, 1]),
         )

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.view_fit import Linearised, Sightings, adjoint, linearise, twist
+from rhizotwin.recon.robust import inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
@@ -82,16 +84,22 @@ class RigFit:
     views: tuple[Linearised, ...]
     rig_px: Array
     """(V,) reprojection error of each view without its own movement."""
-    covariance: Array
-    """(V, 6, 6) of the left-hand twist (rad, mm) of cam_from_canister."""
-    ring_covariance: Array
-    """(R, 6, 6) of the left-hand twist of cam_from_rig."""
-    focal_sigma: float
-    """Standard deviation of ``rig.focal_scale``."""
-    offset_covariance: Array
-    """(4, 4) of the canister's tilt about x, y (rad) and offset x, y (mm)."""
+    errors: PoseErrors
+    """Of the views' poses."""
+    turn_sigma_rad: Array
+    """(V,) standard deviations of the table angles."""
     scale: float
     """Factor between the corners' residuals and their covariances."""
+
+    @property
+    def focal_sigma(self) -> float:
+        """Standard deviation of ``rig.focal_scale``."""
+        return float(np.sqrt(self.errors.shared[1, 1]))
+
+    def ring_covariance(self, ring: int) -> Array:
+        """Return the covariance (6, 6) of the left-hand twist of a ring's cam_from_rig."""
+        own = slice(2 + 6 * ring, 8 + 6 * ring)
+        return self.errors.shared[own, own]
 
 
 def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: NDArray[np.bool_], settings: CalibrationSettings) -> RigFit:
@@ -131,7 +139,7 @@ def fit_rig(seen: Sequence[Sightings], start: Rig, command_rad: Array, known: ND
     views = _linearised(seen, rig, scale)
     system = _System.about(rig, views, rig.angle_rad - command_rad, angle_sigma, settings)
     rig_px = [linearise(s, rig.rig_pose(k), focal_scale=rig.focal_scale).rms_px for k, s in enumerate(seen)]
-    return system.report(weight, views, scale, np.array(rig_px))
+    return system.report(seen, weight, views, scale, np.array(rig_px))
 
 
 def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Linearised, ...]:
@@ -142,13 +150,6 @@ def _linearised(seen: Sequence[Sightings], rig: Rig, scale: float) -> tuple[Line
 def _misfit(views: Sequence[Linearised]) -> float:
     """Return the factor by which residuals exceed their covariances."""
     return float(np.sqrt(np.median(np.concatenate([view.chi2 for view in views])) / _CHI2_MEDIAN))
-
-
-def _inverse(normal: Array) -> Array:
-    """Invert normal matrices (..., n, n) whose unknowns differ in unit: scaled to a diagonal of ones first."""
-    size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
-    outer = size[..., :, None] * size[..., None, :]
-    return np.asarray(np.linalg.inv(normal / outer) / outer, np.float64)
 
 
 def _stepped(rig: Rig, shared: Array, local: Array) -> Rig:
@@ -207,13 +208,26 @@ class _System:
         gradient = np.array([view.gradient for view in views])
         return cls(rig, by_shared, by_local, normal, gradient, own, angle_off, angle_sigma, settings)
 
-    def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the shared (S,) and local (V, 7) step, and their covariances.
-
-        These are (S, S), (V, 7, 7), and between the two (V, S, 7).
-        """
+    def _prior(self, spread: Array, weight: Array) -> Array:
+        """Return what is known (V, 7) of the local unknowns: one over their variances."""
         precision = np.repeat(spread[self.rig.ring] ** -2.0, 3, axis=1) * weight[:, None]
-        prior = np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
+        return np.concatenate([self.angle_sigma[:, None] ** -2.0, precision], axis=1)
+
+    def _shared_prior(self) -> Array:
+        """Return the same (S,) of the shared unknowns."""
+        prior = np.full(self.by_shared.shape[2], 1e-9)
+        prior[0], prior[1] = self.settings.inset_prior_px**-2.0, self.settings.focus_prior**-2.0
+        prior[-4:] = CANISTER_PRIOR**-2.0
+        return prior
+
+    def solve(self, spread: Array, weight: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the shared (S,) and local (V, 7) step, and how sure they are.
+
+        These are the covariance (S, S) of the shared ones and that (V, 7, 7) of the local ones if the shared ones were
+        known, both for residuals that have nothing to do with one another, and the gain (V, 7, S): local ones give way
+        to the shared by minus that.
+        """
+        prior = self._prior(spread, weight)
         local_from = np.einsum("vij,vik->vjk", self.by_local, self.normal)
         shared_from = np.einsum("vij,vik->vjk", self.by_shared, self.normal)
         local_normal = local_from @ self.by_local + prior[:, :, None] * np.eye(7)
@@ -221,25 +235,24 @@ class _System:
         right = np.einsum("vij,vi->vj", self.by_local, self.gradient)
         right -= prior * np.concatenate([self.angle_off[:, None], self.own], axis=1)
         canister = np.concatenate([frames.to_rotvec(self.rig.table_from_canister)[:2], self.rig.table_from_canister[:2, 3]])
-        shared_prior = np.full(self.by_shared.shape[2], 1e-9)
-        shared_prior[0], shared_prior[1] = self.settings.inset_prior_px**-2.0, self.settings.focus_prior**-2.0
-        shared_prior[-4:] = CANISTER_PRIOR**-2.0
+        shared_prior = self._shared_prior()
         shared_right = np.einsum("vij,vi->j", self.by_shared, self.gradient)
         shared_right[0] -= shared_prior[0] * self.rig.inset_px
         shared_right[1] -= shared_prior[1] * (self.rig.focal_scale - 1.0)
         shared_right[-4:] -= shared_prior[-4:] * canister
-        inverse = _inverse(local_normal)
-        gain = inverse @ cross
+        given = inverse(local_normal)
+        gain = given @ cross
         reduced = np.sum(shared_from @ self.by_shared - cross.transpose(0, 2, 1) @ gain, axis=0) + np.diag(shared_prior)
-        covariance = _inverse(reduced)
+        covariance = inverse(reduced)
         shared = covariance @ (shared_right - np.einsum("vij,vi->j", gain, right))
-        local = np.einsum("vij,vj->vi", inverse, right) - gain @ shared
-        return shared, local, covariance, inverse + gain @ covariance @ gain.transpose(0, 2, 1), -covariance @ gain.transpose(0, 2, 1)
+        local = np.einsum("vij,vj->vi", given, right) - gain @ shared
+        return shared, local, covariance, given, gain
 
     def find_spread(self, spread: Array, weight: Array) -> tuple[Array, Array]:
         """Return the spread (R, 2) of the views' own movement and the views' weights (V,) under Student's t."""
         for _ in range(SPREAD_STEPS):
-            _, local, _, covariance, _ = self.solve(spread, weight)
+            _, local, shared, given, gain = self.solve(spread, weight)
+            covariance = given + gain @ shared @ gain.transpose(0, 2, 1)
             movement = (self.own + local[:, 1:]) ** 2 + np.diagonal(covariance, axis1=1, axis2=2)[:, 1:]
             square = movement.reshape(-1, 2, 3).sum(axis=2)
             weight = (TAIL + 6.0) / (TAIL + np.sum(square / spread[self.rig.ring] ** 2, axis=1))
@@ -250,20 +263,36 @@ class _System:
     def _members(self) -> list[NDArray[np.bool_]]:
         return [self.rig.ring == ring for ring in range(len(self.rig.cam_from_rig))]
 
-    def report(self, weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
-        """Put the covariances of the poses together."""
-        _, _, shared, local, cross = self.solve(self.rig.spread, weight)
-        mixed = self.by_shared @ cross @ self.by_local.transpose(0, 2, 1)
-        covariance = self.by_shared @ shared @ self.by_shared.transpose(0, 2, 1) + mixed + mixed.transpose(0, 2, 1)
-        covariance = covariance + self.by_local @ local @ self.by_local.transpose(0, 2, 1)
-        rings = [shared[2 + 6 * k : 8 + 6 * k, 2 + 6 * k : 8 + 6 * k] for k in range(len(self.rig.cam_from_rig))]
-        return RigFit(
-            rig=self.rig,
-            views=views,
-            rig_px=rig_px,
-            covariance=covariance[:, :6, :6],
-            ring_covariance=np.array(rings),
-            focal_sigma=float(np.sqrt(shared[1, 1])),
-            offset_covariance=shared[-4:, -4:],
-            scale=scale,
-        )
+    def report(self, seen: Sequence[Sightings], weight: Array, views: tuple[Linearised, ...], scale: float, rig_px: Array) -> RigFit:
+        """Put the errors of the poses together."""
+        shared, given, gain = self.solve(self.rig.spread, weight)[2:]
+        scores, curvatures, view = [], [], []
+        for k, local in enumerate(views):
+            carry, share = self.by_shared[k] - self.by_local[k] @ gain[k], 1.0 / len(local.chi2)
+            held = self._prior(self.rig.spread, weight)[k]
+            off = held * np.append(self.angle_off[k], self.own[k])
+            scores.append(local.gradients @ carry + share * off @ gain[k])
+            curvatures.append(carry.T @ local.normals @ carry + share * (gain[k].T * held) @ gain[k])
+            view.append(np.full(len(local.chi2), k))
+        rows, parts = np.concatenate(scores), np.concatenate(curvatures)
+        known = np.diag(self._shared_prior())
+        normal = parts.sum(axis=0) + known
+        meat = scatter(rows, np.concatenate(view), _places(seen, self.rig), curvatures=parts, normal=normal)
+        carry = self.by_shared[:, :6] - self.by_local[:, :6] @ gain
+        own = self.by_local[:, :6] @ given @ self.by_local[:, :6].transpose(0, 2, 1)
+        errors = PoseErrors(shared=sandwich(normal, meat + known, shared), carry=carry, own=own)
+        turn = given[:, 0, 0] + np.einsum("vs,st,vt->v", gain[:, 0], errors.shared, gain[:, 0])
+        return RigFit(rig=self.rig, views=views, rig_px=rig_px, errors=errors, turn_sigma_rad=np.sqrt(turn), scale=scale)
+
+
+def _places(seen: Sequence[Sightings], rig: Rig) -> NDArray[np.int64]:
+    """Return the number of the place (M,) where each marker of all views is seen: squares of a marker's size.
+
+    A still camera sees markers of all views on the same pixels, under the same angle to the strip's curve, so that what
+    is wrong there is wrong in every view: errors of markers' middles correlate by 0.1 up to 8 px apart and by nothing
+    beyond (400x300, markers of 12 px).
+    """
+    side_px = float(np.median(np.concatenate([np.linalg.norm(one.px[:, 1] - one.px[:, 2], axis=1) for one in seen])))
+    square = [np.floor(one.px.mean(axis=1) / side_px) for one in seen]
+    row = np.concatenate([np.column_stack([np.full(len(at), rig.ring[k]), at]) for k, at in enumerate(square)])
+    return np.asarray(np.unique(row.astype(np.int64), axis=0, return_inverse=True)[1].ravel(), np.int64)

@@ -60,6 +60,10 @@ class Linearised:
     """(8, 8)."""
     gradient: Array
     """(8,)."""
+    normals: Array
+    """(M, 8, 8) part of each marker."""
+    gradients: Array
+    """(M, 8)."""
     chi2: Array
     """(M,) of each marker, before weighting."""
     weight: Array
@@ -114,9 +118,13 @@ def linearise(
     chi2 = np.sum(white * white, axis=1)
     weight = 1.0 / (1.0 + chi2 / (8.0 * WIDE**2))
     square = np.sum(off * off, axis=1) / 8.0
+    normals = weight[:, None, None] * (white_design.transpose(0, 2, 1) @ white_design)
+    gradients = weight[:, None] * np.einsum("mij,mi->mj", white_design, white)
     return Linearised(
-        normal=np.einsum("m,mij,mik->jk", weight, white_design, white_design),
-        gradient=np.einsum("m,mij,mi->j", weight, white_design, white),
+        normal=normals.sum(axis=0),
+        gradient=gradients.sum(axis=0),
+        normals=normals,
+        gradients=gradients,
         chi2=chi2,
         weight=weight,
         rms_px=float(np.sqrt(2.0 * np.sum(weight * square) / np.sum(weight))),

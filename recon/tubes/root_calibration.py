@@ -30,6 +30,7 @@ from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty, RootCal
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.sight_change import QUANTITIES
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
@@ -50,14 +51,10 @@ LEAST_NODES = 100
 """Sixty millimetres of root: fewer come from one or two roots, whose scatter tells no uncertainty."""
 MOST_NODES = 1500
 """More, evenly chosen, tell no more: nodes of one root are off together."""
-TURN_PRIOR_RAD = 7e-5
-"""How well markers know a table angle: 0.004 degrees."""
+LEAST_TURN_RAD = 1e-5
+"""No table angle is known better: markers tell it to 7e-5 at 800x600."""
 _LEAST_VIEWS = 8
 """Fewer views than this leave a node's own place uncertain."""
-MARKERS_SHARE = 3.0
-"""Factor on the cameras' standard deviations: the marker fit takes corners for independent, but a still camera sees the
-same edges on the same rows of pixels in every view, and what they are off by does not average out (clean twin: 1.3 to 6
-standard deviations)."""
 LEAST_VARIANCE = 1e-5
 """Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
 _RIDGE, _ALONG = 1e-3, 0.5
@@ -104,18 +101,15 @@ class _Columns:
         of[:, 0] = 0
         if known is None:
             return _Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
-        stations = len(known.camera)
         of[:, 1:6] = np.arange(1, 6)
         of[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
-        shared = 6 + 6 * stations
+        shared = 6 + 6 * known.stations
         of[:, 6] = shared + np.arange(views)
         precision = np.zeros((shared + views, shared + views))
-        sigma = np.concatenate([[INDEX_PRIOR, known.focus], known.canister, np.full(views, TURN_PRIOR_RAD)])
-        single = np.concatenate([np.arange(6), shared + np.arange(views)])
-        precision[single, single] = sigma**-2.0
-        for k in range(stations):
-            own = slice(6 + 6 * k, 12 + 6 * k)
-            precision[own, own] = _inverse(known.camera[k] * MARKERS_SHARE**2)
+        precision[0, 0] = INDEX_PRIOR**-2.0
+        precision[1:shared, 1:shared] = inverse(known.covariance)
+        turn = np.arange(shared, shared + views)
+        precision[turn, turn] = np.maximum(known.turn[list(order)], LEAST_TURN_RAD) ** -2.0
         return _Columns(of, precision, shared)
 
 
@@ -215,7 +209,7 @@ def changed(cameras: Cameras, change: Array) -> Cameras:
     known = cameras.uncertainty
     if known is None:
         return replace(cameras, optics=optics)
-    stations = len(known.camera)
+    stations = known.stations
     camera, turn = change[6 : 6 + 6 * stations].reshape(-1, 6), change[6 + 6 * stations :]
     moved = []
     for v, (frame, view) in enumerate(zip(cameras.order, cameras.views, strict=True)):
@@ -269,13 +263,13 @@ class _System:
         """
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
-            covariance = _inverse(self.reduced + phi * prior)
+            covariance = inverse(self.reduced + phi * prior)
             change = covariance @ (self.right - phi * prior @ before)
-            scatter = self._scatter(change, root)
-            phi = float(np.diag(covariance @ scatter)[:shared].sum() / np.diag(covariance @ self.reduced)[:shared].sum())
+            meat = self._scatter(change, root)
+            phi = float(np.diag(covariance @ meat)[:shared].sum() / np.diag(covariance @ self.reduced)[:shared].sum())
             phi = max(phi, LEAST_VARIANCE)
-        covariance = _inverse(self.reduced / phi + prior)
-        spread = covariance @ (scatter / phi**2 + prior) @ covariance
+        covariance = inverse(self.reduced / phi + prior)
+        spread = covariance @ (meat / phi**2 + prior) @ covariance
         larger = np.sqrt(np.maximum(np.diag(spread) / np.diag(covariance), 1.0))
         return covariance @ (self.right / phi - prior @ before), covariance * larger[:, None] * larger
 
@@ -301,14 +295,12 @@ class _System:
     def _scatter(self, change: Array, root: NDArray[np.int64]) -> Array:
         """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
         own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums nodes by root
-        by_root, total = np.zeros((own.shape[0], len(change))), np.zeros((len(change), len(change)))
+        scores = []
         for v in range(len(self.by)):
             shift, width = self._left(change, v)
-            both = own @ (self._slopes[v] * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None])
-            by_root += both
-            of_view = both.sum(axis=0)
-            total += np.outer(of_view, of_view) - both.T @ both
-        return _positive(total + by_root.T @ by_root)
+            scores.append(own @ (self._slopes[v] * shift[:, None] - self.follow[:, 3] * (self.sums.scale[v] * width)[:, None]))
+        views, roots = len(scores), own.shape[0]
+        return scatter(np.concatenate(scores), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
 
     def distance_px(self, change: Array) -> float:
         """Return the root mean square distance sideways that is left after a change."""
@@ -325,9 +317,3 @@ def _positive(matrix: Array) -> Array:
     """Return a symmetric matrix without what rounding made negative."""
     size, axes = np.linalg.eigh(matrix)
     return np.asarray((axes * np.maximum(size, 0.0)) @ axes.T)
-
-
-def _inverse(matrix: Array) -> Array:
-    """Invert a symmetric matrix whose unknowns differ in unit."""
-    size = np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size))

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.calibration.canister_pose import find_canister
+from rhizotwin.recon.calibration.pose_errors import PoseErrors
+from rhizotwin.recon.calibration.view_fit import adjoint, twist
 from rhizotwin.recon.optics.cameras import View, matrix
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -57,9 +59,25 @@ def test_the_seat_is_found_within_its_own_uncertainty(noise, radius_mm):
     tilt_deg, shift_mm = np.rad2deg(frames.to_rotvec(error))[:2], error[:2, 3]
     assert np.abs(shift_mm).max() < 0.01
     assert np.abs(tilt_deg).max() < 0.01
-    assert (np.abs(shift_mm) < 6.0 * found.sigma[2:] + 0.003).all()
+    assert (np.abs(shift_mm) < 4.0 * found.sigma[2:]).all()
     assert found.radius_excess_mm == pytest.approx(radius_mm - 76.2, abs=0.05)
     assert found.after_mm < 0.2 * found.before_mm
+
+
+def test_errors_that_the_cameras_share_are_carried_through():
+    views, images = scan()
+    step = np.array([2e-3, -1e-3, 0.0, 0.1, -0.06, 0.0])  # of the strip: the canister in it seems to stand the other way
+    carry, none = np.array([adjoint(view.cam_from_canister) for view in views]), np.zeros((len(views), 6, 6))
+    errors = PoseErrors(shared=np.outer(step, step), carry=carry, own=none)
+    exact = find_canister(views, images.__getitem__, SCENE)
+    found = find_canister(views, images.__getitem__, SCENE, errors=errors)
+    moved = [replace(view, cam_from_canister=view.cam_from_canister @ twist(step)) for view in views]
+    off = find_canister(moved, images.__getitem__, SCENE).canister_from_strip @ frames.invert(found.canister_from_strip)
+    change = np.concatenate([frames.to_rotvec(off)[:2], off[:2, 3]])
+    np.testing.assert_allclose(found.by_cameras @ step, change, rtol=0.05)
+    np.testing.assert_allclose(change, step[[0, 1, 3, 4]], rtol=0.05)
+    assert (found.sigma > exact.sigma).any()
+    assert (found.sigma >= exact.sigma).all()
 
 
 def test_a_tube_out_of_round_is_told_with_its_direction():

@@ -55,8 +55,9 @@ def evidence(views: list[View], optics: Optics) -> Evidence:
 
 def sure_rig(views: int) -> RigUncertainty:
     """Return uncertainty as two rings of good markers leave it."""
-    camera = np.diag(np.array([2e-5, 2e-5, 1e-5, 5e-3, 5e-3, 5e-3]) ** 2)
-    return RigUncertainty(np.repeat([0, 1], views // 2), np.stack([camera, camera]), np.array([5e-6, 5e-6, 1e-3, 1e-3]), 1e-4)
+    camera = [6e-5, 6e-5, 3e-5, 1.5e-2, 1.5e-2, 1.5e-2]
+    sigma = np.array([1e-4, 5e-6, 5e-6, 1e-3, 1e-3, *camera, *camera])
+    return RigUncertainty(np.repeat([0, 1], views // 2), np.diag(sigma**2), np.full(views, 7e-5))
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.name)

@@ -1,0 +1,139 @@
+"""From the strip, whose markers tell the cameras, to the canister, whose water they look through, with both's errors.
+
+``cam_from_canister = cam_from_strip @ strip_from_canister``: what markers and what edges leave open belongs together. A
+strip that is thought to lean makes the edges find a canister that leans the other way, and both together are nearly
+right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rhizotwin.recon.calibration.cameras import Camera, RigUncertainty
+from rhizotwin.recon.calibration.canister_pose import CanisterPose
+from rhizotwin.recon.calibration.pose_errors import PoseErrors
+from rhizotwin.recon.calibration.poses import Poses
+from rhizotwin.recon.calibration.rig_fit import CANISTER
+from rhizotwin.recon.calibration.view_fit import adjoint
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.frames import Array
+
+UNSEEN = np.array([np.deg2rad(0.1), np.deg2rad(0.1), 0.2, 0.2])
+"""How misaligned (rad, mm) a canister may stand in the strip where its edges were not seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """The strip's cameras, and how the canister stands in the strip.
+
+    The errors of its tilt about x, y and offset x, y are ``by_cameras @ s + e``, with the errors s that the cameras
+    share (`PoseErrors`), and e of the edges alone.
+    """
+
+    solved: Poses
+    errors: PoseErrors
+    canister_from_strip: Array
+    """(4, 4)."""
+    covariance: Array
+    """(4, 4) of e."""
+    by_cameras: Array
+    """(4, S)."""
+
+    @staticmethod
+    def of(solved: Poses, canister: CanisterPose | None) -> Chain:
+        """Join what markers and edges told; without edges the canister stands as the strip does, more or less."""
+        errors = solved.errors
+        if errors is None:
+            empty = PoseErrors(shared=np.zeros((6, 6)), carry=np.zeros((0, 6, 6)), own=np.zeros((0, 6, 6)))
+            errors = empty.of([None] * len(solved.views), [view.covariance for view in solved.views])
+        if canister is None:
+            nothing = np.zeros((4, len(errors.shared)))
+            return Chain(solved=solved, errors=errors, canister_from_strip=np.eye(4), covariance=np.diag(UNSEEN**2), by_cameras=nothing)
+        by_cameras = canister.by_cameras if solved.errors is not None else np.zeros((4, 6))
+        return Chain(
+            solved=solved,
+            errors=errors,
+            canister_from_strip=canister.canister_from_strip,
+            covariance=canister.covariance,
+            by_cameras=by_cameras,
+        )
+
+    def camera(self, k: int, view: Camera) -> Camera:
+        """Return a view's camera of the strip as that of the canister, with its own doubt."""
+        if view.cam_from_canister is None:
+            return view
+        pose = view.cam_from_canister @ frames.invert(self.canister_from_strip)
+        lever = -adjoint(pose)[:, CANISTER]
+        carry = self.errors.carry[k] + lever @ self.by_cameras
+        covariance = carry @ self.errors.shared @ carry.T + lever @ self.covariance @ lever.T + self.errors.own[k]
+        return replace(
+            view,
+            cam_from_canister=pose,
+            covariance=covariance,
+            position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+            rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
+        )
+
+    @property
+    def table_from_canister(self) -> Array | None:
+        """(4, 4) how the canister stands on the table; None where the views are not of one rig."""
+        table_from_strip = self.solved.table_from_canister
+        return None if table_from_strip is None else table_from_strip @ frames.invert(self.canister_from_strip)
+
+    @property
+    def table_sigma(self) -> Array | None:
+        """(4,) its standard deviations: tilt about x, y (deg), offset x, y (mm)."""
+        pose = self.table_from_canister
+        if pose is None:
+            return None
+        by_shared, by_edges = self._on_table(pose)
+        sigma = np.sqrt(np.diag(by_shared @ self.errors.shared @ by_shared.T + by_edges @ self.covariance @ by_edges.T))
+        return np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]])
+
+    def _on_table(self, table_from_canister: Array) -> tuple[Array, Array]:
+        """Return how the canister's pose on the table follows shared errors (4, S) and those of the edges (4, 4)."""
+        by_edges = -adjoint(table_from_canister)[np.ix_(CANISTER, CANISTER)]
+        own = np.zeros((4, len(self.errors.shared)))
+        own[:, -4:] = np.eye(4)
+        return own + by_edges @ self.by_cameras, by_edges
+
+    def uncertainty(self, captured: Sequence[Frame], *, focus: float) -> RigUncertainty:
+        """Return how well the rig is known, for what the roots may tell of it.
+
+        A view of no station is a station of its own.
+
+        Parameters
+        ----------
+        captured : sequence of Frame
+            In the order of the views.
+        focus : float
+            Standard deviation of the focal scale beyond what the markers told with the cameras.
+        """
+        solved, shared = self.solved, self.errors.shared
+        stations = [(ring.ring, ring.placement) for ring in solved.rings]
+        alone = [k for k, frame in enumerate(captured) if frame.station not in stations and solved.views[k].covariance is not None]
+        number = np.zeros(len(captured), np.int64)
+        for k, frame in enumerate(captured):
+            number[k] = stations.index(frame.station) if frame.station in stations else len(stations) + alone.index(k) if k in alone else 0
+        size = 5 + 6 * (len(stations) + len(alone))
+        by_shared, own = np.zeros((size, len(shared))), np.zeros((size, size))
+        pose = self.table_from_canister
+        if pose is None:
+            by_shared[1:5], by_edges = -self.by_cameras, -np.eye(4)
+        else:
+            by_table, by_edges = self._on_table(pose)
+            to_canister = np.linalg.inv(adjoint(pose)[np.ix_(CANISTER, CANISTER)])
+            by_shared[1:5], by_edges = to_canister @ by_table, to_canister @ by_edges
+        own[1:5, 1:5] = by_edges @ self.covariance @ by_edges.T
+        by_shared[0, 1], own[0, 0] = 1.0, focus**2
+        count = 6 * len(stations)
+        by_shared[5 : 5 + count, 2 : 2 + count] = np.eye(count)
+        for place, k in enumerate(alone):
+            at = slice(5 + count + 6 * place, 11 + count + 6 * place)
+            by_shared[at], own[at, at] = self.errors.carry[k], self.errors.own[k]
+        turn = np.zeros(len(captured)) if solved.turn_sigma_rad is None else solved.turn_sigma_rad
+        return RigUncertainty(number, by_shared @ shared @ by_shared.T + own, turn)
