@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rhizotwin.building.measures import load_measures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.recon.results import result_files
 from rhizotwin.rig.rig_file import load_rig
@@ -25,6 +26,7 @@ CORPUS = Path(__file__).parent / "corpus"
 READERS: dict[str, Callable[[Path], object]] = {
     "scene.toml": load_scene,
     "rig.toml": load_rig,
+    "measures.toml": load_measures,
     "transforms.json": lambda path: read_cameras(path, Camera()),
     "dataset/dataset.json": lambda path: load_dataset(path.parent),
     "result/result.json": lambda path: result_files.read_summary(path.parent),
