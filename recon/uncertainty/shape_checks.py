@@ -35,16 +35,14 @@ def of_sight(*, missed: float, unexplained: float, fill: float, structure: float
     unexplained, fill : float
         As in `Budget`.
     structure : float or None
-        What is left beside the tubes over what they cover; None where there are none: then what the hull leaves out is
-        unexplained.
+        What is left beside the tubes over what they cover; None where there are none.
     trust : TrustSettings
         The limits.
     """
     agree = "check strip, canister and water in the scene, and that nothing moved"
     crowded = "take more pixels and a second ring, or a younger plant"
-    alone = structure is None  # without tubes nothing else can explain what the hull leaves out
     rows = [
-        (missed, trust.unexplained if alone else trust.missed, f"the views disagree about {100.0 * missed:.1f} % of what they show", agree),
+        (missed, trust.missed, f"the views disagree about {100.0 * missed:.1f} % of what they show", agree),
         (unexplained, trust.unexplained, f"the shape leaves {100.0 * unexplained:.1f} % of what the pictures show unexplained", agree),
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]

@@ -92,11 +92,9 @@ def test_the_worst_of_what_is_seen_is_told() -> None:
     assert "60 %" in crowded.found
 
 
-def test_what_no_tube_explains_either_is_unexplained() -> None:
-    assert shape_checks.of_sight(missed=0.21, unexplained=0.0, fill=0.1, structure=0.05).state == "fair"
-    alone = shape_checks.of_sight(missed=0.21, unexplained=0.0, fill=0.0, structure=None)
-    assert alone.state == "bad"
-    assert "21.0 %" in alone.found
+@pytest.mark.parametrize(("missed", "expected"), [(0.03, "good"), (0.06, "fair"), (0.2, "bad"), (0.3, "bad")])
+def test_what_the_hull_of_all_views_leaves_out_is_judged_as_was_measured(missed: float, expected: str) -> None:
+    assert shape_checks.of_sight(missed=missed, unexplained=0.0, fill=0.1, structure=0.05).state == expected
 
 
 def test_motion_is_untold_without_roots_and_bad_where_they_sway() -> None:
