@@ -12,7 +12,7 @@ COMMANDS = {
     "import": "Make a dataset of a folder of pictures taken elsewhere.",
     "batch": "Reconstruct many scans, here or on a cluster.",
     "batch simulate": "Render many scenes: plants, days, treatments, profiles and seeds.",
-    "score": "Compare a result with the truth of a simulated dataset, a scanned part, or a measured volume.",
+    "score": "Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.",
     "view": "Look at results in a browser, and correct them.",
     "report": "Write the page of a result again, or one page for many results.",
     "edit": "Apply saved corrections to a result, without a browser.",
