@@ -52,6 +52,8 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
     except CycloptsError as error:
         command = " ".join(["rhizotwin", *(error.command_chain or ())])
         raise UserError(f"{_sentence(error, words)}; see {command} --help") from None
+    except RecursionError:  # lists of lists are read as JSON
+        raise UserError("an option's value is nested deeper than any can be; see rhizotwin --help") from None
     return function, bound
 
 

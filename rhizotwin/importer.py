@@ -18,8 +18,10 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.picture_damage import is_sealed
 from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.unlike_rows import LEAST, Turn
 
 MOST_CLIPPED = 0.05
 """Share of a picture's pixels at full scale above which it is overexposed, as before a scan
@@ -74,8 +76,8 @@ def import_pictures(
     Raises
     ------
     UserError
-        For an unreadable, damaged or differently sized picture, silhouettes without cameras or with greys, or cameras
-        that do not fit.
+        For an unreadable, damaged or differently sized picture, one without a checksum whose rows are like no other
+        picture's, silhouettes without cameras or with greys, or cameras that do not fit.
     """
     refuse_tank(scene, "import")
     if masks and cameras is None:
@@ -104,6 +106,7 @@ def import_pictures(
         notes.append(_curve_note(paths, scene))
     gains: tuple[float, float] | None = None
     clipped: dict[str, float] = {}
+    turns = _Turns()
     monitor = monitor or Monitor()
     with new_folder(out) as building, monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
         found = []
@@ -115,8 +118,11 @@ def import_pictures(
                 data = _data_of(path, scene, white=white)
             name = f"images/{path.stem}{'.png' if raw or white is not None else path.suffix.lower()}"
             write_bytes(building / name, data)
-            if white is None and (share := _clipped(data, path)) > MOST_CLIPPED:
-                clipped[name] = round(share, 4)
+            if white is None:
+                grey = decode_grey(data, where=str(path))
+                turns.add(path, ring, grey, sealed=bool(raw) or is_sealed(data))
+                if (share := _clipped(grey)) > MOST_CLIPPED:
+                    clipped[name] = round(share, 4)
             pose = None if given is None else _pose_of(path, given)
             found.append(
                 Frame(
@@ -129,6 +135,8 @@ def import_pictures(
                 )
             )
             step()
+        turns.refuse_damaged()
+        notes.extend(turns.notes())
         origin: dict[str, Any] = {
             "program": "rhizotwin import",
             "pictures": str(folder),
@@ -217,12 +225,51 @@ def _data_of(path: Path, scene: Scene, *, white: int | None) -> bytes:
     return bytes(encoded.tobytes())
 
 
-def _clipped(data: bytes, path: Path) -> float:
+class _Turns:
+    """The pictures of each ring, of which some have no checksum: damage in those is sought by their neighbours."""
+
+    def __init__(self) -> None:
+        self._turns: dict[int, Turn] = {}
+        self._open: dict[str, int] = {}  # pictures without a checksum, with their ring
+        self._folder = Path()
+
+    def add(self, path: Path, ring: int, grey: Grey, *, sealed: bool) -> None:
+        """Take a picture in."""
+        self._folder = path.parent
+        self._turns.setdefault(ring, Turn()).add(path.name, grey)
+        if not sealed:
+            self._open[path.name] = ring
+
+    def refuse_damaged(self) -> None:
+        """Refuse a picture without a checksum of which some rows are like no other picture's."""
+        for ring in sorted(set(self._open.values())):
+            for found in self._turns[ring].unlike():
+                if found.name in self._open:
+                    raise UserError(
+                        f"{self._folder / found.name}: rows {found.first} to {found.last} are like no other picture's, as damage makes "
+                        "them, and its format has no checksum that could tell; copy or take it again, leave it out, or, if it is as "
+                        "it should be, convert it to PNG"
+                    )
+
+    def notes(self) -> list[str]:
+        """Say what was not checked."""
+        if not self._open:
+            return []
+        apart = sum(not self._turns[ring].enough for ring in self._open.values())
+        but = "damage that changes less than a fifth of a row cannot be told"
+        if apart:
+            but += f"; {apart} of them could not be compared with others of their ring, which takes {LEAST}"
+        return [
+            f"{len(self._open)} pictures are in formats without a checksum (JPEG, TIFF with LZW, PackBits or bare pixels): {but}; "
+            "PNG, or TIFF with Deflate, would show any"
+        ]
+
+
+def _clipped(grey: Grey) -> float:
     """Return the share of a picture's pixels at the largest number of its depth.
 
     Or of the depth that its numbers fill (12 bits in 16).
     """
-    grey = decode_grey(data, where=str(path))
     largest = int(grey.max())
     # as whole numbers, and 10, 12 and 14 bits shifted up to 16
     full = {255, 1023, 4095, 16383, 65535, 65472, 65520, 65532}

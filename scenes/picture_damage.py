@@ -3,8 +3,8 @@
 Told from its bytes before it is decoded, by its own checksums and strict decoders.
 
 OpenCV's decoders repair silently: what is missing comes back grey or black. PNG has a CRC a chunk and one over all
-pixels, and Deflate in TIFF too; JPEG, LZW and PackBits have none, and there what their coding forbids is found; bare
-pixels in a TIFF can be too few, no more.
+pixels, and Deflate in TIFF too. JPEG, LZW and PackBits have none: there what their coding forbids is found, and a strip
+of a TIFF that does not hold exactly its pixels; bare pixels can be too few, no more. `is_sealed` tells which is which.
 """
 
 import io
@@ -14,6 +14,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 
+import imagecodecs
 import numpy as np
 import simplejpeg
 import tifffile
@@ -24,6 +25,8 @@ _NO_PICTURE = "is not a picture that can be read; PNG, JPEG and TIFF can"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
+"""Compressions of a TIFF (TIFF 6.0, section 3 and supplement 2)."""
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -192,6 +195,14 @@ def _jpeg(data: bytes, image_wh: tuple[int, int] | None) -> None:
         raise DamagedError(f"damaged ({error})") from None
 
 
+def is_sealed(data: bytes) -> bool:
+    """Tell whether a file that `checked` has passed has a checksum over its pixels."""
+    if data.startswith(_TIFF):
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            return int(file.pages.first.compression) in _DEFLATE
+    return data.startswith(_PNG)
+
+
 def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
     """Have the first picture of a TIFF decoded strictly, piece by piece (TIFF 6.0)."""
     try:
@@ -205,9 +216,36 @@ def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
             for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
                 if count <= 0 or offset + count > len(data):
                     raise DamagedError("truncated (the TIFF file ends too early)")
+            _tiff_pieces(data, page)
             page.asarray()
     except UnfitError:
         raise
     except Exception as error:  # noqa: BLE001 - tifffile and its codecs raise whatever they meet
         said = " ".join(str(error).split())[:100]
         raise DamagedError(f"damaged (the TIFF file cannot be decoded: {said})") from None
+
+
+def _tiff_pieces(data: bytes, page: tifffile.TiffPage) -> None:
+    """Unpack each strip or tile: it must hold as many bytes as it has pixels. Decoders fill up or cut off instead."""
+    high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
+    across = -(-page.imagewidth // wide)
+    down = -(-page.imagelength // high)
+    samples = page.samplesperpixel if page.planarconfig == 1 else 1
+    row = -(-wide * samples * page.bitspersample // 8)
+    for k, (offset, count) in enumerate(zip(page.dataoffsets, page.databytecounts, strict=True)):
+        rows = high if page.is_tiled else min(high, page.imagelength - k // across % down * high)
+        packed = data[offset : offset + count]
+        if page.fillorder == 2:
+            packed = bytes(imagecodecs.bitorder_decode(packed))
+        if page.compression in _DEFLATE:
+            found = len(zlib.decompress(packed))
+        elif page.compression == _LZW:
+            found = len(imagecodecs.lzw_decode(packed))
+        elif page.compression == _PACKBITS:
+            found = len(imagecodecs.packbits_decode(packed))
+        elif page.compression == _BARE:
+            found = min(count, rows * row)
+        else:
+            return
+        if found != rows * row:
+            raise DamagedError(f"damaged (piece {k + 1} of the TIFF file holds {found} bytes of pixels, and {rows * row} are needed)")

@@ -5,6 +5,7 @@ own word is an ICC profile, PNG's sRGB or gAMA chunk, or EXIF's colour space or 
 """
 
 import io
+import logging
 import struct
 import warnings
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from PIL import Image, UnidentifiedImageError
 from rhizotwin.scenes.model import Camera
 
 Array = NDArray[np.float64]
+
+logging.getLogger("PIL").setLevel(logging.CRITICAL)  # whether a picture can be read is said elsewhere, in a sentence
 
 _STEPS = 4097
 """Places of a curve that is given by a formula: between them it is straight to 1e-7."""

@@ -12,7 +12,6 @@ NAME is the picture's name in the dataset.
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
@@ -21,6 +20,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from rhizotwin.recon.results import summary_checks
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import tidy
@@ -40,53 +40,6 @@ RESULT_NAMES = (
 )
 """What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among
 them."""
-LARGEST = 1e15
-"""No number of a result is as large: cubic millimetres, seconds, mebibytes."""
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # NaN is not
-
-
-def _numbers(count: int) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, list) and len(value) == count and all(_number(item) for item in value)
-
-
-def _is_term(value: Any) -> bool:
-    numbers = ("less_mm3", "more_mm3")
-    return isinstance(value, dict) and isinstance(value.get("why"), str) and all(_number(value.get(key)) for key in numbers)
-
-
-def _is_view(value: Any) -> bool:
-    if not isinstance(value, dict) or not isinstance(value.get("file"), str) or not isinstance(value.get("used"), bool):
-        return False
-    pose = value.get("cam_from_canister")
-    numbers = ("table_deg", "reprojection_px", "markers", "fill", "position_sigma_mm", "rotation_sigma_deg", "ring")
-    return (pose is None or (isinstance(pose, list) and len(pose) == 4 and all(_numbers(4)(row) for row in pose))) and all(
-        value.get(key) is None or _number(value[key]) for key in numbers
-    )
-
-
-_RIGHT: dict[str, Callable[[Any], bool]] = {
-    "scene": lambda value: isinstance(value, str),
-    "dataset_sha256": lambda value: isinstance(value, str),
-    "voxel_mm": _number,
-    "volume_mm3": _number,
-    "volume_interval_mm3": _numbers(2),
-    "volume_bounds_mm3": _numbers(2),
-    "volume_trusted": lambda value: isinstance(value, bool),
-    "volume_verdict": lambda value: isinstance(value, str),
-    "volume_budget": lambda value: isinstance(value, list) and all(_is_term(item) for item in value),
-    "extents_min_mm": _numbers(3),
-    "extents_max_mm": _numbers(3),
-    "hull_mm3": _number,
-    "untrimmed_mm3": _number,
-    "blind_mm3": _number,
-    "views": lambda value: isinstance(value, list) and all(_is_view(view) for view in value),
-    "warnings": lambda value: isinstance(value, list),
-    "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
-}
-"""What a value of ``result.json`` must be like."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,12 +79,8 @@ def read_summary(folder: Path) -> Json:
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
         raise UserError(f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; reconstruct again.")
-    missing = [key for key in _RIGHT if key not in summary]
-    if missing:
-        raise UserError(f"{path} lacks the key {missing[0]!r}; reconstruct again.")
-    wrong = [key for key, right in _RIGHT.items() if not right(summary[key])]
-    if wrong:
-        raise UserError(f"{path} has a value of the wrong kind for {wrong[0]!r}; reconstruct again.")
+    if said := summary_checks.wrong(summary):
+        raise UserError(f"{path} {said}; reconstruct again.")
     return summary
 
 

@@ -34,6 +34,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {  # by the file that is damaged, its las
     "transforms.json": ("import", "{corpus}/dataset/images", "--scene", "{corpus}/scene.toml", "--cameras", "{file}", "-o", "{out}/set"),
     "dataset/dataset.json": ("export", "{corpus}/result", "--dataset", "{corpus}/dataset", "-o", "{out}/cameras.json"),
     "result/result.json": ("export", "{corpus}/result", "--dataset", "{corpus}/dataset", "-o", "{out}/cameras.json"),
+    "traits of result/result.json": ("traits", "{corpus}/result", "-o", "{out}/traits.csv"),
+    "report of result/result.json": ("report", "{corpus}/result", "-o", "{out}/report.html"),
     "result/shape.ply": ("export", "{corpus}/result", "-o", "{out}/root.stl"),
     "result/shape.npz": ("export", "{corpus}/result", "-o", "{out}/root.nrrd"),
     "result/roots.rsml": ("export", "{corpus}/result", "-o", "{out}/root.rsml"),

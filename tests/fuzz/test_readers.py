@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rhizotwin.building.measures import load_measures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.load import load_result
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import load_dataset
@@ -29,7 +30,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "measures.toml": load_measures,
     "transforms.json": lambda path: read_cameras(path, Camera()),
     "dataset/dataset.json": lambda path: load_dataset(path.parent),
-    "result/result.json": lambda path: result_files.read_summary(path.parent),
+    "result/result.json": lambda path: load_result(path.parent),
     "result/shape.npz": lambda path: result_files.read_leaves(path.parent),
     "result/shape.ply": result_files.read_mesh,
     "result/roots.rsml": rsml.read_rsml,
@@ -50,7 +51,8 @@ def test_the_corpus_itself_is_read(name: str, tmp_path: Path) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_damaged_files_end_in_a_sentence(name: str, seed: int, tmp_path: Path) -> None:
     path = tmp_path / name
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.parent != tmp_path:
+        shutil.copytree(CORPUS / path.parent.name, path.parent, dirs_exist_ok=True)
     path.write_bytes(mutated((CORPUS / name).read_bytes(), np.random.default_rng(seed)))
     with suppress(UserError):
         READERS[name](path)

@@ -101,6 +101,8 @@ MISTAKES = [
     Mistake("simulat sphere_20mm", "simulat"),
     Mistake("simulate sphere_20mm", "-o"),
     Mistake("simulate sphere_20mm -o d --views 0", "--views"),
+    Mistake(f"simulate sphere_20mm -o d --views {100_000 * '['}", "whole number"),
+    Mistake(f"plan sphere_20mm -o d --views {100_000 * '['}", "nested deeper"),
     Mistake("simulate sphere_20mm -o d --views many", "'many' is not a whole number"),
     Mistake("simulate sphere_20mm -o d --seed -1", "--seed"),
     Mistake("simulate sphere_20mm -o d --image-wh 800", "800x600"),
@@ -136,7 +138,7 @@ def test_a_command_or_group_alone_prints_its_help(words: str, named: str, capsys
     assert named in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words or "nothing")
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words[:80] or "nothing")
 def test_mistake_ends_in_one_sentence(
     mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

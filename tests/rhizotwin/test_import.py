@@ -101,6 +101,24 @@ def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene:
     assert any("sRGB" in note for note in made.notes)
 
 
+@pytest.mark.parametrize("suffix", [".tif", ".png"])
+def test_damage_that_no_checksum_shows_is_refused_by_its_neighbours(suffix: str, tmp_path: Path, scene: Scene) -> None:
+    """Bare pixels that were overwritten; a PNG of the same pixels has a checksum that says that they are as they were taken."""
+    (tmp_path / "in").mkdir()
+    for k in range(6):
+        grey = np.random.default_rng(k).normal(180.0, 2.0, WH[::-1]).astype(np.uint8)
+        if k == 3:
+            grey[20:30] = 0
+        cv2.imwrite(str(tmp_path / "in" / f"v{k}{suffix}"), grey, [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix == ".tif" else [])
+    if suffix == ".tif":
+        with pytest.raises(UserError, match=r"v3\.tif: rows (18|19|20) to 29 are like no other picture's.*no checksum"):
+            import_pictures(tmp_path / "in", scene, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+        (tmp_path / "in" / "v3.tif").unlink()
+    notes = import_pictures(tmp_path / "in", scene, tmp_path / "out").notes
+    assert any("without a checksum" in note for note in notes) == (suffix == ".tif")
+
+
 def test_given_cameras_project_like_opencv(tmp_path: Path, scene: Scene) -> None:
     """A point's pixel by our dataset equals the one by the file's own rules: OpenGL axes, pixel corners at integers."""
     names = ["a.png", "b.png", "c.png"]

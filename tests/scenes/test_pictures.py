@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.picture_damage import is_sealed
 from rhizotwin.scenes.pictures import decode_grey
 
 RNG = np.random.default_rng(7)
@@ -123,6 +124,37 @@ def test_flipped_bytes_in_a_compressed_tiff() -> None:
         flipped[at + 1] ^= 0x41
         with pytest.raises(UserError, match=r"a\.tiff: the picture is damaged"):
             decode_grey(bytes(flipped), where="a.tiff")
+
+
+@pytest.mark.parametrize("compression", ["LZW", "PackBits"])
+def test_strips_without_a_checksum_hold_exactly_their_pixels(compression: str) -> None:
+    """Damage that decodes: of flipped bytes few leave the length of what is unpacked as it was."""
+    rng = np.random.default_rng(0)
+    grey = (180.0 - 60.0 * np.abs(np.linspace(-1.0, 1.0, 160)) + rng.normal(0.0, 2.0, (120, 160))).astype(np.uint8)
+    data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, COMPRESSIONS[compression])
+    assert not is_sealed(data)
+    refused = 0
+    for at in rng.integers(200, len(data) - 500, 40):
+        flipped = bytearray(data)
+        flipped[at : at + 8] = rng.bytes(8)
+        try:
+            decode_grey(bytes(flipped), where="a.tiff")
+        except UserError:
+            refused += 1
+    assert refused >= {"LZW": 30, "PackBits": 12}[compression]  # of 40; most bytes of PackBits are bare pixels
+
+
+def test_what_has_a_checksum_is_known() -> None:
+    grey = GREY.astype(np.uint8)
+    for suffix, compression, sealed in (
+        (".png", 0, True),
+        (".jpg", 0, False),
+        (".tiff", 1, False),
+        (".tiff", 5, False),
+        (".tiff", 8, True),
+    ):
+        more = (cv2.IMWRITE_TIFF_COMPRESSION, compression) if compression else ()
+        assert is_sealed(encoded(grey, suffix, *more)) == sealed
 
 
 def test_half_a_jpeg_with_an_end_marker() -> None:

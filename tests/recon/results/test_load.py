@@ -51,6 +51,27 @@ def test_a_result_of_another_dataset_is_refused(scan) -> None:
         score(load_result(made.result), made.dataset)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("rig", {"focal_scale": None}),
+        ("rig", {"canister_from_strip": [[1.0]]}),
+        ("rig", {"rings": [{"ring": 0}]}),
+        ("settings", {"finest_mm": "fine"}),
+        ("mass_g", "heavy"),
+        ("checks", [{"name": "focus"}]),
+        ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
+        ("volume_interval_mm3", [1.0]),
+    ],
+)
+def test_a_value_of_another_kind_is_named(key: str, value: object, scan) -> None:
+    made = scan()
+    load_result(made.result)
+    made.edit_summary(**{key: value})
+    with pytest.raises(UserError, match=f"result.json has a value of the wrong kind for '{key}'"):
+        load_result(made.result)
+
+
 def test_a_missing_silhouette_is_named_when_it_is_looked_at(scan) -> None:
     made = scan()
     found = load_result(made.result)

@@ -1,0 +1,159 @@
+"""What each value of ``result.json`` must be like, so that nobody who reads it meets something else."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, TypeAlias
+
+from rhizotwin.recon.uncertainty.checks import Check
+from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
+
+Json: TypeAlias = dict[str, Any]
+Fits: TypeAlias = Callable[[Any], bool]
+LARGEST = 1e15
+"""No number of a result is as large: cubic millimetres, seconds, mebibytes."""
+
+
+def wrong(summary: Json) -> str:
+    """Say what is wrong with the content of ``result.json``; empty where nothing is."""
+    missing = [key for key in _THERE if key not in summary]
+    if missing:
+        return f"lacks the key {missing[0]!r}"
+    unfit = [key for key, fits in (_THERE | _MAYBE).items() if key in summary and not fits(summary[key])]
+    return f"has a value of the wrong kind for {unfit[0]!r}" if unfit else ""
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # NaN is not
+
+
+def _positive(value: Any) -> bool:
+    return _number(value) and value > 0.0
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _truth(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _or_none(fits: Fits) -> Fits:
+    return lambda value: value is None or fits(value)
+
+
+def _list(fits: Fits, count: int | None = None) -> Fits:
+    return lambda value: isinstance(value, list) and count in (None, len(value)) and all(fits(item) for item in value)
+
+
+def _with(there: dict[str, Fits], maybe: dict[str, Fits] | None = None) -> Fits:
+    """Return the check of an object: keys that it must have, and keys that it may have."""
+
+    def fits(value: Any) -> bool:
+        if not isinstance(value, dict) or any(key not in value for key in there):
+            return False
+        return all(right(value[key]) for key, right in (there | (maybe or {})).items() if key in value)
+
+    return fits
+
+
+def _only(fits: Fits, names: set[str]) -> Fits:
+    return lambda value: fits(value) and set(value) == names
+
+
+def _numbers(count: int) -> Fits:
+    return _list(_number, count)
+
+
+_POSE = _list(_numbers(4), 4)
+"""A 4x4 matrix."""
+_TERM = _with({"why": _text, "less_mm3": _number, "more_mm3": _number})
+"""A cause of uncertainty."""
+_VIEW = _with(
+    {"file": _text, "used": _truth},
+    {
+        "cam_from_canister": _or_none(_POSE),
+        **dict.fromkeys(
+            ("table_deg", "reprojection_px", "markers", "fill", "position_sigma_mm", "rotation_sigma_deg", "ring"), _or_none(_number)
+        ),
+    },
+)
+"""What became of a picture."""
+_RING = _with(
+    {
+        "ring": _number,
+        "cam_from_rig": _POSE,
+        "covariance": _list(_numbers(6), 6),
+        "own_movement_mm": _number,
+        "own_movement_deg": _number,
+    },
+    {"placement": _or_none(_number)},
+)
+"""Where a ring's camera stands."""
+_EDGES = _with({}, dict.fromkeys(("count", "before_mm", "after_mm", "radius_excess_mm", "oval_mm", "oval_deg"), _or_none(_number)))
+"""What the canister's edges told."""
+_ROOTS = _with({"nodes": _number, "before_px": _number, "after_px": _number})
+"""What the roots told of the cameras."""
+_RIG = _with(
+    {},
+    {
+        "focal_scale": _positive,
+        "rings": _or_none(_list(_RING)),
+        "canister_edges": _or_none(_EDGES),
+        "roots": _or_none(_ROOTS),
+        **dict.fromkeys(("canister_from_strip", "table_from_canister"), _or_none(_POSE)),
+        **dict.fromkeys(("canister_from_strip_sigma", "table_from_canister_sigma"), _or_none(_numbers(4))),
+        **dict.fromkeys(("n_water", "n_water_given"), _positive),
+        **dict.fromkeys(
+            (
+                *("focal_scale_found", "focal_scale_sigma", "n_water_found", "n_water_sigma", "marker_inset_px"),
+                *("reprojection_before_px", "reprojection_after_px", "table_correction_deg"),
+            ),
+            _or_none(_number),
+        ),
+    },
+)
+"""What was calibrated from the pictures (`recon.results.calibrated`)."""
+_CHECK = _only(
+    _with(
+        {"name": _text, "state": _text, "unit": _text, "found": _text, "advice": _text},
+        dict.fromkeys(("value", "fair", "bad"), _or_none(_number)),
+    ),
+    {field.name for field in fields(Check)},
+)
+"""A light of the traffic light."""
+_ESTIMATE = _only(
+    _with({"name": _text, "value": _number, "interval": _numbers(2), "trusted": _truth, "verdict": _text}),
+    {field.name for field in fields(Estimate)},
+)
+"""A number of the roots with its interval."""
+_THERE: dict[str, Fits] = {
+    "scene": _text,
+    "dataset_sha256": _text,
+    "voxel_mm": _number,
+    "volume_mm3": _number,
+    "volume_interval_mm3": _numbers(2),
+    "volume_bounds_mm3": _numbers(2),
+    "volume_trusted": _truth,
+    "volume_verdict": _text,
+    "volume_budget": _list(_TERM),
+    "extents_min_mm": _numbers(3),
+    "extents_max_mm": _numbers(3),
+    "hull_mm3": _number,
+    "untrimmed_mm3": _number,
+    "blind_mm3": _number,
+    "views": _list(_VIEW),
+    "warnings": lambda value: isinstance(value, list),
+    "timings_s": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
+}
+"""Keys that every result has."""
+_MAYBE: dict[str, Fits] = {
+    "rig": _or_none(_RIG),
+    "settings": _with({}, {"finest_mm": _positive}),
+    "versions": _with({}),
+    "checks": _list(_CHECK),
+    "estimates": _list(_ESTIMATE),
+    "shoot": _or_none(_with({"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number})),
+    **dict.fromkeys(("mass_g", "root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
+}
+"""Keys that some results have."""
