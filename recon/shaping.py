@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
-from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
-from rhizotwin.recon.coverage.silhouettes import UPSAMPLING, Silhouette, Window
+from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, parsimony, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.results.result import Solid, Triple
 from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import rooting, tube_volume
-from rhizotwin.recon.roots.rooting import RootSystem, RootTree
+from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import (
     bare_uncertainty,
@@ -90,12 +89,10 @@ def carve_hull(
     order = [numbers[place] for place in _spread(len(numbers))]
     cameras = cameras.ordered(order)
     with monitor.stage("outlines"):
-        window = Window.around([coverage.silhouettes[k] for k in order])
-        outlines = _outlines([coverage.silhouettes[k].cut(window) for k in order], monitor)
+        drawn = tuple(coverage.silhouettes[k] for k in order)
+        maps = carve.DistanceMaps.drawn(drawn, "outlines", monitor)
     with monitor.stage("carve"):
         scene, radius = dataset.scene, cameras.optics.inner_radius_mm
-        maps = carve.DistanceMaps.of(outlines, scene.camera.image_wh, window)
-        del outlines
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
         water = Water(radius, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
         grid = carve.Grid.over(np.array([-radius, -radius, water.bottom_mm]), np.array([radius, radius, water.top_mm]), finest_mm)
@@ -105,7 +102,7 @@ def carve_hull(
                 maps,
                 grid,
                 water,
-                min_votes=max(3, math.ceil(parsimony.VOTES * bank.count)),
+                min_votes=carve.least_votes(bank.count),
                 slack_px=slack_px,
                 ignore_blindness=ignore_blindness,
                 progress=step,
@@ -115,7 +112,6 @@ def carve_hull(
             f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
             "the poses or the scene file do not fit the pictures."
         )
-    drawn = tuple(coverage.silhouettes[k] for k in order)
     return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
@@ -290,18 +286,6 @@ def _spread(count: int) -> list[int]:
     Nodes are carved early.
     """
     return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
-
-
-def _outlines(drawn: list[Silhouette], monitor: Monitor) -> NDArray[np.float32]:
-    """Return the distance maps (V, 2 H, 2 W) of silhouettes."""
-    height, width = drawn[0].coverage.shape
-    maps = np.empty((len(drawn), UPSAMPLING * height, UPSAMPLING * width), np.float32)
-
-    def one(place: int) -> None:
-        maps[place] = silhouettes.signed_distance(drawn[place])
-
-    monitor.each(one, "outlines", range(len(drawn)))
-    return maps
 
 
 def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Leaves:

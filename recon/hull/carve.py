@@ -12,9 +12,10 @@ no tree is kept: the thesis's dictionary of leaves becomes arrays of positions, 
 from __future__ import annotations
 
 import functools
+import math
 import operator
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -22,16 +23,21 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Window
+from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, Window
 from rhizotwin.recon.device import Bool, Float, Int32, Kernel, Point3f, UInt32, Vector2f, Vector2u, Vector3f, bilinear
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.scenes.monitor import Monitor
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 TELLS_PX = 1e-3 * UNSEEN_PX
 """Interpolated distances above this have a share of `UNSEEN_PX`: the picture says nothing there either."""
+_VOTES, _FEWEST = 0.3, 3
+"""Share of the views that must see a point for it to count, and their least number: two views leave open what lies
+along their lines of sight."""
 _COARSEST_MM = 4.6
 """Edge of the first nodes, at most: 33 across the canister."""
 _BLIND_MM = 2.5
@@ -92,6 +98,28 @@ class DistanceMaps:
         size_px = maps.shape[2] // UPSAMPLING, maps.shape[1] // UPSAMPLING
         return DistanceMaps(mi.Float(maps.ravel()), image_wh or size_px, window or Window((0, 0), size_px))
 
+    @staticmethod
+    def drawn(
+        views: Sequence[Silhouette], name: str, monitor: Monitor, outline: Callable[[Silhouette], Image] = silhouettes.signed_distance
+    ) -> DistanceMaps:
+        """Draw the outlines of all views, within the window that holds what any of them tells.
+
+        Parameters
+        ----------
+        name : str
+            Of the progress bar.
+        outline : callable
+            From a silhouette to its signed distance (2 H, 2 W), pixels.
+        """
+        (height, width), window = views[0].coverage.shape, Window.around(views)
+        maps = np.empty((len(views), UPSAMPLING * window.size_px[1], UPSAMPLING * window.size_px[0]), np.float32)
+
+        def draw(view: int) -> None:
+            maps[view] = outline(views[view].cut(window))
+
+        monitor.each(draw, name, range(len(views)))
+        return DistanceMaps.of(maps, (width, height), window)
+
     @property
     def samples_wh(self) -> tuple[int, int]:
         """Return the samples of a map."""
@@ -109,6 +137,11 @@ class DistanceMaps:
     def holds(self, px: Vector2f) -> Bool:
         """Tell which pixels (mi.Vector2f) lie in the pictures."""
         return dr.all((px > -0.5) & (px < self._image - 0.5))
+
+
+def least_votes(count: int) -> int:
+    """Return how many of so many views must see a point for it to count."""
+    return max(_FEWEST, math.ceil(_VOTES * count))
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,6 @@ _BIN_MM = 4.0
 _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
 not at all, a third more in full."""
-VOTES = 0.3
-"""Share of the views that must see a point for it to count."""
 _REACH_PX = 0.75
 """Distance at which an outline's slope is read on both sides: a sample and a half of the map."""
 _TIGHT_PX = 0.4
@@ -197,8 +195,8 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the
     outline has the normal g = a du + b dv in space, so the sphere's radius is D / |g|. On a root's centre line D has a
     crease: |a| and |b| are taken from the steeper of the two sides. The sampled map rounds the crease off; ``sharpen``
-    restores its height from the slopes on both sides, for points that lie on it. Points that fewer than `VOTES` of the
-    views see get the radius 0.
+    restores its height from the slopes on both sides, for points that lie on it. Points that fewer than
+    `carve.least_votes` of the views see get the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -209,7 +207,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
     _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.end, body)
     dr.eval(least, votes)
-    return np.where(np.array(votes) >= max(3.0, VOTES * bank.count), np.array(least, np.float64), 0.0)
+    return np.where(np.array(votes) >= carve.least_votes(bank.count), np.array(least, np.float64), 0.0)
 
 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes
 from rhizotwin.recon.device import Float
+from rhizotwin.recon.tubes import tube_picture
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
 from rhizotwin.recon.tubes.tube_profiles import Sections
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -37,6 +38,12 @@ class Proof:
     def of(self, nodes: NDArray[np.bool_]) -> Proof:
         """Return that of some of the nodes."""
         return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
+
+
+def find(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:
+    """Draw tubes, and weigh what every node explains."""
+    at = seen.project(tree.centre_mm)
+    return weigh(seen, tree, at, *tube_picture.compared(seen, tree, at, blur_px), blur_px)
 
 
 def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Proof:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
@@ -41,6 +42,8 @@ _LEAST_MM = 1.0
 """A root shorter than this is not traced."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
 """The plant's top is sought in its highest millimetre; laterals rise so far above what is seen of the stem, at most."""
+_THIN_MM = (0.05, 0.3)
+"""Radii that shadows can tell at the start; thicker roots shade their own cells."""
 
 
 @dataclass(frozen=True)
@@ -215,3 +218,11 @@ def _apart(line: Array, claim_mm: Array) -> list[int]:
             chosen.append(k)
             begin = k
     return chosen
+
+
+def first_radius(path: Path) -> Array:
+    """Guess radii along a path: the shadow of a millimetre of root is its diameter."""
+    way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
+    share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
+    radius: Array = np.clip(0.5 * share, *_THIN_MM)
+    return radius

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import trimesh
 
-from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.coverage.silhouettes import Silhouette, Window
-from rhizotwin.recon.hull import carve, parsimony, surface
-from rhizotwin.recon.hull.carve import Hull, Water
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.hull import carve, surface
+from rhizotwin.recon.hull.carve import DistanceMaps, Hull, Water
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
@@ -45,8 +43,7 @@ def find(
     order = np.argsort((np.arange(len(views)) * 0.6180339887498949) % 1.0, kind="stable")  # neighbours far apart: nodes are carved early
     drawn, views = [drawn[k] for k in order], [views[k] for k in order]
     room = _room(drawn, views, scene)
-    window = Window.around(drawn)
-    maps = np.stack(monitor.each(lambda k: silhouettes.signed_distance(drawn[k].cut(window)), "shoot", range(len(drawn))))
+    maps = DistanceMaps.drawn(drawn, "shoot", monitor)
     optics = replace(
         Optics.of(scene),
         outer_radius_mm=room.radius_mm,
@@ -57,11 +54,9 @@ def find(
         water_z_mm=room.top_mm,
         bottom_z_mm=room.bottom_mm,
     )
-    distance = carve.DistanceMaps.of(maps, scene.camera.image_wh, window)
     low = np.array([-room.radius_mm, -room.radius_mm, room.bottom_mm])
     grid = carve.Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)
-    votes = max(3, math.ceil(parsimony.VOTES * len(views)))
-    hull = carve.carve(ViewBank.of(views, optics), distance, grid, room, min_votes=votes, slack_px=SLACK_PX)
+    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, min_votes=carve.least_votes(len(views)), slack_px=SLACK_PX)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)

@@ -172,8 +172,7 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blu
     """
     views, known = cameras.views, cameras.uncertainty
     at = seen.project(tubes.centre_mm)
-    depth = tube_picture.optical_depth(seen, tubes, at, blur_px)
-    profiles = tube_profiles.profiles(seen, tubes, at, depth, tube_picture.unexplained(seen, depth), blur_px)
+    profiles = tube_profiles.profiles(seen, tubes, at, *tube_picture.compared(seen, tubes, at, blur_px), blur_px)
     told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
     chosen = np.flatnonzero(~fixed & (told.sum(axis=0) >= _LEAST_VIEWS))
     if len(chosen) < LEAST_NODES:

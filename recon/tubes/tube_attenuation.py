@@ -117,8 +117,7 @@ class _Trials:
         light = _some_views(light, len(fitted.radius_mm))
         fitted, _ = tube_fit.fit(light, fitted, organ, blur_px=blur_px, steps=_STEPS)
         at = light.project(fitted.centre_mm)
-        depth = tube_picture.optical_depth(light, fitted, at, blur_px)
-        difference = tube_picture.unexplained(light, depth)
+        depth, difference = tube_picture.compared(light, fitted, at, blur_px)
         found = tube_profiles.profiles(light, fitted, at, depth, difference, blur_px).host()
         alone = (found.shown > _ALONE * found.whole) & (found.whole > 0.0) & (at.sine(fitted.tangents) > _LEAST_SINE) & ~organ
         left = tube_profiles.misfit(light, fitted, difference)
@@ -129,8 +128,8 @@ class _Trials:
         if (mu_per_mm, blur_px) not in self.made:
             seen = replace(self.light, mu_per_mm=mu_per_mm)
             fitted, _ = tube_fit.fit(seen, self._guess(mu_per_mm), self.organ, blur_px=blur_px, steps=_STEPS)
-            depth = tube_picture.optical_depth(seen, fitted, seen.project(fitted.centre_mm), blur_px)
-            left = tube_profiles.misfit(seen, self.start.tubes, tube_picture.unexplained(seen, depth))
+            _, difference = tube_picture.compared(seen, fitted, seen.project(fitted.centre_mm), blur_px)
+            left = tube_profiles.misfit(seen, self.start.tubes, difference)
             loss = np.where(self.lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0)
             self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, blur_px, fitted, loss, float(loss.sum()))
             dr.flush_malloc_cache()  # no trial's kernels have the sizes of another's

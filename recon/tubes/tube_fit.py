@@ -70,9 +70,8 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps:
     smooth = prior(tubes)
     for _ in range(steps):
         at = evidence.project(tubes.centre_mm)
-        depth = tube_picture.optical_depth(evidence, tubes, at, blur_px)
-        difference = tube_picture.unexplained(evidence, depth)
-        residual = tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).residual_gradient()
+        drawn = tube_picture.compared(evidence, tubes, at, blur_px)
+        residual = tube_profiles.profiles(evidence, tubes, at, *drawn, blur_px).residual_gradient()
         tubes = _step(tubes, residual, smooth, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
     return tubes, residual

@@ -151,6 +151,12 @@ class _Strips:
         return _Strips(start, here, way, length, (half_px[0], half_px[1]), (layers[0], layers[1]))
 
 
+def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Float]:
+    """Return the optical depth of tubes, and what they leave `unexplained`, in all views: mi.Float, flattened."""
+    depth = optical_depth(evidence, tubes, at, blur_px)
+    return depth, unexplained(evidence, depth)
+
+
 def unexplained(evidence: Evidence, depth: Float) -> Float:
     """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float, flattened."""
     difference = (evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen

@@ -102,7 +102,7 @@ def _way(from_mm: Array, direction: Array, water: Water) -> Array:
 
 def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
     """Tell which points (N, 3) enough views see."""
-    return _votes(bank, maps, points_mm) >= max(3, math.ceil(parsimony.VOTES * bank.count))
+    return _votes(bank, maps, points_mm) >= carve.least_votes(bank.count)
 
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:

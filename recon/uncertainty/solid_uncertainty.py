@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 
-from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Hull, Water
 from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.optics.projection import ViewBank
@@ -99,7 +98,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
             outlines,
             grid,
             water,
-            min_votes=max(3, math.ceil(parsimony.VOTES * some.count)),
+            min_votes=carve.least_votes(some.count),
         ).leaves.volume_mm3()
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
     ]

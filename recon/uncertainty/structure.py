@@ -10,7 +10,7 @@ import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.robust import MAD
-from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_picture
 
 _DRAWN = 0.03
@@ -27,9 +27,9 @@ def left_by(seen: Evidence, system: RootSystem) -> float:
     A tube whose radius is off by a tenth leaves about a tenth.
     """
     at = seen.project(system.tubes.centre_mm)
-    depth = tube_picture.optical_depth(seen, system.tubes, at, system.blur_px)
+    depth, difference = tube_picture.compared(seen, system.tubes, at, system.blur_px)
     (width, height), count = seen.image_wh, seen.bank.count
-    rest = np.array(tube_picture.unexplained(seen, depth)).reshape(count, height, width)
+    rest = np.array(difference).reshape(count, height, width)
     known = np.array(seen.seen).reshape(count, height, width) > 0
     drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
     left, covered, noise = [], [], []

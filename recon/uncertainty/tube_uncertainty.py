@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
-from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -57,14 +57,13 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
     """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
     tubes = system.tubes
     at = seen.project(tubes.centre_mm)
-    depth = tube_picture.optical_depth(seen, tubes, at, system.blur_px)
-    difference = tube_picture.unexplained(seen, depth)
+    depth, difference = tube_picture.compared(seen, tubes, at, system.blur_px)
     profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
     gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
     wish = _wishes(tubes, profiles, gain)
     total = float(wish.sum())
-    blurred = tube_picture.optical_depth(seen, tubes, at, system.blur_px + _BLUR_STEP_PX)
-    other = tube_profiles.profiles(seen, tubes, at, blurred, tube_picture.unexplained(seen, blurred), system.blur_px + _BLUR_STEP_PX).host()
+    blur_px = system.blur_px + _BLUR_STEP_PX
+    other = tube_profiles.profiles(seen, tubes, at, *tube_picture.compared(seen, tubes, at, blur_px), blur_px).host()
     by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
     rest = _Rest.of(seen, depth, difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)

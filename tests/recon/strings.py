@@ -10,7 +10,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.roots.rooting import RootSystem
+from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes import plan

@@ -1,0 +1,72 @@
+"""A root system as a tree of tubes, with what it was fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.roots import hierarchy
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
+from rhizotwin.recon.tubes.tubes import Tubes
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootTree:
+    """Roots found as tubes, with what they were fitted to."""
+
+    tubes: Tubes
+    buried: Mask
+    """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
+    organ: Mask
+    """(N,) nodes that are thick organs: they are not fitted."""
+    solid: Mask
+    """(N,) nodes in what no root explains: spheres, boxes and bulbs."""
+    core_mm: Array
+    """(M, 3) points deep inside thick organs."""
+    margin_mm: float
+    """Within this of a core point lies the whole of a thick organ."""
+    px_a_mm: float
+    attenuation: TubeAttenuation
+    """How much light roots let through, and how blurred the pictures are."""
+    seen: Evidence
+    """What it was fitted to."""
+    cameras: Cameras
+    """Those of ``seen``."""
+
+    @property
+    def blur_px(self) -> float:
+        """Return the standard deviation of the pictures' blur."""
+        return self.attenuation.blur_px
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootSystem(RootTree):
+    """Roots at rest."""
+
+    uncertain: Mask
+    """(N,) nodes of ends whose tips are likely none."""
+
+    def roots(self) -> tuple[Root, ...]:
+        """Return the branches as roots, parents before children."""
+        number = np.full(len(self.solid), -1)  # the root that each node is of
+        roots: list[Root] = []
+        for k, nodes in enumerate(self.tubes.branches):
+            diameters = 2.0 * self.tubes.radii(k)
+            for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
+                own = nodes[run]
+                if self.solid[own[0]] or len(own) < 2:
+                    continue
+                parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
+                number[own[number[own] < 0]] = len(roots)
+                order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
+                root = Root(points_mm=self.tubes.centre_mm[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
+                roots.append(root)
+        return hierarchy.arrange(roots)
