@@ -100,6 +100,7 @@ def parser() -> argparse.ArgumentParser:
     mixed.add_argument("--first", type=int, default=0, metavar="K", help="begin with this one (default: %(default)s)")
     mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
+    _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
@@ -119,7 +120,15 @@ def _add_scaling(one: argparse.ArgumentParser) -> None:
 
 
 _MIXTURES = "small drawn plants with drawn troubles: how often the interval of trusted scans holds; a stopped run goes on where it stopped"
+_DAMAGES = "one clean scan, spoilt as laboratories spoil theirs: is a wrong volume ever called trusted?"
 _SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
+
+
+def _add_damages(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--names", type=_words, metavar="NAME,...", help="only these (a wrong name lists them)")
+    one.add_argument("--scene", default="printed_8ml", help="whose clean scan of the quick ladder (default: %(default)s)")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
 
 
 def _add_scatter(one: argparse.ArgumentParser) -> None:
@@ -213,6 +222,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _scaling(given)
         if given.what == "mixtures":
             return _mixtures(given)
+        if given.what == "damages":
+            return _damages(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -233,6 +244,21 @@ def _mixtures(given: argparse.Namespace) -> int:
     atomic.write_text(output.with_suffix(".md"), mixtures.table(records))
     say(f"every number: {output}")
     return 1 if any("crashed" in record for record in records) else 0
+
+
+def _damages(given: argparse.Namespace) -> int:
+    """Try every damage; 1 where a wrong volume is called trusted, or something crashed."""
+    from benchmarks import damages
+    from rhizotwin import engine
+
+    engine.start(given.device)
+    records = damages.measure(given.names, scene=given.scene, say=say)
+    say("\n" + damages.table(records))
+    output = given.output or _results() / "damages.json"
+    atomic.write_json(output, {"about": about(argparse.Namespace(what="damages", quick=False, device=given.device)), "records": records})
+    atomic.write_text(output.with_suffix(".md"), damages.table(records))
+    say(f"every number: {output}")
+    return 1 if any(damages.fails(record) for record in records) else 0
 
 
 def _compare(given: argparse.Namespace) -> int:

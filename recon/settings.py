@@ -110,6 +110,10 @@ class TrustSettings:
     wander: tuple[float, float] = bounded((0.05, 0.3), 0.0, 10.0)
     """Standard deviation of the exposure, which is divided out; by a third it moves the panel out of the camera's
     range."""
+    uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
+    """Standard deviation of the panel beside the canister over that of all pictures, which is left when the exposure
+    was divided out row by row. Bands of 7 % that nobody divided out made a print 6.8 % too large: as much as they are
+    (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
     """Standard deviation (px) of the blur, the pixel's own 0.29 included. A root of 0.3 mm is a pixel wide at 800
     pixels across 250 mm; blurred by 2.5 px it darkens the panel by a sixth."""

@@ -133,7 +133,7 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
         order = cameras.order
         stations = [pictures.frames[k].station for k in order]
         exposures = exposure.measure([pictures.images[k] for k in order], cameras.views, stations, cameras.optics, pictures.dataset.scene)
-        gain = dict(zip(order, exposures.gain.astype(np.float32), strict=True))
+        gain = {k: exposures.light(i, views[k].camera.image_wh) for i, k in enumerate(order)}
         empty, glare, added = _backgrounds(pictures, cameras, inside, gain, settings, monitor)
         lit = {k: background.bright_enough(empty[k], inside[k], settings) for k in views}
         return _Backlight(empty, {k: lit[k] & ~glare[k] for k in views}, lit, exposures, added)
@@ -202,7 +202,7 @@ def _backgrounds(
     pictures: Pictures,
     cameras: Cameras,
     inside: dict[int, Mask],
-    gain: Mapping[int, np.float32],
+    gain: Mapping[int, Image | np.float32],
     settings: CoverageSettings,
     monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:

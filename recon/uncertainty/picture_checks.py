@@ -47,9 +47,15 @@ def of_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings())
     full = f"{100.0 * clipped:.2g} % of the panel are at full scale in the worst picture"
     dim = f"the panel reaches only {100.0 * level:.2g} % of full scale"
     said = f"the exposure wanders by {100.0 * wander:.2g} % from picture to picture, which was divided out"
+    uneven, bands = float(found.uneven.max(initial=0.0)), found.bands
+    patchy = f"the panel's brightness wanders by {100.0 * uneven:.2g} % from place to place and picture to picture"
+    evened = f"the panel's brightness wanders by {100.0 * bands:.2g} % within a picture, which was divided out row by row"
+    lamp = "use a lamp on direct current, and keep shadows off the panel"
     return foremost(
         judged("exposure", clipped, "share", trust.clipped, full, "expose less: the panel at 0.8 of full scale"),
         judged("exposure", level, "share", trust.dim, dim, "expose longer: the panel at 0.8 of full scale"),
+        judged("exposure", uneven, "share", trust.uneven, patchy, lamp),
+        judged("exposure", bands, "share", trust.wander, evened, lamp),
         judged("exposure", wander, "share", trust.wander, said, "set exposure and gain by hand"),
     )
 

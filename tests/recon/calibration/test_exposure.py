@@ -57,3 +57,40 @@ def test_a_panel_no_wider_than_the_canister_tells_nothing() -> None:
     found = measured(pictures(width=0.6))
     assert not found.level.max() > 0.05
     np.testing.assert_array_equal(found.gain.round(1), 1.0)
+
+
+def spoilt(images: list[np.ndarray], share: list[np.ndarray]) -> list[np.ndarray]:
+    return [np.rint(image * one).clip(0, 65535).astype(np.uint16) for image, one in zip(images, share, strict=True)]
+
+
+def test_bands_and_slopes_are_found_row_by_row() -> None:
+    y, x = np.mgrid[0:300, 0:400]
+    share = [
+        1.0 + 0.1 * np.sin(2.0 * np.pi * y / 150.0 + phase) + 0.05 * slope * (x - 199.5) / 200.0
+        for phase, slope in enumerate([0, 1, -1, 1, 0])
+    ]
+    found = measured(spoilt(pictures(), share))
+    middle = np.median(np.stack([gain * one for gain, one in zip(GAINS, share, strict=True)]), axis=0)
+    for k in range(len(GAINS)):
+        light = found.light(k, (400, 300))
+        expected = GAINS[k] * share[k] / middle
+        assert np.abs(light / expected - 1.0)[100:290, 60:340].max() < 0.06  # the median of five has kinks
+        assert np.sqrt(np.mean((light / expected - 1.0)[100:290, 60:340] ** 2)) < 0.02
+    assert found.bands == pytest.approx(0.07, abs=0.03)
+    assert found.uneven.max() < 0.02
+
+
+def test_what_is_even_is_left_as_it_is() -> None:
+    found = measured(pictures())
+    assert found.bands == 0.0
+    assert found.uneven.max() < 0.002
+    assert all(np.ndim(found.light(k, (400, 300))) == 0 for k in range(len(GAINS)))
+
+
+def test_what_no_row_shows_is_told_as_uneven() -> None:
+    """A blot in two corners of one picture, that is gone half-way to the canister."""
+    x = np.mgrid[0:300, 0:400][1]
+    blot = 1.0 - 0.5 * np.exp(-(((np.abs(x - 199.5) - 199.5) / 15.0) ** 2))
+    found = measured(spoilt(pictures(), [np.ones_like(blot), blot, *[np.ones_like(blot)] * 3]))
+    assert found.uneven[1] > 0.04
+    assert found.uneven[[0, 2, 3, 4]].max() < 0.01

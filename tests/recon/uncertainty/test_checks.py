@@ -57,9 +57,10 @@ def test_a_curve_is_trusted_where_edges_bear_out_a_known_one(
     assert found.state == expected
 
 
-def exposures(*, gain: list[float], clipped: float = 0.0, level: float = 0.7) -> Exposures:
+def exposures(*, gain: list[float], clipped: float = 0.0, level: float = 0.7, uneven: float = 0.0) -> Exposures:
     count = len(gain)
-    return Exposures(gain=np.array(gain), told=True, clipped=np.full(count, clipped), level=np.full(count, level))
+    full = {"clipped": np.full(count, clipped), "level": np.full(count, level), "uneven": np.full(count, uneven)}
+    return Exposures(gain=np.array(gain), told=True, **full)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +70,7 @@ def exposures(*, gain: list[float], clipped: float = 0.0, level: float = 0.7) ->
         (exposures(gain=[0.9, 1.1]), "fair", "10 %"),
         (exposures(gain=[1.0, 1.0], clipped=0.1), "bad", "10 % of the panel are at full scale"),
         (exposures(gain=[1.0, 1.0], level=0.02), "bad", "only 2 %"),
+        (exposures(gain=[1.0, 1.0], uneven=0.07), "bad", "from place to place"),
         (None, "untold", "no bare panel"),
     ],
 )

@@ -1,0 +1,123 @@
+"""The doubter's trials spoil what they say, and only a wrong volume that is called trusted fails."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks import __main__ as command
+from benchmarks import damages
+from benchmarks.damaged_scan import EVERY, Damage, Light, Scan
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.truth import TrueView, Truth, save_truth
+
+VIEWS = 20
+SAID = ("reversed", "step-other", "focal-said-3-more", "strip-said-3-more", "n-said-1.37", "radius-said-3-more", "stopped")
+"""These change what is said of the pictures, not the pictures."""
+
+
+def ring_pose(turn_rad: float) -> tuple[tuple[float, ...], ...]:
+    """Return a camera 400 mm from the axis, 60 mm below the rim, that looks at it."""
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    return ((-s, c, 0.0, 0.0), (0.0, 0.0, -1.0, -60.0), (-c, -s, 0.0, 400.0), (0.0, 0.0, 0.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
+    """Pictures of noise on a panel, with a box for a specimen."""
+    folder = tmp_path_factory.mktemp("clean")
+    scene = Scene(camera=Camera().resized((160, 120)), plan=CapturePlan(rings=(Ring(views=VIEWS),)))
+    (folder / "images").mkdir()
+    frames, views = [], []
+    for k in range(VIEWS):
+        name, path = f"images/{k:03d}.png", folder / f"images/{k:03d}.png"
+        atomic.write_image(path, np.random.default_rng(k).integers(20000, 40000, (120, 160), np.uint16))
+        frames.append(Frame(file=name, sha256=sha256_of(path), table_deg=360.0 * k / VIEWS))
+        views.append(TrueView(file=name, cam_from_canister=ring_pose(2.0 * math.pi * k / VIEWS), table_deg=360.0 * k / VIEWS))
+    save_dataset(Dataset(folder=folder, scene=scene, frames=tuple(frames), origin={}))
+    (folder / "truth").mkdir()
+    identity = tuple(tuple(row) for row in np.eye(4).tolist())
+    specimen = trimesh.creation.capsule(height=50.0, radius=5.0).apply_translation((0.0, 0.0, -85.0))
+    specimen.export(folder / "truth" / "specimen.ply")
+    low, high = (-5.0, -5.0, -90.0), (5.0, 5.0, -30.0)
+    save_truth(
+        folder,
+        Truth(volume_mm3=6000.0, extents_min_mm=low, extents_max_mm=high, n_water=1.333, canister_from_strip=identity, views=tuple(views)),
+    )
+    return Scan.read(folder)
+
+
+def test_every_damage_can_be_written_and_read(scan: Scan, tmp_path: Path) -> None:
+    every = damages.catalogue(scan, scan)
+    assert len({damage.name for damage in every}) == len(every)
+    for damage in every:
+        written = load_dataset(damage.write(scan, tmp_path / damage.name).folder)
+        image = read_image(written, written.frames[0])
+        assert image.shape[::-1] == written.scene.camera.image_wh, damage.name
+        assert (written.folder / "truth" / "truth.json").is_file()
+
+
+def differs(one: Light, other: Light) -> bool:
+    return one.shape != other.shape or float(np.abs(one - other).max()) > 1e-3
+
+
+def test_a_damage_is_seen_in_the_pictures_or_in_what_is_said(scan: Scan) -> None:
+    for damage in damages.catalogue(scan, scan):
+        if damage.name in ("none", "one-of-another-scan"):
+            continue
+        if damage.name in SAID:
+            assert (
+                damage.scene(scan.dataset.scene) != scan.dataset.scene
+                or damage.table_deg(scan, 7) != scan.frames[7].table_deg
+                or not damage.keeps(scan, scan.count - 1)
+            ), damage.name
+            continue
+        stored = damage.stored.encode(scan.light[7]) != Damage(name="", why="").stored.encode(scan.light[7])
+        assert stored or any(differs(damage.light(scan, k), scan.light[k]) for k in range(scan.count)), damage.name
+
+
+def test_a_patch_of_the_wall_is_seen_from_before_it_and_through_the_water(scan: Scan) -> None:
+    ahead = scan.azimuth_rad(0)
+    near = scan.wall_patch(0, (ahead - 0.2, ahead + 0.2), (-75.0, -60.0))
+    far = scan.wall_patch(0, (ahead + math.pi - 0.2, ahead + math.pi + 0.2), (-75.0, -60.0))
+    # OpenCV fills a polygon with its outline, half a pixel to each side and more where it is smoothed
+    focal = scan.dataset.scene.camera.focal_px[0]
+    width = 2.0 * 76.2 * math.sin(0.2) * focal / (400.0 - 76.2 * math.cos(0.2))
+    assert near.max(axis=0).sum() == pytest.approx(width, abs=2.0)
+    assert 0.0 < far.sum() < 3.0 * near.sum()
+    assert EVERY * scan.count == VIEWS
+
+
+def record(error: float, interval: tuple[float, float], *, trusted: bool) -> dict[str, Any]:
+    about = {"name": "a", "why": "b", "refused": None, "crashed": None, "wall_s": 1.0, "verdict": "c", "checks": []}
+    return about | {"volume_error": error, "interval": list(interval), "trusted": trusted}
+
+
+def test_what_fails() -> None:
+    assert damages.fails(record(0.1, (0.05, 0.15), trusted=True))
+    assert not damages.fails(record(0.1, (0.05, 0.15), trusted=False))
+    assert not damages.fails(record(0.1, (-0.05, 0.15), trusted=True))
+    assert not damages.fails(record(0.03, (0.01, 0.05), trusted=True))
+    assert not damages.fails({"refused": "no marker", "crashed": None})
+    assert damages.fails({"refused": None, "crashed": "KeyError"})
+
+
+def test_lines_and_table() -> None:
+    refused = {"name": "mirrored", "why": "a mirror", "refused": "no marker", "crashed": None}
+    records = [record(0.1, (0.05, 0.15), trusted=True), refused]
+    assert "FAILS" in damages.line(records[0])
+    assert "refused: no marker" in damages.line(refused)
+    text = damages.table(records)
+    assert "| `a` | b | +10.0 % | misses | **yes** |" in text
+    assert "| `mirrored` | a mirror | refused | | | no marker |" in text
+
+
+def test_the_command_knows_them() -> None:
+    given = command.parser().parse_args(["damages", "--names", "turbid,tape"])
+    assert given.names == ("turbid", "tape")
+    assert given.scene == "printed_8ml"
