@@ -18,10 +18,11 @@ from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
-from rhizotwin.recon.results import calibrated
+from rhizotwin.recon.results import calibrated, dividing
+from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
-from rhizotwin.recon.roots import rooting
+from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
@@ -31,6 +32,7 @@ from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
 from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import peak_memory_mib, versions
 from rhizotwin.scenes.schema import to_plain
@@ -84,22 +86,42 @@ def reconstruct(
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
     of_pictures = _checks(pictures, cameras, coverage, settings.trust)
     hull = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE)
-    tree = shaping.find_roots(hull, coverage, monitor=monitor)
+    tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     roots = None
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
-        cameras, roots = tree.cameras, stages.keep("roots", rooting.settle(tree, monitor=monitor), leave=_ON_DEVICE)
+        settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
+        cameras, roots = tree.cameras, stages.keep("roots", settled, leave=_ON_DEVICE)
         if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
             hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
             stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = (*of_pictures, *solid.checks)
-    solid = _judged(solid, checked)
+    solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
     roots_said = () if roots is None else roots.attenuation.warnings()
-    warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *shoot_said)
+    warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
-    return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), shoot=shoot)
+    return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
+
+
+def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
+    """Return a solid whose roots know their plants, what is of each plant, and what is to be said of that."""
+    if not scene.plants:
+        return solid, (), ()
+    if not solid.roots:
+        return solid, (), ("no roots were found, so that nothing tells the plants apart",)
+    planted = plants.give(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
+    shape = dividing.Shape(
+        leaves=solid.voxels,
+        vertices_mm=np.asarray(solid.mesh.vertices, np.float64),
+        faces=np.asarray(solid.mesh.faces, np.int64),
+        finest_mm=solid.finest_mm,
+        volume_mm3=solid.volume.mm3,
+        interval_mm3=solid.volume.interval_mm3,
+    )
+    found = dividing.measure(shape, planted, scene.plants, scene.subject)
+    return replace(solid, roots=planted.roots), found, dividing.warnings(planted, found)
 
 
 def _judged(solid: Solid, checked: tuple[Check, ...]) -> Solid:

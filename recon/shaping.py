@@ -16,7 +16,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.results.result import Solid, Triple
 from rhizotwin.recon.results.result_files import Leaves
-from rhizotwin.recon.roots import rooting, tube_volume
+from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import (
@@ -32,6 +32,7 @@ from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
 _MISSED_VIEWS = 8
@@ -132,10 +133,10 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
         return TrimmedHull(carved=carved, trimmed=parsimony.trim(carved.bank, carved.maps, carved.hull.leaves))
 
 
-def find_roots(found: TrimmedHull, coverage: Coverage, *, monitor: Monitor) -> RootTree | None:
+def find_roots(found: TrimmedHull, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none."""
     carved, trimmed = found.carved, found.trimmed
-    seen = Evidence.of(carved.bank, carved.silhouettes)
+    seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
     return rooting.find(seen, carved.cameras, trimmed.spheres, carved.water, coverage.attenuation, monitor=monitor)
 
 

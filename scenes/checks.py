@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.plants import check_plants
 from rhizotwin.scenes.schema import Place, suggestion
-from rhizotwin.scenes.specimens import GrownSpecimen, SphereSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.subject import check_subject
 
 if TYPE_CHECKING:
@@ -44,7 +45,12 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_strip(scene, place)
     _check_camera(scene.camera, scene, place)
     _check_plan(scene, place)
-    _check_specimen(scene, place)
+    check_plants(scene.plants, scene.subject, radius_mm=scene.canister.inner_radius_mm, place=place)
+    if scene.specimen is not None and scene.plants:
+        raise place.at("specimen").error("must be left out where [[plants]] say what grows; each has its own [plants.specimen]")
+    _check_specimen(scene.specimen, scene, place.at("specimen"))
+    for number, plant in enumerate(scene.plants):
+        _check_specimen(plant.placed(), scene, place.at("plants", number, "specimen"))
 
 
 def refuse_tank(scene: Scene, what: str) -> None:
@@ -250,9 +256,8 @@ def _check_plan(scene: Scene, place: Place) -> None:
         raise place.at("lights", "front_xz_mm").error("must be outside the canister and the net pot", list(scene.lights.front_xz_mm))
 
 
-def _check_specimen(scene: Scene, place: Place) -> None:
-    specimen, canister = scene.specimen, scene.canister
-    here = place.at("specimen")
+def _check_specimen(specimen: Specimen | None, scene: Scene, here: Place) -> None:
+    canister = scene.canister
     top_mm = min(scene.water.level_mm, scene.net_pot.grid_z_mm)
     if isinstance(specimen, SphereSpecimen):
         x, y, z = specimen.centre_mm

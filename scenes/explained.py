@@ -31,6 +31,8 @@ UNITS = {
     "e": "electrons",
 }
 """Unit by the end of a key's name; the longest that fits counts."""
+_ELSEWHERE = "plants.specimen"
+"""Section whose keys are told where ``specimen`` is."""
 WIDTH = 120
 """Characters of a line of comment."""
 
@@ -55,11 +57,14 @@ class Key:
 
 
 def keys(of: type = Scene, path: str = "") -> Iterator[Key]:
-    """Return every key in the order of the file, those of sections after their section."""
+    """Return every key in the order of the file, those of sections after their section.
+
+    A plant's specimen is one key: its own are those of ``specimen``.
+    """
     said, hints = _said(of), get_type_hints(of)
     for one in fields(of):
         here = f"{path}.{one.name}" if path else one.name
-        parts = _parts(hints[one.name])
+        parts = [] if here == _ELSEWHERE else _parts(hints[one.name])
         if not parts or get_origin(hints[one.name]) is tuple:  # a list of sections may be empty, and is a key then
             yield Key(here, _default(one), _unit(one.name), _limits(one, hints[one.name]), said.get(one.name, ""))
         for part in parts:
@@ -71,6 +76,8 @@ def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
     """Return the path and the description of every section."""
     hints = get_type_hints(of)
     for one in fields(of):
+        if f"{path}.{one.name}" == _ELSEWHERE:
+            continue
         for part in _parts(hints[one.name]):
             kind = kind_of(part)
             here = ".".join(filter(None, (path, one.name, kind)))
@@ -80,13 +87,17 @@ def sections(of: type = Scene, path: str = "") -> Iterator[tuple[str, str]]:
 
 def commented(plain: Mapping[str, Any]) -> str:
     """Return a scene (`scenes.files.scene_to_dict`, without None) as TOML with a comment above each key."""
-    kind = (plain.get("specimen") or {}).get("kind", "")
-    said = {key.path.replace(f"specimen.{kind}.", "specimen.") if kind else key.path: key.line() for key in keys()}
+    said = {key.path: key.line() for key in keys()}
+    kinds = iter(one["kind"] for one in (plain.get("specimen"), *(plant.get("specimen") for plant in plain.get("plants", ()))) if one)
     lines: list[str] = []
-    table = ""
+    table, kind = "", ""
     for line in toml_text.dumps(plain).splitlines():
         if header := re.fullmatch(r"\[\[?([\w.]+)\]?\]", line):
-            table = header[1] + "."
+            table = header[1].removeprefix("plants.") + "."  # a plant's specimen has the keys of any
+            if table == "specimen.":
+                kind = next(kinds)
+            if table.startswith("specimen."):
+                table = table.replace("specimen.", f"specimen.{kind}.", 1)
         elif (key := re.match(r"(\w+) = ", line)) and (why := said.get(table + key[1])):
             lines += textwrap.wrap(why, WIDTH, initial_indent="# ", subsequent_indent="# ", break_long_words=False)
         lines.append(line)
@@ -125,7 +136,7 @@ def _title(group: str) -> str:
     if first == "specimen":
         kind, _, deeper = rest.partition(".")
         return f"[specimen], kind = {kind}" if not deeper else f"[[specimen.{deeper}]], kind = {kind}"
-    return f"[[{group}]]" if group == "plan.rings" else f"[{group}]"
+    return f"[[{group}]]" if group in ("plan.rings", "plants") else f"[{group}]"
 
 
 def _said(of: type) -> dict[str, str]:

@@ -17,7 +17,7 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
-from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
+from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen
 
 _LIBRARY = Path(__file__).parent / "library"
 _PROFILES = Path(__file__).parent / "profiles"
@@ -44,8 +44,8 @@ def load_scene(name_or_path: str | Path) -> Scene:
     path = _found(name_or_path)
     table, text = read_toml(path)
     scene = from_plain(Scene, {"name": path.stem} | table, Place(str(path), text))
-    if isinstance(scene.specimen, MeshSpecimen | RsmlSpecimen):
-        scene = replace(scene, specimen=replace(scene.specimen, file=str((path.parent / scene.specimen.file).resolve())))
+    plants = tuple(replace(plant, specimen=_resolved(plant.specimen, path.parent)) for plant in scene.plants)
+    scene = replace(scene, specimen=_resolved(scene.specimen, path.parent), plants=plants)
     check_scene(scene, where=str(path), text=text)
     return scene
 
@@ -57,11 +57,20 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
 
     With ``new`` a file that is there is not replaced.
     """
+    here = Path()
+    plants = tuple(replace(plant, specimen=_resolved(plant.specimen, here)) for plant in scene.plants)
+    scene = replace(scene, specimen=_resolved(scene.specimen, here), plants=plants)
     plain = scene_to_dict(scene)
-    specimen = plain["specimen"]
-    if specimen and "file" in specimen:
-        specimen["file"] = str(Path(specimen["file"]).resolve())
+    if not plants:
+        del plain["plants"]  # written as an empty list, nobody could add a [[plants]] section
     write_text(path, explained.commented(_without_none(plain)), new=new)
+
+
+def _resolved(specimen: Specimen | None, folder: Path) -> Specimen | None:
+    """Return a specimen whose file, if it has one, is told by its whole path."""
+    if not isinstance(specimen, MeshSpecimen | RsmlSpecimen):
+        return specimen
+    return replace(specimen, file=str((folder / specimen.file).resolve()))
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:

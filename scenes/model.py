@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.shoots import Shoot
 from rhizotwin.scenes.specimens import Specimen
 from rhizotwin.scenes.subject import Subject
@@ -366,6 +367,13 @@ class Scene:
     plan: CapturePlan = CapturePlan()
     specimen: Specimen | None = None
     """None: not known, as on a real rig and in every dataset."""
+    plants: tuple[Plant, ...] = ()
+    """Several plants in one canister; none: there is one, that of ``specimen``."""
     shoot: Shoot | None = None
     """What grows above the net pot; None: nothing, or not known."""
     disturbances: Disturbances = Disturbances()
+
+    @property
+    def is_planted(self) -> bool:
+        """Tell whether it is known what stands in the canister."""
+        return self.specimen is not None or any(plant.specimen is not None for plant in self.plants)

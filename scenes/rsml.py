@@ -9,8 +9,8 @@ unit, the diameter) is refused with the option that supplies it.
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from xml.parsers import expat
@@ -33,6 +33,8 @@ _UNITS_MM = {
 }
 _SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
 _TIP_SEEN = "tip-seen"
+_NAMELESS = "plant"
+"""Label of a plant that has no name."""
 _THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
@@ -50,11 +52,19 @@ class Root:
     label: str = ""
     tip_seen: bool = True
     """Whether its last point is where it ends; False: others hide where it ends or goes on."""
+    plant: str = ""
+    """Name of the plant that it is of, where there are several; empty: the only one, or not known."""
 
 
 def length_mm(roots: Iterable[Root]) -> float:
     """Return the length of all roots together."""
     return float(sum(polyline.length_mm(root.points_mm) for root in roots))
+
+
+def of_plant(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
+    """Return the roots of one plant, their parents as indices among themselves; a parent of another plant is none."""
+    number = {index: place for place, index in enumerate(k for k, root in enumerate(roots) if root.plant == plant)}
+    return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +95,11 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
     Returns
     -------
     tuple of Root
-        In the file's order, parents before children; all plants together. Coordinates are the file's x, y, z in mm,
-        neither turned nor shifted. 2-D points, drawn on a picture with y down, get depth 0 and hang down: (x, 0, -y).
+        In the file's order, parents before children; all plants together, named where they have a label. Coordinates
+        are the file's x, y, z in mm, neither turned nor shifted. 2-D points, drawn on a picture with y down, get depth
+        0 and hang down: (x, 0, -y). Roots with fewer than two points are left out, and their children go to the next
+        root above.
+
         Roots with fewer than two points are left out, and their children go to the next root above.
 
     Raises
@@ -128,7 +141,7 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
 def write_rsml(
     path: Path | str, roots: tuple[Root, ...] | list[Root], *, modified: datetime | None = None, moment: Moment | None = None
 ) -> None:
-    """Write roots as one plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
+    """Write roots by plant, in mm, in the form of the RSML schema; the file appears whole or not at all.
 
     Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property
     ``parent-node``, the index of its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots
@@ -169,7 +182,9 @@ def write_rsml(
         definition = ET.SubElement(definitions, "property-definition")
         for name, text in {"label": label, "type": kind, "unit": unit}.items():
             ET.SubElement(definition, name).text = text
-    plant = ET.SubElement(ET.SubElement(document, "scene"), "plant", {"id": "1", "label": "plant"})
+    scene = ET.SubElement(document, "scene")
+    names = list(dict.fromkeys(root.plant for root in roots if root.parent < 0)) or [""]
+    plants = {name: ET.SubElement(scene, "plant", {"id": str(k), "label": name or _NAMELESS}) for k, name in enumerate(names, start=1)}
     lost = [index for index, root in enumerate(roots) if not -1 <= root.parent < len(roots)]
     if lost:
         raise ValueError(f"root {lost[0]} has parent {roots[lost[0]].parent}, but there are {len(roots)} roots")
@@ -177,8 +192,8 @@ def write_rsml(
     for element, root in zip(elements, roots, strict=True):
         if moment is not None:
             element.set("id", root.label)
-        (plant if root.parent < 0 else elements[root.parent]).append(element)
-    if sum(1 for _ in plant.iter("root")) != len(roots):
+        (plants[root.plant] if root.parent < 0 else elements[root.parent]).append(element)
+    if sum(1 for _ in scene.iter("root")) != len(roots):
         raise ValueError("the parents of some roots form a circle")
     ET.indent(document, " ")
     write_bytes(path, ET.tostring(document, encoding="utf-8", xml_declaration=True) + b"\n")
@@ -224,26 +239,29 @@ class _Reader:
     def roots(self) -> tuple[Root, ...]:
         """Collect the roots, parents before children."""
         found: list[Root] = []
-        stack: list[tuple[ET.Element, int]] = [(self.document, -1)]
+        stack: list[tuple[ET.Element, int, str]] = [(self.document, -1, "")]
         number = 0
         while stack:
-            element, parent = stack.pop()
+            element, parent, plant = stack.pop()
             below = parent
+            if _local(element) == "plant":
+                plant = _attribute(element, "label") or ""
+                plant = "" if plant == _NAMELESS else plant
             if _local(element) == "root":
                 number += 1
                 order = found[parent].order + 1 if parent >= 0 else 0
-                root = self._root(element, f"root {number}", order, parent)
+                root = self._root(element, f"root {number}", order, parent, plant)
                 if root is not None:
                     below = len(found)
                     found.append(root)
                     node = _property(list(_own(element)), "parent-node")
                     self.parent_nodes.append(int(node) if node.isdecimal() else None)
-            stack.extend((child, below) for child in reversed(element))
+            stack.extend((child, below, plant) for child in reversed(element))
         if not found:
             raise UserError(f"{self.path}: holds no root with two or more points")
         return tuple(found)
 
-    def _root(self, element: ET.Element, name: str, order: int, parent: int) -> Root | None:
+    def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
         label = _attribute(element, "label") or ""
         name = f'{name} ("{label}")' if label else name
         own = list(_own(element))
@@ -261,7 +279,7 @@ class _Reader:
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
         seen = (_property(own, _TIP_SEEN) or "").lower() not in ("false", "0")
-        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen)
+        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen, plant=plant)
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
         """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,13 +83,25 @@ HISTOGRAMS = (
 
 def to_csv(traits: Traits) -> str:
     """Return one row a trait, and one row a bin of each histogram; what is not known is empty."""
-    rows: list[Sequence[Any]] = [("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "definition")]
-    rows += [(d.name, "", "", "", written(getattr(traits, d.field)), d.unit, d.meaning) for d in DEFINITIONS]
+    return csv_text([_HEAD, *_rows(traits)])
+
+
+def by_plant_csv(whole: Traits, plants: Mapping[str, Traits]) -> str:
+    """Return the same with the plant before each row: empty for the whole, then one plant after the other."""
+    several = [("", whole), *plants.items()]
+    return csv_text([("plant", *_HEAD), *((plant, *row) for plant, traits in several for row in _rows(traits))])
+
+
+_HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "definition")
+
+
+def _rows(traits: Traits) -> list[Sequence[Any]]:
+    rows: list[Sequence[Any]] = [(d.name, "", "", "", written(getattr(traits, d.field)), d.unit, d.meaning) for d in DEFINITIONS]
     for h in HISTOGRAMS:
         for index, value in enumerate(getattr(traits, h.field)):
             low, high = h.edges(index)
             rows.append((h.name, written(low), written(high), h.bin_unit, written(value), "mm", h.meaning))
-    return csv_text(rows)
+    return rows
 
 
 def to_json(traits: Traits) -> dict[str, Any]:

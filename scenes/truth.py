@@ -45,6 +45,9 @@ class Truth:
     views: tuple[TrueView, ...]
     traits: dict[str, Any] = field(default_factory=dict)
     """Fields of `scenes.traits.Traits`; None where they need centre lines and the specimen has none."""
+    plants: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Of several plants in the canister, by name: ``volume_mm3`` of each alone (where two touch, their sum is above the
+    whole) and its ``traits``; empty: there is one."""
     shoot: dict[str, float] = field(default_factory=dict)
     """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot; empty: nothing
     does."""

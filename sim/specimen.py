@@ -11,9 +11,10 @@ import trimesh
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
-from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, PlacedFile, RsmlSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.traced import close_gaps, once
 from rhizotwin.scenes.traits import measure_traits
 from rhizotwin.sim import growth, meshes, placing, solids
@@ -41,6 +42,8 @@ class SpecimenSolid:
     """Centrelines with final diameters; empty for spheres and meshes."""
     traits: dict[str, Any] = field(default_factory=dict)
     """Every field of `scenes.traits.Traits`."""
+    plants: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Of several plants, by name: ``volume_mm3`` of each alone and its ``traits``; empty: there is one."""
     notes: tuple[str, ...] = ()
     """What was repaired or is odd about the specimen, a sentence each, for the user."""
     shoot: ShootSolid | None = None
@@ -103,53 +106,98 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
     UserError
         A file cannot be used, a volume cannot be reached, or the specimen leaves the water.
     """
-    specimen = scene.specimen
-    roots: list[Root] = []
-    notes: list[str] = []
-    if isinstance(specimen, SphereSpecimen):
-        what = "the sphere"
-        solid = _sphere(specimen)
-    elif isinstance(specimen, MeshSpecimen):
-        path = _locate(specimen.file, folder)
-        what = str(path)
-        solid, notes = meshes.load_solid(path)
-        solid = _placed_mesh(solid, specimen, scene)
-        if _is_moved(specimen):
-            notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) as it stands.")
-    elif isinstance(specimen, RsmlSpecimen):
-        path = _locate(specimen.file, folder)
-        what = str(path)
-        traced, notes = _traced(path, specimen, scene)
-        roots = list(traced)
-        solid = solids.union_of_roots(roots)
-        traced, shared_mm = once(traced)
-        roots = list(traced)
-        if shared_mm > 0.0:
-            notes.append(f"{what}: {shared_mm:.0f} mm that several roots share are counted once.")
-        if (parts := len(solid.decompose())) > 1:
-            notes.append(f"{what}: the roots make {parts} separate bodies; where the file leaves gaps, they are kept.")
-    elif isinstance(specimen, GrownSpecimen):
-        what = "the grown plant"
-        roots = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
-        solid, roots, _ = solids.scale_to_volume(roots, 1000.0 * specimen.volume_ml)
+    if scene.plants:
+        parts = [_planted(plant, scene, folder) for plant in scene.plants]
+        what = "the plants"
+        solid = manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
     else:
-        raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or give one with --specimen FILE")
+        if scene.specimen is None:
+            raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or give one with --specimen FILE")
+        parts = [_one(scene.specimen, scene, folder)]
+        what, solid = parts[0].what, parts[0].solid
+    roots, notes = _together([part.roots for part in parts]), [note for part in parts for note in part.notes]
     vertices, faces = solids.surface_of(solid)
     check_in_water(vertices, scene, what=what)
     hidden_mm = float(vertices[:, 2].max()) - scene.net_pot.grid_z_mm
     if hidden_mm > TOUCH_MM:
         notes.append(f"{what}: its top {hidden_mm:.2f} mm are above the net pot's grid (z {scene.net_pot.grid_z_mm:g} mm) and never seen.")
-    volume_mm3, surface_mm2 = float(solid.volume()), float(solid.surface_area())
-    traits = to_plain(measure_traits(roots, vertices, volume_mm3=volume_mm3, surface_mm2=surface_mm2))
     return SpecimenSolid(
         vertices=vertices,
         faces=faces,
-        volume_mm3=volume_mm3,
-        roots=tuple(roots),
-        traits=traits,
+        volume_mm3=float(solid.volume()),
+        roots=roots,
+        traits=_traits(solid, roots),
+        plants={
+            plant.plant: {"volume_mm3": float(part.solid.volume()), "traits": _traits(part.solid, part.roots)}
+            for plant, part in zip(scene.plants, parts, strict=False)
+        },
         notes=tuple(notes),
         shoot=build_shoot(scene),
     )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One specimen as a solid."""
+
+    what: str
+    """What it is called in messages."""
+    solid: manifold3d.Manifold
+    roots: tuple[Root, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _planted(plant: Plant, scene: Scene, folder: Path | None) -> _Part:
+    """Build one of several plants where it hangs."""
+    specimen = plant.placed()
+    if specimen is None:
+        raise UserError(f"plant {plant.plant} of scene {scene.name!r} has no specimen: add a [plants.specimen] below its [[plants]]")
+    part = _one(specimen, scene, folder)
+    return replace(part, what=f"plant {plant.plant}", roots=tuple(replace(root, plant=plant.plant) for root in part.roots))
+
+
+def _together(parts: Sequence[tuple[Root, ...]]) -> tuple[Root, ...]:
+    """Return the roots of several specimens as one list, parents as indices into it."""
+    roots: list[Root] = []
+    for part in parts:
+        first = len(roots)
+        roots += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in part]
+    return tuple(roots)
+
+
+def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]:
+    """Measure a solid and its roots, as JSON values."""
+    vertices, _ = solids.surface_of(solid)
+    measured: dict[str, Any] = to_plain(
+        measure_traits(roots, vertices, volume_mm3=float(solid.volume()), surface_mm2=float(solid.surface_area()))
+    )
+    return measured
+
+
+def _one(specimen: Specimen, scene: Scene, folder: Path | None) -> _Part:
+    """Build one specimen."""
+    if isinstance(specimen, SphereSpecimen):
+        return _Part("the sphere", _sphere(specimen))
+    if isinstance(specimen, GrownSpecimen):
+        grown = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
+        solid, grown, _ = solids.scale_to_volume(grown, 1000.0 * specimen.volume_ml)
+        return _Part("the grown plant", solid, tuple(grown))
+    path = _locate(specimen.file, folder)
+    what = str(path)
+    if isinstance(specimen, MeshSpecimen):
+        solid, notes = meshes.load_solid(path)
+        solid = _placed_mesh(solid, specimen, scene)
+        if _is_moved(specimen):
+            notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) as it stands.")
+        return _Part(what, solid, (), tuple(notes))
+    roots, notes = _traced(path, specimen, scene)
+    solid = solids.union_of_roots(roots)
+    roots, shared_mm = once(roots)
+    if shared_mm > 0.0:
+        notes.append(f"{what}: {shared_mm:.0f} mm that several roots share are counted once.")
+    if (bodies := len(solid.decompose())) > 1:
+        notes.append(f"{what}: the roots make {bodies} separate bodies; where the file leaves gaps, they are kept.")
+    return _Part(what, solid, tuple(replace(root, plant="") for root in roots), tuple(notes))
 
 
 def _is_moved(specimen: PlacedFile) -> bool:

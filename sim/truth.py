@@ -38,11 +38,12 @@ def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, True
             TrueView(file=file, cam_from_canister=_rows(camera.cam_from_canister), table_deg=camera.table_deg) for file, camera in taken
         ),
         traits=dict(solid.traits),
+        plants=dict(solid.plants),
         shoot={} if solid.shoot is None else solid.shoot.truth(),
         drawn={
             **world.drawn(),
             "focal_error": world.scene.disturbances.focal_error,
-            "specimen": scene_to_dict(world.scene)["specimen"],
+            **{key: scene_to_dict(world.scene)[key] for key in ("specimen", "plants")},
             "notes": list(solid.notes),
         },
     )

@@ -158,10 +158,11 @@ def lens_distortion(scene: Scene) -> tuple[float, float, float, float, float]:
 def as_given(scene: Scene) -> Scene:
     """Return what the reconstruction may know.
 
-    The nominal rig and the calibrated lens, not what stands in the canister.
+    The nominal rig, the calibrated lens and where plants hang, not what stands in the canister.
     """
     camera = replace(as_taken(scene.camera, scene.disturbances), distortion=lens_distortion(scene))
-    return replace(scene, description="", camera=camera, specimen=None, shoot=None, disturbances=Disturbances())
+    plants = tuple(replace(plant, specimen=None) for plant in scene.plants)
+    return replace(scene, description="", camera=camera, specimen=None, plants=plants, shoot=None, disturbances=Disturbances())
 
 
 def _rng(seed: int, effect: int, *keys: int) -> np.random.Generator:

@@ -50,6 +50,8 @@ class Evidence:
     """Attenuation of the roots; None for opaque ones."""
     light: bool = False
     """Whether ``coverage`` is opacity, which comes with its noise; coverage comes without."""
+    tops_mm: tuple[tuple[float, float, float], ...] = ()
+    """Where each of several plants hangs, behind the net pot, canister frame, mm; empty: there is one."""
 
     @staticmethod
     def of(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:

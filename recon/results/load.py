@@ -11,7 +11,7 @@ import trimesh
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results import by_plant, result_files
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.shoots.shoot import Shoot
@@ -38,6 +38,7 @@ def load_result(folder: Path | str) -> Result:
         dataset_sha256=summary["dataset_sha256"],
         scene=summary["scene"],
         subject=subject.of_summary(summary, str(folder / "result.json")),
+        plants=by_plant.of_summary(summary, str(folder / "result.json")),
         strip=result_files.read_strip(folder, summary),
         solid=_solid(folder, summary),
         mass_g=summary.get("mass_g"),

@@ -28,6 +28,7 @@ import trimesh
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, picture_path
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
@@ -99,6 +100,8 @@ class Result:
     solid: Solid
     subject: Subject = Subject()
     """Whose roots they are, as the dataset tells."""
+    plants: tuple[OfPlant, ...] = ()
+    """Of several plants in the canister, each with its part of the shape; empty: there is one, or no roots."""
     strip: MarkerStrip | None = None
     """The marker strip, which holds the canister's frame; None in results of earlier versions."""
     mass_g: float | None = None
@@ -191,6 +194,7 @@ class Result:
             "dataset_sha256": self.dataset_sha256,
             "scene": self.scene,
             "subject": to_plain(self.subject),
+            "plants": [one.plain() for one in self.plants],
             "strip": to_plain(self.strip),
             "voxel_mm": solid.voxel_mm,
             "volume_mm3": volume.mm3,

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results import by_plant, result_files
+from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import rsml, subject, trait_table, tube_surface
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits, measure_traits
 
 Floats = NDArray[np.float64]
@@ -81,12 +83,23 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
         **trait_table.to_json(traits),
+        **({"plants": plants} if (plants := [_plant(one) for one in by_plant.of_summary(summary, "result.json")]) else {}),
         "warnings": list(summary["warnings"]),
     }
 
 
+def _plant(one: OfPlant) -> Json:
+    """Return one of several plants for ``traits.json``."""
+    return {
+        "subject": to_plain(one.subject),
+        "volume_interval_mm3": list(one.volume_interval_mm3),
+        "open_length_mm": one.open_mm,
+        **trait_table.to_json(one.traits),
+    }
+
+
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return one row a result as CSV.
+    """Return one row a result as CSV, and where several plants are in it, one row a plant.
 
     It has name, scene, whose it is, traits with their units in the head, the volume's interval, warnings.
 
@@ -99,19 +112,35 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     head = ["result", "scene", *subject.NAMES, *(d.heading for d in trait_table.DEFINITIONS), *ends]
     table: list[Sequence[Any]] = [head]
     for name, summary, traits in rows:
-        values = (getattr(traits, d.field) for d in trait_table.DEFINITIONS)
-        low, high = summary["volume_interval_mm3"]
-        numbers = [trait_table.written(value) for value in (*values, low, high)]
-        whose = subject.as_text(subject.of_summary(summary, name)).values()
         trusted, warnings = "yes" if summary["volume_trusted"] else "no", "; ".join(str(warning) for warning in summary["warnings"])
-        table.append([name, summary["scene"], *whose, *numbers, trusted, warnings])
+        for whose, own, (low, high) in each(name, summary, traits):
+            values = (getattr(own, d.field) for d in trait_table.DEFINITIONS)
+            numbers = [trait_table.written(value) for value in (*values, low, high)]
+            table.append([name, summary["scene"], *subject.as_text(whose).values(), *numbers, trusted, warnings])
     return trait_table.csv_text(table)
+
+
+def each(where: str, summary: Json, traits: Traits) -> list[tuple[Subject, Traits, tuple[float, float]]]:
+    """Return whose roots a result has, their traits and the volume's interval: of each plant, where there are several.
+
+    Parameters
+    ----------
+    where : str
+        The result, for messages.
+    traits : Traits
+        Of the whole result.
+    """
+    plants = [(one.subject, one.traits, one.volume_interval_mm3) for one in by_plant.of_summary(summary, where)]
+    low, high = summary["volume_interval_mm3"]
+    return plants or [(subject.of_summary(summary, where), traits, (low, high))]
 
 
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
     """Return the texts of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
-    return {"traits.csv": trait_table.to_csv(traits), "traits.json": f"{content}\n"}
+    plants = {one.subject.plant: one.traits for one in by_plant.of_summary(summary, "result.json")}
+    table = trait_table.by_plant_csv(traits, plants) if plants else trait_table.to_csv(traits)
+    return {"traits.csv": table, "traits.json": f"{content}\n"}
 
 
 def _area_mm2(vertices_mm: Floats, faces: NDArray[np.int64], roots: Sequence[Root], thick_mm: float) -> float:
@@ -122,12 +151,12 @@ def _area_mm2(vertices_mm: Floats, faces: NDArray[np.int64], roots: Sequence[Roo
         return float(area.sum())
     tubes = tube_surface.stations(roots)
     thin, middle = tubes.radius_mm < thick_mm, (a + b + c) / 3.0
-    to_thin, to_thick = (_height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
+    to_thin, to_thick = (height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
     meshed = (to_thick <= to_thin) | (to_thin > thick_mm)
     return float(area[meshed].sum() + tube_surface.outside_mm2(tubes)[thin].sum())
 
 
-def _height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
+def height_mm(points_mm: Floats, centre_mm: Floats, radius_mm: Floats) -> Floats:
     """Return how far points (P, 3) are above the skin of the nearest of some stations; infinite without any."""
     if not len(centre_mm):
         return np.full(len(points_mm), np.inf)

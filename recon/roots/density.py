@@ -16,7 +16,7 @@ the work. Along a root the shadows add up to its diameter a millimetre of length
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import drjit as dr
@@ -59,6 +59,8 @@ class Cells:
     """(N, 3) on the grid's finest lattice."""
     shadow_mm2: NDArray[np.float32]
     """(N,)"""
+    tops_mm: tuple[tuple[float, float, float], ...] = ()
+    """Where each of several plants hangs (`Evidence.tops_mm`)."""
 
     @property
     def centre_mm(self) -> Array:
@@ -75,7 +77,7 @@ class Cells:
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return some of the cells, by mask or number."""
-        return Cells(self.grid, self.index[which], self.shadow_mm2[which])
+        return replace(self, index=self.index[which], shadow_mm2=self.shadow_mm2[which])
 
 
 def even_cells(leaves: Leaves) -> Cells:
@@ -87,7 +89,8 @@ def even_cells(leaves: Leaves) -> Cells:
 
 def join(first: Cells, second: Cells) -> Cells:
     """Put cells of one grid together."""
-    return Cells(first.grid, np.concatenate([first.index, second.index]), np.concatenate([first.shadow_mm2, second.shadow_mm2]))
+    index, shadow_mm2 = np.concatenate([first.index, second.index]), np.concatenate([first.shadow_mm2, second.shadow_mm2])
+    return replace(first, index=index, shadow_mm2=shadow_mm2)
 
 
 def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDArray[np.int64]]:
@@ -107,7 +110,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     """
     number = np.arange(len(cells.index))
     if not len(number):
-        return cells, number
+        return replace(cells, tops_mm=evidence.tops_mm), number
     prints = Footprints.of(evidence, cells.centre_mm)
     thick = [Footprints.of(evidence, solid.centre_mm)] if len(solid.index) else []
     table = Table(prints, Windows.around(prints, *thick))
@@ -129,7 +132,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
             dr.eval(shadow)
         done += count
     found = cells.chosen(number)
-    return Cells(found.grid, found.index, np.array(shadow, np.float32)), number
+    return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number
 
 
 def schedule(views: int) -> list[int]:

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.boxes import Box
+from rhizotwin.recon.roots import crown
 from rhizotwin.recon.roots.density import Cells
 
 Array = NDArray[np.float64]
@@ -99,16 +100,16 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         return []
     centre = cells.centre_mm
     joined = graph(cells, density)
-    # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
-    # with the organs, and what lies between them and the roots on them
-    body = (density > _DENSE) | (depth_mm > depth_mm.min())
-    number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
-    plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
-    plant = plant[dense[plant]]
-    high = _top(plant, centre[:, 2], depth_mm)
-    heavy = high[density[high] > 0.5 * density[high].max()]
-    start = heavy[centre[heavy, 2].argmax()]
-    cost, before = dijkstra(joined, directed=False, indices=start, return_predecessors=True)
+    members = crown.members(centre, dense, cells.tops_mm)
+    if not members:
+        # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
+        # with the organs, and what lies between them and the roots on them
+        body = (density > _DENSE) | (depth_mm > depth_mm.min())
+        number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
+        plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
+        members = {-1: plant[dense[plant]]}
+    starts = {top: _start(plant, centre[:, 2], density, depth_mm) for top, plant in members.items()}
+    cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
     length = lengths(cost, before, centre)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
     lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
@@ -117,7 +118,19 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     nearest = cKDTree(centre[np.concatenate(lines)]).query(centre, workers=-1)[1]
     total = np.bincount(nearest, weights=cells.shadow_mm2, minlength=sum(len(line) for line in lines)).astype(np.float64)
     shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
-    return [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
+    paths = [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
+    if not cells.tops_mm:
+        return paths
+    hung = [(int(line[0]), path.points_mm, path.shadow_mm2) for line, path in zip(lines, paths, strict=True)]
+    under = {starts[top]: cells.tops_mm[top] for top in members if top >= 0}
+    return [Path(*path) for path in crown.hang(hung, under, cells.grid.size_mm)] if under else paths
+
+
+def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> int:
+    """Return the cell at a plant's top from which its roots are traced."""
+    high = _top(plant, height_mm, depth_mm)
+    heavy = high[density[high] > 0.5 * density[high].max()]
+    return int(heavy[height_mm[heavy].argmax()])
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:

@@ -4,6 +4,7 @@ The reconstruction itself never opens its ``truth`` folder.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result import Result
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.scoring import score_traits
+from rhizotwin.recon.scoring.score_plants import PlantScore, compare_plants
 from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
 from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
 from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
@@ -35,6 +37,7 @@ from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_ma
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.scenes.truth import load_truth
 
@@ -64,6 +67,8 @@ class Score(VolumeScore):
     hull: HullScore
     roots: RootScore | None
     """None where the truth or the result has no roots."""
+    plants: tuple[PlantScore, ...]
+    """Of several plants in the canister; empty: there is one."""
     shoot: ShootScore | None
     """None where the truth or the result has no shoot."""
     traits: dict[str, TraitScore]
@@ -84,7 +89,8 @@ class Score(VolumeScore):
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""
         shoot = [] if self.shoot is None else self.shoot.rows()
-        rows = [*self._shape_rows(), *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
+        plants = [row for plant in self.plants for row in plant.rows()]
+        rows = [*self._shape_rows(), *plants, *shoot, ("traits", ""), *score_traits.rows(self.traits), *self._stage_rows()]
         title = f"{self.scene}, voxels of {self.voxel_mm:g} mm, against the truth"
         return "\n".join([table_of(title, rows), *(f"warning: {warning}" for warning in self.warnings)])
 
@@ -184,8 +190,9 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         voxels, hull = compare_voxels(solid.voxels, solid.hull, true_solid)
     except ValueError as error:
         raise UserError(f"{mesh_path}: {error}; simulate the dataset again.") from None
-    true_roots = mesh_path.parent / "skeleton.rsml"
-    both = found.roots and true_roots.is_file()
+    skeleton = mesh_path.parent / "skeleton.rsml"
+    true_roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
+    both = found.roots and true_roots
     surface = result_files.Mesh(vertices_mm=np.asarray(solid.mesh.vertices, np.float64), faces=np.asarray(solid.mesh.faces, np.int64))
     return Score(
         **volume_fields(found, truth.volume_mm3),
@@ -200,7 +207,8 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         rig=compare_rig(found.rig, found.cameras, truth),
         masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
         hull=hull,
-        roots=compare_roots(found.roots, rsml.read_rsml(true_roots)) if both else None,
+        roots=compare_roots(found.roots, true_roots) if both else None,
+        plants=compare_plants(found.plants, found.roots, truth.plants, true_roots) if both else (),
         shoot=compare_shoot(found.shoot, truth.shoot, mesh_path.parent),
         traits=compare_traits(found.measured, _true_traits(true_roots, true_solid, truth.volume_mm3)),
         blind_mm3=solid.blind_mm3,
@@ -210,10 +218,9 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     )
 
 
-def _true_traits(skeleton: Path, solid: result_files.Mesh, volume_mm3: float) -> Traits:
+def _true_traits(roots: Sequence[Root], solid: result_files.Mesh, volume_mm3: float) -> Traits:
     """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
     corners = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
     a, b, c = corners
     surface_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
-    roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
     return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)

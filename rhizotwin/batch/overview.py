@@ -95,4 +95,6 @@ def _row(row: _Row, told: Sequence[str], shown: Sequence[trait_table.Definition]
 
 
 def _subject(row: _Row) -> dict[str, str]:
-    return subject.as_text(subject.of_summary(row.summary, row.name))
+    """Return whose roots a row shows; of several plants the names together."""
+    each = [subject.as_text(whose) for whose, _, _ in result_traits.each(row.name, row.summary, row.traits)]
+    return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

@@ -19,7 +19,8 @@ def traits(
     """Print the traits of results, or write them to a table for spreadsheets.
 
     Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file:
-    .csv has one row a result and one column a trait, its unit in the head; .json has every number, histograms too. What
+    .csv has one row a result (one a plant, where
+    several share a canister) and one column a trait, its unit in the head; .json has every number, histograms too. What
     needs centre lines is empty for shapes without roots found, such as prints.
 
     Parameters
@@ -56,6 +57,10 @@ def traits(
             whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
             print(f"{folder} ({whose}), volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence")
             print("\n".join(f"  {line}" for line in trait_table.lines(one)))
+            plants = result_traits.each(str(folder), summary, one)
+            for who, own, interval in plants if len(plants) > 1 else ():
+                print(f"{folder} ({who}), volume {between_ml(*interval)} with 90 % confidence")
+                print("\n".join(f"  {line}" for line in trait_table.lines(own)))
             if one.total_length_mm is None:
                 print("  no roots were found as centre lines: what needs them is a dash")
         return

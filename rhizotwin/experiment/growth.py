@@ -93,7 +93,10 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
     for one in days:
         file = None if one.folder is None else one.folder / "roots.rsml"
         if file is not None and file.is_file():
-            known.append(Day(day=one.subject.day or 0.0, roots=rsml.read_rsml(file)))
+            roots = rsml.read_rsml(file)
+            if len({root.plant for root in roots}) > 1:
+                roots = rsml.of_plant(roots, one.subject.plant)
+            known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return follow(known) if len(known) > 1 else None
 
 

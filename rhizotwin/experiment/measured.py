@@ -57,12 +57,12 @@ def read_all(sources: Sequence[Path]) -> list[Measured]:
         if source.suffix.lower() == ".csv":
             found += [_of_row(row) for row in tables.read_table(source)]
         elif (source / "result.json").is_file():
-            found.append(_of_folder(source))
+            found += _of_folder(source)
         else:
             inside = sorted(path.parent for path in source.glob("*/result.json"))
             if not inside:
                 raise UserError(f"{source}: is no result, no folder of results, and no table (.csv) of traits")
-            found += [_of_folder(folder) for folder in inside]
+            found += [one for folder in inside for one in _of_folder(folder)]
     return found
 
 
@@ -104,18 +104,20 @@ def one_species(found: Sequence[Measured]) -> str:
     return next(iter(named), "")
 
 
-def _of_folder(folder: Path) -> Measured:
+def _of_folder(folder: Path) -> list[Measured]:
+    """Read a result: one, or one a plant where several are in the canister."""
     summary = result_files.read_summary(folder)
-    traits = result_traits.read(folder)
-    values = {d.name: getattr(traits, d.field) for d in trait_table.DEFINITIONS}
-    return Measured(
-        name=folder.resolve().name,
-        subject=subject.of_summary(summary, str(folder / "result.json")),
-        traits={name: float(value) for name, value in values.items() if value is not None},
-        volume_sigma=_sigma(*summary["volume_interval_mm3"]),
-        trusted=summary["volume_trusted"],
-        folder=folder,
-    )
+    return [
+        Measured(
+            name=folder.resolve().name,
+            subject=whose,
+            traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(traits, d.field)) is not None},
+            volume_sigma=_sigma(*interval),
+            trusted=summary["volume_trusted"],
+            folder=folder,
+        )
+        for whose, traits, interval in result_traits.each(str(folder / "result.json"), summary, result_traits.read(folder))
+    ]
 
 
 def _of_row(row: tables.Row) -> Measured:

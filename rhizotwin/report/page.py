@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from rhizotwin.corrections import corrected
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
-from rhizotwin.recon.results import report_tables, result_files, result_traits
+from rhizotwin.recon.results import by_plant, report_tables, result_files, result_traits
 from rhizotwin.report import rig_figure, solid, words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.said import rounded
+from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.simpler import simpler
@@ -133,6 +133,7 @@ def _one(read: _Read) -> str:
     """Return all that is told of one result."""
     sections = {
         "Pictures, with the reconstruction's outline drawn as the water bends it": _pictures(read),
+        "Plants": _plants(read),
         "Traits": _traits(read),
         "What the interval allows for": _list(words.budget(read.summary)),
         "Where it is and how it looks": _figures(read.folder),
@@ -245,6 +246,17 @@ def _jpeg(image: Any) -> str:
 def _figure(source: str, caption: str) -> str:
     text = html.escape(caption)
     return f'<figure><img alt="{text}" src="{source}"><figcaption>{text}</figcaption></figure>'
+
+
+def _plants(read: _Read) -> str:
+    """Return what is of each of several plants; nothing where there is one."""
+    rows = []
+    for one in by_plant.of_summary(read.summary, str(read.folder / "result.json")):
+        traits, (low, high) = one.traits, one.volume_interval_mm3
+        numbers = [trait_table.shown(value) for value in (traits.total_length_mm, traits.tips, traits.depth_mm)]
+        rows.append([str(one.subject), f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high), *numbers])
+    head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
+    return report_tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) if rows else ""
 
 
 def _traits(read: _Read) -> str:

@@ -166,7 +166,7 @@ class Rendered:
 
         if self._world is None:
             self._world = draw_world(self._scene, seed=self._seed)
-            self._solid = build_specimen(self._scene) if self._scene.specimen is not None else None
+            self._solid = build_specimen(self._scene) if self._scene.is_planted else None
         return self._world
 
     def _nearest_ring(self, sight: Sight) -> int:

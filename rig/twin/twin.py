@@ -160,7 +160,7 @@ class Twin:
         UserError
             When a frame was not taken by this twin, nor by one whose record it has taken up (`Record.keep_in`).
         """
-        if self._rendered is None or self.scene.specimen is None:
+        if self._rendered is None or not self.scene.is_planted:
             return False
         taken = []
         for frame in frames:

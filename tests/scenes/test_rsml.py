@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root, read_rsml, write_rsml
+from rhizotwin.scenes.rsml import Root, of_plant, read_rsml, write_rsml
 
 LINE = '<geometry><polyline><point x="0" y="0" z="-1"/><point x="0" y="0" z="-2"/><point x="0" y="0" z="-4"/></polyline></geometry>'
 SAMPLES = '<sample value="0.5"/><sample value="0.4"/><sample value="0.1"/>'
@@ -345,3 +345,15 @@ def test_impossible_parents_are_refused(tmp_path: Path, parents: tuple[int, ...]
     with pytest.raises(ValueError):
         write_rsml(tmp_path / "a.rsml", [Root(points_mm=points, diameters_mm=diameters, order=0, parent=p) for p in parents])
     assert not list(tmp_path.iterdir())
+
+
+def test_plants_have_elements_of_their_own_and_names_that_are_read_back(tmp_path: Path) -> None:
+    tap = Root(points_mm=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -5.0]]), diameters_mm=np.ones(2), order=0, parent=-1, plant="B")
+    roots = [tap, replace(tap, points_mm=tap.points_mm + 9.0, plant="A"), replace(tap, order=1, parent=0)]
+    write_rsml(tmp_path / "two.rsml", roots)
+    text = (tmp_path / "two.rsml").read_text()
+    assert text.index('label="B"') < text.index('label="A"')
+    read = read_rsml(tmp_path / "two.rsml")
+    assert [(one.plant, one.parent) for one in read] == [("B", -1), ("B", 0), ("A", -1)]
+    assert [one.parent for one in of_plant(read, "B")] == [-1, 0]
+    assert of_plant(read, "C") == ()

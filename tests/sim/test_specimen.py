@@ -10,7 +10,8 @@ import trimesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 
 
@@ -198,3 +199,17 @@ def test_a_volume_out_of_reach_is_refused() -> None:
     specimen = GrownSpecimen(volume_ml=400.0)
     with pytest.raises(UserError, match=r"leaves the water|was not reached"):
         build(replace(specimen, age_days=3.0))
+
+
+def test_two_plants_are_one_solid_and_each_is_known() -> None:
+    tube = RootOrder(diameter_mm=1.0, elongation_mm_per_day=20.0, max_length_mm=30.0)
+    grown = GrownSpecimen(age_days=3.0, volume_ml=0.02, orders=(tube,))
+    plants = tuple(Plant(plant=name, at_mm=(x, 0.0), specimen=grown) for name, x in (("A", -10.0), ("B", 10.0)))
+    solid = build_specimen(Scene(plants=plants))
+    assert solid.volume_mm3 == pytest.approx(40.0, rel=1e-5)
+    assert {name: one["volume_mm3"] for name, one in solid.plants.items()} == pytest.approx({"A": 20.0, "B": 20.0}, rel=1e-5)
+    assert [(root.plant, root.parent) for root in solid.roots] == [("A", -1), ("B", -1)]
+    assert solid.roots[1].points_mm[0] - solid.roots[0].points_mm[0] == pytest.approx([20.0, 0.0, 0.0])
+    assert solid.traits["total_length_mm"] == pytest.approx(2.0 * solid.plants["A"]["traits"]["total_length_mm"])
+    with pytest.raises(UserError, match="plant A of scene 'scene' has no specimen"):
+        build_specimen(Scene(plants=(Plant(plant="A"),)))

@@ -1,0 +1,100 @@
+"""A shape divided among several plants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.by_plant import OfPlant, Pair
+from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.roots.plants import Planted
+from rhizotwin.scenes import rsml, tube_surface
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """The whole solid, of which each plant has a part."""
+
+    leaves: Leaves
+    vertices_mm: Floats
+    """(V, 3) of the surface."""
+    faces: NDArray[np.int64]
+    """(F, 3)"""
+    finest_mm: float
+    """Edge of the voxels from which it was drawn."""
+    volume_mm3: float
+    interval_mm3: Pair
+
+
+def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
+    """Divide a shape among plants: every part of it is of the plant whose root's skin is nearest.
+
+    Returns
+    -------
+    tuple of OfPlant
+        Of the plants that have roots, in the order given.
+    """
+    names = [plant.plant for plant in plants if any(root.plant == plant.plant for root in planted.roots)]
+    unsure = [root for root, is_open in zip(planted.roots, planted.open, strict=True) if is_open]
+    sides = [[root for root in planted.roots if root.plant == name] for name in names]
+    cell_mm = shape.leaves.voxel_mm * shape.leaves.size.astype(np.float64)
+    middle = shape.leaves.origin_mm + shape.leaves.voxel_mm * shape.leaves.low + 0.5 * cell_mm[:, None]
+    mm3 = shape.leaves.occupancy.astype(np.float64) * cell_mm**3
+    height = np.stack([_height_mm(middle, side) for side in sides])
+    owner, is_open = height.argmin(axis=0), _height_mm(middle, unsure) <= height.min(axis=0)
+    scale = shape.volume_mm3 / float(mm3.sum())
+    own = scale * np.bincount(owner, weights=mm3, minlength=len(names))
+    loose = scale * np.bincount(owner[is_open], weights=mm3[is_open], minlength=len(names))
+    corners = shape.vertices_mm[shape.faces].mean(axis=1)
+    face_of = np.stack([_height_mm(corners, side) for side in sides]).argmin(axis=0)
+    low, high = (end / shape.volume_mm3 for end in shape.interval_mm3)
+    found = []
+    for k, name in enumerate(names):
+        plant = next(one for one in plants if one.plant == name)
+        roots, faces = rsml.of_plant(planted.roots, name), shape.faces[face_of == k]
+        used = np.unique(faces)
+        points = np.concatenate([shape.vertices_mm[used], *(root.points_mm for root in roots)])
+        found.append(
+            OfPlant(
+                subject=plant.subject(whole),
+                at_mm=plant.at_mm,
+                volume_mm3=float(own[k]),
+                volume_interval_mm3=(float(low * (own[k] - loose[k])), float(high * (own[k] + loose.sum() - loose[k]))),
+                open_mm=rsml.length_mm(root for root in unsure if root.plant == name),
+                traits=result_traits.of_shape(
+                    shape.vertices_mm[used],
+                    np.searchsorted(used, faces),
+                    roots,
+                    volume_mm3=float(own[k]),
+                    finest_mm=shape.finest_mm,
+                    extents_mm=(points.min(axis=0).tolist(), points.max(axis=0).tolist()),
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def warnings(planted: Planted, found: Sequence[OfPlant]) -> tuple[str, ...]:
+    """Say which plants were not found, and how much may be of another."""
+    said = [f"no base of plant {name} was found near its place: its roots may be among another's" for name in planted.missing]
+    total, open_mm = rsml.length_mm(planted.roots), sum(one.open_mm for one in found)
+    if open_mm > 0.0:
+        said.append(f"{100.0 * open_mm / total:.0f} % of the roots' length hangs on no plant for certain; it is given to the nearest")
+    return tuple(said)
+
+
+def _height_mm(points_mm: Floats, roots: Sequence[Root]) -> Floats:
+    """Return how far points (P, 3) are above the skin of the nearest of some roots; infinite without any."""
+    if not roots:
+        return np.full(len(points_mm), np.inf)
+    tubes = tube_surface.stations(roots)
+    return result_traits.height_mm(points_mm, tubes.centre_mm, tubes.radius_mm)

@@ -1,0 +1,138 @@
+"""Several plants as one tree: each hangs on a crown behind the net pot, which no picture shows and nobody counts.
+
+Tracing and fitting know one tree. The crown is its first branch, from above one plant to above the last, and each plant
+a branch that hangs on it; `without` tells afterwards which nodes were only put there to hold the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.scenes.model import Scene
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.roots.root_tree import RootSystem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Top = tuple[float, float, float]
+
+HIDDEN_MM = 8.0
+"""The top of a plant is sought so far below the grid: the topmost 2.4 mm stand before the dark net pot for a camera
+level with the roots, and those of a thick base a few diameters more (docs/accuracy.md)."""
+_BEYOND_MM = 3.0
+"""The crown goes on so far beyond its last plants, which leave it then as laterals do."""
+_LEFT = 0.5
+"""What holds a plant and is seen is empty in the pictures: the fit leaves less than this of the root's radius there."""
+_FEW = 3
+"""A node that fewer views show was placed by none: with two, a point is just determined."""
+
+
+def tops(scene: Scene) -> tuple[Top, ...]:
+    """Return where each of several plants hangs: half way between grid and top of the net pot, which is opaque."""
+    z_mm = 0.5 * (scene.net_pot.grid_z_mm + scene.net_pot.top_mm)
+    return tuple((*plant.at_mm, z_mm) for plant in scene.plants) if len(scene.plants) > 1 else ()
+
+
+def reach_mm(at_mm: Array) -> float:
+    """Return how far from its place (P, 2) a plant's base may be, mm: half way to the next plant."""
+    apart = np.linalg.norm(at_mm[:, None] - at_mm[None], axis=2)
+    return 0.5 * float(apart[~np.eye(len(at_mm), dtype=bool)].min())
+
+
+def members(centre_mm: Array, dense: NDArray[np.bool_], tops_mm: Sequence[Top]) -> dict[int, Index]:
+    """Return the dense cells among which the top of each plant is sought, by the plant's number.
+
+    Parameters
+    ----------
+    centre_mm : (N, 3) float64 array
+        Cells.
+    dense : (N,) bool array
+        Those that hold roots.
+    tops_mm : sequence of tuple of float
+        Where plants hang; none: nobody knows.
+    """
+    if not tops_mm:
+        return {}
+    at_mm = np.array(tops_mm)[:, :2]
+    near = reach_mm(at_mm)
+    highest = float(centre_mm[dense, 2].max())
+    high = dense & (centre_mm[:, 2] > highest - HIDDEN_MM)
+    chosen = (np.flatnonzero(high & (np.linalg.norm(centre_mm[:, :2] - place, axis=1) < near)) for place in at_mm)
+    return {plant: cells for plant, cells in enumerate(chosen) if len(cells)}
+
+
+def hang(paths: Sequence[tuple[int, Array, Array]], under: Mapping[int, Top], step_mm: float) -> list[tuple[Array, Array]]:
+    """Hang the traced paths of several plants on a crown.
+
+    Parameters
+    ----------
+    paths : sequence of tuple
+        First cell, points (n, 3) and shadows (n,) of each, parents before children.
+    under : mapping
+        Where the plant hangs that was traced from a cell, by the cell.
+    step_mm : float
+        Between points.
+
+    Returns
+    -------
+    list of tuple
+        Points and shadows of each path, the crown first.
+    """
+    points = np.array(list(under.values()))
+    along = points[:, :2] - points[:, :2].mean(axis=0)
+    axis = np.linalg.svd(along)[2][0]
+    order = np.argsort(along @ axis)
+    ends = np.array([*axis, 0.0]) * _BEYOND_MM
+    crown = _line([points[order[0]] - ends, *points[order], points[order[-1]] + ends], step_mm)
+    found = [(crown, np.full(len(crown), float(np.mean([shadow.mean() for _, _, shadow in paths]))))]
+    left = dict(under)
+    for first, line, shadow in paths:
+        if first in left:  # the first path of a plant goes on to the crown
+            rise = _line([np.array(left.pop(first)), line[0]], step_mm)[:-1]
+            line, shadow = np.concatenate([rise, line]), np.concatenate([np.full(len(rise), shadow[0]), shadow])
+        found.append((line, shadow))
+    return found
+
+
+def _line(corners: Sequence[Array], step_mm: float) -> Array:
+    """Return points (N, 3) along straight pieces between corners."""
+    parts = [np.asarray(corners[0])[None]]
+    for a, b in pairwise(corners):
+        count = max(1, round(float(np.linalg.norm(b - a)) / step_mm))
+        parts.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
+    return np.concatenate(parts)
+
+
+def without(system: RootSystem, top_mm: float) -> RootSystem:
+    """Return roots of several plants without what only holds them together.
+
+    Those nodes count as solid, of which no root is made, and as buried, which adds no volume.
+
+    Parameters
+    ----------
+    top_mm : float
+        z of the water that is seen, below the net pot.
+    """
+    if not system.seen.tops_mm:
+        return system
+    at, height_mm = system.seen.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2]
+    shown = np.zeros(len(height_mm), np.int64)
+    for view, silhouette in enumerate(system.seen.silhouettes):
+        column, row = np.round(np.where(at.seen[view][:, None], at.px[view], 0.0)).astype(np.int64).T
+        shown += at.seen[view] & silhouette.seen[row, column]
+    high, radius_mm = height_mm > top_mm - HIDDEN_MM, system.tubes.radius_mm
+    held = (height_mm > top_mm) | (high & (shown < _FEW))
+    for nodes in system.tubes.branches:
+        if held[nodes[0]] and not held[nodes].all():  # below the net pot the fit left little of what is no root
+            own = nodes[int(np.argmin(held[nodes])) :]
+            thick = radius_mm[own] > _LEFT * float(np.median(radius_mm[own]))
+            above = own[: int(np.argmax(thick))]
+            held[above[high[above]]] = True
+    return replace(system, solid=system.solid | held, buried=system.buried | held)

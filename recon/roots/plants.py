@@ -1,0 +1,170 @@
+"""Which root is of which of several plants: by its base at the net pot's grid.
+
+A tree that reaches the bases of two plants, since their roots touch, is divided between them. Roots taper from base to
+tip and leave their parents onward, so that the way from one base to the other is cut where it is thin and turns back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.recon.roots import crown, hierarchy
+from rhizotwin.recon.roots.rerooting import Tree
+from rhizotwin.scenes import polyline
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+_DIRECTION_MM = 5.0
+"""Directions and thicknesses along a way are those of this length, as for parent assignment (`hierarchy`)."""
+_SURE = 2.0
+"""A piece that hangs on nothing is given to the nearest plant; with another less than so many times as far away, whose
+it is counts as open."""
+
+
+@dataclass(frozen=True)
+class Planted:
+    """Roots with the plant of each."""
+
+    roots: tuple[Root, ...]
+    open: tuple[bool, ...]
+    """Of each root whether it may as well be of another plant."""
+    missing: tuple[str, ...]
+    """Plants of which no base was found."""
+
+
+def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
+    """Give every root to a plant.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        As `hierarchy.arrange` gives them.
+    plants : sequence of Plant
+        With where each hangs.
+    grid_z_mm : float
+        z of the net pot's grid through which they hang.
+    """
+    if len(plants) == 1:
+        return Planted(tuple(replace(root, plant=plants[0].plant) for root in roots), (False,) * len(roots), ())
+    at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
+    trees = Tree.of(roots)
+    trees = [part for tree in trees for part in _divided(tree, at_mm)]
+    owners = [_owner(tree, at_mm) for tree in trees]
+    missing = tuple(plant.plant for k, plant in enumerate(plants) if k not in owners)
+    owners, doubtful = _nearest(trees, owners, at_mm)
+    made: list[Root] = []
+    unsure: list[bool] = []
+    for tree, owner, is_open in zip(trees, owners, doubtful, strict=True):
+        arranged = hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots
+        first = len(made)
+        made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1, plant=plants[owner].plant) for root in arranged]
+        unsure += [is_open] * len(arranged)
+    return Planted(tuple(made), tuple(unsure), missing)
+
+
+def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
+    """Return the plants whose bases a tree holds, with root and point of each."""
+    reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}
+    for plant, place in enumerate(at_mm):
+        away = [
+            np.where(root.points_mm[:, 2] > place[2] - crown.HIDDEN_MM, np.linalg.norm(root.points_mm - place, axis=1), np.inf)
+            for root in tree.roots
+        ]
+        number = int(np.argmin([one.min() for one in away]))
+        if away[number].min() < reach_mm:
+            found[plant] = (number, int(np.argmin(away[number])))
+    return found
+
+
+def _owner(tree: Tree, at_mm: Array) -> int:
+    """Return the plant whose base a divided tree holds; -1 where it holds none."""
+    return next(iter(_bases(tree, at_mm)), -1)
+
+
+def _divided(tree: Tree, at_mm: Array) -> list[Tree]:
+    """Divide a tree until no part holds the bases of two plants."""
+    bases = list(_bases(tree, at_mm).values())
+    if len(bases) < 2:
+        return [tree]
+    rooted = tree.turned(*bases[0])
+    other = _bases(rooted, at_mm)
+    line, at = list(other.values())[1]
+    way = rooted.way(line, at)
+    cut = _cut(np.array([rooted.roots[k].points_mm[i] for k, i in way]), np.array([rooted.roots[k].diameters_mm[i] for k, i in way]))
+    above, below = rooted.parted(way[cut], way[cut + 1])
+    below = below.turned(*_nearest_point(below, rooted.roots[line].points_mm[at]))
+    return [*_divided(above, at_mm), *_divided(below, at_mm)]
+
+
+def _nearest_point(tree: Tree, point_mm: Array) -> tuple[int, int]:
+    """Return the root and the point of a tree nearest to a point."""
+    away = [np.linalg.norm(root.points_mm - point_mm, axis=1) for root in tree.roots]
+    number = int(np.argmin([one.min() for one in away]))
+    return number, int(np.argmin(away[number]))
+
+
+def _cut(points_mm: Array, diameters_mm: Array) -> int:
+    """Return the number of the step at which a way (N, 3) between two bases goes from one plant's roots to the other's.
+
+    Notes
+    -----
+    The least of ln d + cos t over the steps: d the thickness there, the lesser of the medians over 5 mm on its two
+    sides, t the angle between the chords of 5 mm before and behind it. A root that is thinner by a factor e weighs as
+    much as a right angle.
+    """
+    way_mm = polyline.way_mm(points_mm)
+    cost = np.empty(len(points_mm) - 1)
+    for step in range(len(cost)):
+        before = np.flatnonzero(way_mm[: step + 1] >= way_mm[step] - _DIRECTION_MM)
+        behind = step + 1 + np.flatnonzero(way_mm[step + 1 :] <= way_mm[step + 1] + _DIRECTION_MM)
+        middle = 0.5 * (points_mm[step] + points_mm[step + 1])
+        coming, going = middle - points_mm[before[0]], points_mm[behind[-1]] - middle
+        size = float(np.linalg.norm(coming) * np.linalg.norm(going))
+        cosine = float(coming @ going) / size if size > 0.0 else 1.0
+        thick_mm = min(float(np.median(diameters_mm[before])), float(np.median(diameters_mm[behind])))
+        cost[step] = np.log(max(thick_mm, 1e-3)) + cosine
+    return int(np.argmin(cost))
+
+
+def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tuple[list[int], list[bool]]:
+    """Give the pieces that hang on nothing to the nearest plant, the nearest piece first.
+
+    Returns
+    -------
+    owners : list of int
+        Plant of each tree.
+    unsure : list of bool
+        Whether another plant is nearly as near.
+    """
+    held = [[place[None]] for place in at_mm]  # points of each plant
+    for tree, owner in zip(trees, owners, strict=True):
+        if owner >= 0:
+            held[owner] += [root.points_mm for root in tree.roots]
+    found, doubtful = list(owners), [False] * len(trees)
+    away = np.full((len(trees), len(at_mm)), np.inf)
+    free = [k for k, owner in enumerate(owners) if owner < 0]
+    reach = [cKDTree(np.concatenate(points)) for points in held]
+    for k in free:
+        away[k] = [tree.query(_ends(trees[k]))[0].min() for tree in reach]
+    while free:
+        k = min(free, key=lambda one: float(away[one].min()))
+        free.remove(k)
+        found[k] = owner = int(np.argmin(away[k]))
+        others = np.delete(away[k], owner)
+        doubtful[k] = bool(others.min() < _SURE * away[k, owner])
+        grown = cKDTree(np.concatenate([root.points_mm for root in trees[k].roots]))
+        for other in free:  # what is torn off it hangs on it
+            away[other, owner] = min(away[other, owner], float(grown.query(_ends(trees[other]))[0].min()))
+    return found, doubtful
+
+
+def _ends(tree: Tree) -> Array:
+    """Return the points (N, 3) by which a piece may hang on another: the ends of its first root."""
+    return tree.roots[0].points_mm[[0, -1]]

@@ -1,0 +1,92 @@
+"""Compare what a result says of each of several plants with the truth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.scoring.score_roots import NEAR_MM
+from rhizotwin.scenes import polyline, rsml
+from rhizotwin.scenes.rsml import Root
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantScore:
+    """How one of several plants agrees with the true one. Errors are signed fractions: found / true - 1."""
+
+    plant: str
+    volume_mm3: float
+    volume_true_mm3: float
+    volume_error: float
+    interval_holds_truth: bool
+    length_mm: float
+    length_true_mm: float
+    length_error: float
+    rightly_given: float
+    """Share of the plant's found length, where it lies on a true root, that lies on one of this plant."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the table's lines."""
+        return [
+            (f"plant {self.plant}", f"{self.volume_mm3:.1f} mm3, true {self.volume_true_mm3:.1f} mm3: {100.0 * self.volume_error:+.2f} %"),
+            ("  length", f"{self.length_mm:.1f} mm, true {self.length_true_mm:.1f} mm: {100.0 * self.length_error:+.2f} %"),
+            ("  rightly given", f"{100.0 * self.rightly_given:.2f} % of the length"),
+        ]
+
+
+def compare_plants(
+    found: Sequence[OfPlant], roots: Sequence[Root], truth: Mapping[str, Mapping[str, Any]], true: Sequence[Root]
+) -> tuple[PlantScore, ...]:
+    """Compare each plant that a result and the truth both name.
+
+    Parameters
+    ----------
+    found : sequence of OfPlant
+        Of the result.
+    roots, true : sequence of Root
+        Found and true, with their plants.
+    truth : mapping
+        By plant, as `scenes.truth.Truth.plants`.
+    """
+    told = [one for one in found if one.subject.plant in truth]
+    if not told:
+        return ()
+    points, owner = _points(true)
+    tree = cKDTree(points)
+    scores = []
+    for one in told:
+        name = one.subject.plant
+        own, length_true = rsml.of_plant(roots, name), rsml.length_mm(rsml.of_plant(true, name))
+        away, nearest = tree.query(_points(own)[0])
+        near = away < NEAR_MM
+        low, high = one.volume_interval_mm3
+        volume_true, length = float(truth[name]["volume_mm3"]), rsml.length_mm(own)
+        scores.append(
+            PlantScore(
+                plant=name,
+                volume_mm3=one.volume_mm3,
+                volume_true_mm3=volume_true,
+                volume_error=one.volume_mm3 / volume_true - 1.0,
+                interval_holds_truth=low <= volume_true <= high,
+                length_mm=length,
+                length_true_mm=length_true,
+                length_error=length / length_true - 1.0 if length_true > 0.0 else float("nan"),
+                rightly_given=float((owner[nearest[near]] == name).mean()) if near.any() else float("nan"),
+            )
+        )
+    return tuple(scores)
+
+
+def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Return points (N, 3) every fifth of `NEAR_MM` along roots, and the plant (N,) of each."""
+    points, plants = [], []
+    for root in roots:
+        way = polyline.way_mm(root.points_mm)
+        at = np.linspace(0.0, way[-1], max(2, round(5.0 * way[-1] / NEAR_MM)))
+        points.append(polyline.between(root.points_mm, way, at))
+        plants += [root.plant] * len(at)
+    return np.concatenate([np.zeros((0, 3)), *points]), np.array(plants)

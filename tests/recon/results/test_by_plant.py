@@ -1,0 +1,102 @@
+"""A shape divided between two plants, written and read."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin.experiment.measured import read_all
+from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.roots.plants import Planted
+from rhizotwin.recon.scoring.score_plants import compare_plants
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
+
+A, B = Plant(plant="A", at_mm=(-10.0, 0.0), treatment="low N"), Plant(plant="B", at_mm=(10.0, 0.0))
+WHOLE = Subject(species="Raphanus sativus", day=5.0)
+
+
+def root(x: float, long_mm: float, plant: str) -> Root:
+    points = np.stack([np.full(40, x), np.zeros(40), np.linspace(-10.0, -10.0 - long_mm, 40)], axis=1)
+    return Root(points_mm=points, diameters_mm=np.full(40, 1.0), order=0, parent=-1, plant=plant)
+
+
+def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
+    """Divide a shape of two cuboids, 20 and 40 mm long, whose volumes are as 1 to 2."""
+    low = [[ix, 0, -k] for ix, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)]
+    leaves = Leaves(
+        low=np.array(low, np.int32),
+        size=np.ones(60, np.int32),
+        occupancy=np.full(60, 0.5, np.float32),
+        origin_mm=np.array([-0.5, -0.5, 0.0]),
+        voxel_mm=1.0,
+    )
+    boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
+    mesh = trimesh.util.concatenate(boxes)
+    shape = dividing.Shape(
+        leaves=leaves,
+        vertices_mm=np.asarray(mesh.vertices),
+        faces=np.asarray(mesh.faces),
+        finest_mm=1.0,
+        volume_mm3=60.0,
+        interval_mm3=(54.0, 66.0),
+    )
+    planted = Planted((root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")), (False, is_open), ())
+    return dividing.measure(shape, planted, (A, B), WHOLE)
+
+
+def test_every_part_is_of_the_plant_whose_root_is_nearest() -> None:
+    a, b = divided()
+    assert (a.volume_mm3, b.volume_mm3) == pytest.approx((20.0, 40.0))
+    assert a.volume_interval_mm3 == pytest.approx((18.0, 22.0))
+    assert (a.traits.total_length_mm, b.traits.total_length_mm) == pytest.approx((20.0, 40.0))
+    assert a.traits.width_mm < 2.0  # of its own part of the surface, not of both
+    assert str(a.subject) == "A (Raphanus sativus), treatment low N, day 5"
+    assert b.subject.treatment == ""
+
+
+def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
+    a, b = divided(is_open=True)
+    assert a.volume_interval_mm3 == pytest.approx((18.0, 1.1 * 60.0))
+    assert b.volume_interval_mm3 == pytest.approx((0.0, 44.0))
+    assert b.open_mm == pytest.approx(40.0)
+    said = dividing.warnings(Planted((root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")), (False, True), ("C",)), (a, b))
+    assert "plant C" in said[0]
+    assert "67 %" in said[1]
+
+
+def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
+    made = scan()
+    found = replace(load_result(made.result), plants=divided())
+    found.save(tmp_path / "two")
+    assert load_result(tmp_path / "two").plants == found.plants
+    read = read_all([tmp_path / "two"])
+    assert [(one.subject.plant, one.traits["volume"]) for one in read] == [("A", pytest.approx(20.0)), ("B", pytest.approx(40.0))]
+    summary = json.loads((tmp_path / "two" / "result.json").read_text())
+    rows = list(csv.DictReader(result_traits.spreadsheet([("two", summary, found.measured)]).splitlines()))
+    assert [row["plant"] for row in rows] == ["A", "B"]
+    assert [float(row["volume (mm3)"]) for row in rows] == pytest.approx([20.0, 40.0])
+    table = list(csv.DictReader((tmp_path / "two" / "traits.csv").read_text().splitlines()))
+    assert [row["plant"] for row in table if row["trait"] == "total_length"] == ["", "A", "B"]
+    summary["plants"][0]["at_mm"] = "here"
+    with pytest.raises(UserError, match="at_mm"):
+        by_plant.of_summary(summary, "result.json")
+
+
+def test_each_plant_is_scored_against_its_own_truth() -> None:
+    true = [root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")]
+    truth = {"A": {"volume_mm3": 25.0}, "B": {"volume_mm3": 40.0}}
+    a, b = compare_plants(divided(), [true[0], replace(true[1], plant="A")], truth, true)
+    assert a.volume_error == pytest.approx(-0.2)
+    assert not a.interval_holds_truth
+    assert a.rightly_given == pytest.approx(1.0 / 3.0, abs=0.02)  # two thirds of what was given to A lie on B
+    assert b.length_mm == 0.0
+    assert b.interval_holds_truth
