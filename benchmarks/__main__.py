@@ -4,12 +4,13 @@ import argparse
 import json
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from benchmarks import cases, gate, mixtures, scatter
+from benchmarks.arguments import parser
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
@@ -56,158 +57,6 @@ def results_table(metrics: Sequence[Metric]) -> str:
             target = f"{wanted.text}: {'reached' if wanted.reached(metric.value) else 'NOT REACHED'}"
         lines.append(f"{metric.key:<{width}}  {metric.value:>12.5g} {metric.unit:<4}  {target}".rstrip())
     return "\n".join(lines)
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the command line's parser."""
-    made = argparse.ArgumentParser(
-        prog="python -m benchmarks",
-        description="Measure how well and how fast the twin and the reconstruction do, beside the numbers that were committed.",
-    )
-    what = made.add_subparsers(dest="what", metavar="WHAT", required=True)
-    texts = {
-        "accuracy": "the ladder: render (or take from the cache), reconstruct, score; a stopped run goes on where it stopped",
-        "speed": "wall times and memory",
-        "rig": "faults, kills, kinematics, lens, a scan of the twin",
-    }
-    for name, text in texts.items():
-        one = what.add_parser(name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-        one.add_argument("--quick", action="store_true", help="the small set that runs with every change (accuracy: under five minutes)")
-        one.add_argument("--gate", action="store_true", help="end with code 1 where a number is worse than the baseline or missing")
-        one.add_argument("--update-baseline", action="store_true", help="record this run as the baseline, to be committed")
-        one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-        one.add_argument(
-            "-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)"
-        )
-        if name == "accuracy":
-            _add_selection(one)
-    _add_scatter(what.add_parser("scatter", help=_SCATTER, description=_SCATTER))
-    _add_scaling(what.add_parser("scaling", help=_SCALING, description=_SCALING))
-    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures, or the speed of this code against a commit's")
-    compared.add_argument("before", type=Path, nargs="?", metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
-    compared.add_argument(
-        "after", type=Path, nargs="?", metavar="B.json", help="the same after it; cases that only one of them has are left out"
-    )
-    compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
-    compared.add_argument("--against", metavar="COMMIT", help="check this commit out beside and alternate runs: processor time and memory")
-    compared.add_argument("--jobs", type=_words, metavar="NAME,...", help="only these of --against's jobs (a wrong name lists them)")
-    compared.add_argument("--repeats", type=int, default=3, help="pairs of runs a job (default: %(default)s)")
-    compared.add_argument("--quick", action="store_true", help="small jobs, under two minutes a pair")
-    compared.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    compared.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the ratios as JSON, too")
-    mixed = what.add_parser("mixtures", help=_MIXTURES, description=_MIXTURES)
-    mixed.add_argument("--count", type=int, default=mixtures.COUNT, metavar="N", help="default: %(default)s")
-    mixed.add_argument("--first", type=int, default=0, metavar="K", help="begin with this one (default: %(default)s)")
-    mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
-    _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
-    adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
-    adopted.add_argument(
-        "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
-    )
-    adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    return made
-
-
-_SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"
-
-
-def _add_scaling(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--axes", type=_words, metavar="NAME,...", help="only these (a wrong name lists them)")
-    one.add_argument("--quick", action="store_true", help="small pictures, two points an axis")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every point as JSON, too")
-
-
-_MIXTURES = "small drawn plants with drawn troubles: how often the interval of trusted scans holds; a stopped run goes on where it stopped"
-_DAMAGES = "one clean scan, spoilt as laboratories spoil theirs: is a wrong volume ever called trusted?"
-_SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
-
-
-def _add_damages(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--names", type=_words, metavar="NAME,...", help="only these (a wrong name lists them)")
-    one.add_argument("--scene", default="printed_8ml", help="whose clean scan of the quick ladder (default: %(default)s)")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
-
-
-def _add_scatter(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--quick", action="store_true", required=True, help="of the small set (the full one would take weeks)")
-    one.add_argument("--scenes", type=_words, metavar="PATTERN,...", help="only these scenes of it; the others' numbers stay as they are")
-    _add_profiles_and_methods(one)
-    one.add_argument("--runs", type=int, default=scatter.RUNS, metavar="N", help="default: %(default)s")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-
-
-def _add_selection(one: argparse.ArgumentParser) -> None:
-    one.epilog = (
-        "a part of the ladder, for example (it gives part of the table, and goes with --gate only where it is part of --quick):\n"
-        "  python -m benchmarks accuracy --scenes 'radish_day0*,fallen_plant' --profiles clean,bench --methods coverage -o before.json\n"
-        "two runs are compared case by case:\n  python -m benchmarks compare before.json after.json"
-    )
-    one.add_argument(
-        "--scenes", type=_words, metavar="PATTERN,...", help="only the ladder's scenes whose name fits, such as 'radish_day0*'"
-    )
-    _add_profiles_and_methods(one)
-    one.add_argument(
-        "--seeds",
-        type=_seeds,
-        metavar="S,...",
-        help="seeds of disturbances and plants, or a named set: "
-        + ", ".join(f"{name} ({', '.join(map(str, seeds))})" for name, seeds in cases.SEED_SETS.items())
-        + "; default: first. The second set is for the end: never look at it while something is developed",
-    )
-    one.add_argument(
-        "--change",
-        type=_change,
-        default="none",
-        metavar="KIND:SEED",
-        help="rounded:S, pictures as another machine may have rounded them; lossy:S, one in twenty mirrored; S: 1, 2, ...",
-    )
-    one.add_argument("--list", action="store_true", help="name the cases and end")
-    one.add_argument("--afresh", action="store_true", help="measure again what an earlier run with the same code measured")
-
-
-def _add_profiles_and_methods(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--profiles", type=_words_of(cases.PROFILES), metavar="NAME,...", help=f"only these of {', '.join(cases.PROFILES)}")
-    one.add_argument("--methods", type=_words_of(cases.METHODS), metavar="NAME,...", help=f"only these of {', '.join(cases.METHODS)}")
-
-
-def _change(text: str) -> str:
-    kind, _, seed = text.partition(":")
-    if text != "none" and (kind not in ("rounded", "lossy") or not seed.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is none of rounded:SEED, lossy:SEED, none")
-    return text
-
-
-def _words(text: str) -> tuple[str, ...]:
-    words = tuple(word for word in text.split(",") if word)
-    if not words:
-        raise argparse.ArgumentTypeError("is empty")
-    return words
-
-
-def _words_of(allowed: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
-    def words(text: str) -> tuple[str, ...]:
-        found = _words(text)
-        unknown = [word for word in found if word not in allowed]
-        if unknown:
-            raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of {', '.join(allowed)}")
-        return found
-
-    return words
-
-
-def _seeds(text: str) -> tuple[int, ...]:
-    if text in cases.SEED_SETS:
-        return cases.SEED_SETS[text]
-    try:
-        found = tuple(dict.fromkeys(int(word) for word in _words(text)))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither whole numbers nor one of {', '.join(cases.SEED_SETS)}") from None
-    if min(found) < 0:
-        raise argparse.ArgumentTypeError(f"{min(found)} is negative")
-    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

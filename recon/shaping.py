@@ -11,11 +11,13 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import carve, parsimony, surface
+from rhizotwin.recon.hull import carve, distance_maps, parsimony, surface
 from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.optics import projection
+from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result import Solid, Triple
-from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
@@ -52,9 +54,9 @@ _MUCH_KEPT = 0.2
 class Carved:
     """A hull with what it was carved from."""
 
-    hull: carve.Hull
+    hull: Hull
     bank: projection.ViewBank
-    maps: carve.DistanceMaps
+    maps: DistanceMaps
     silhouettes: tuple[Silhouette, ...]
     """In the order of the bank's views."""
     cameras: Cameras
@@ -87,23 +89,23 @@ def carve_hull(
         Where the silhouettes have no volume in common.
     """
     numbers = sorted(cameras.order)
-    order = [numbers[place] for place in _spread(len(numbers))]
+    order = [numbers[place] for place in carve.spread(len(numbers))]
     cameras = cameras.ordered(order)
     with monitor.stage("outlines"):
         drawn = tuple(coverage.silhouettes[k] for k in order)
-        maps = carve.DistanceMaps.drawn(drawn, "outlines", monitor)
+        maps = DistanceMaps.drawn(drawn, "outlines", monitor)
     with monitor.stage("carve"):
         scene, radius = dataset.scene, cameras.optics.inner_radius_mm
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
         water = Water(radius, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
-        grid = carve.Grid.over(np.array([-radius, -radius, water.bottom_mm]), np.array([radius, radius, water.top_mm]), finest_mm)
+        grid = Grid.over(np.array([-radius, -radius, water.bottom_mm]), np.array([radius, radius, water.top_mm]), finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(
                 bank,
                 maps,
                 grid,
                 water,
-                min_votes=carve.least_votes(bank.count),
+                min_votes=distance_maps.least_votes(bank.count),
                 slack_px=slack_px,
                 ignore_blindness=ignore_blindness,
                 progress=step,
@@ -169,7 +171,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     return replace(solid, roots=system.roots(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
-def _budget(found: TrimmedHull, leaves: carve.Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:
+def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:
     """Gather what every part of the shape leaves open."""
     carved, trimmed = found.carved, found.trimmed
     volume_mm3 = leaves.volume_mm3()
@@ -214,7 +216,7 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
     return shape_checks.of_motion(sway_mm, budget.trust), agreed
 
 
-def _misses(carved: Carved, leaves: carve.Leaves) -> float:
+def _misses(carved: Carved, leaves: Leaves) -> float:
     """Return the share of the pictures' coverage before which no part of a shape stands, over a few views."""
     some = np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES]
     index, edge = leaves.index[some], leaves.size[some]
@@ -241,8 +243,8 @@ def _misses(carved: Carved, leaves: carve.Leaves) -> float:
 
 
 def measure(
-    hull: carve.Hull,
-    leaves: carve.Leaves,
+    hull: Hull,
+    leaves: Leaves,
     *,
     voxel_mm: float,
     budget: Budget,
@@ -281,19 +283,11 @@ def measure(
         )
 
 
-def _spread(count: int) -> list[int]:
-    """Order views so that each is far from those before it (golden-ratio steps round the turn).
-
-    Nodes are carved early.
-    """
-    return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
-
-
-def _voxels(leaves: carve.Leaves, voxel_mm: float) -> Leaves:
+def _voxels(leaves: Leaves, voxel_mm: float) -> result_files.Leaves:
     """Gather leaves into voxels."""
     low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
-    return Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
+    return result_files.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:

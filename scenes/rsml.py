@@ -9,16 +9,15 @@ unit, the diameter) is refused with the option that supplies it.
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes import polyline
+from rhizotwin.scenes import polyline, rsml_xml
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 
@@ -99,8 +98,6 @@ def read_rsml(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         are the file's x, y, z in mm, neither turned nor shifted. 2-D points, drawn on a picture with y down, get depth
         0 and hang down: (x, 0, -y). Roots with fewer than two points are left out, and their children go to the next
         root above.
-
-        Roots with fewer than two points are left out, and their children go to the next root above.
 
     Raises
     ------
@@ -230,8 +227,8 @@ class _Reader:
         self.path = path
         self.diameter_mm = diameter_mm
         self.parent_nodes: list[int | None] = []
-        self.document = _parse(path)
-        if _local(self.document) != "rsml":
+        self.document = rsml_xml.parse(path)
+        if rsml_xml.local(self.document) != "rsml":
             raise UserError(f"{path}: is no RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
         self.step_mm = self._step(unit)
         self.property_mm = self._property_unit()
@@ -244,17 +241,17 @@ class _Reader:
         while stack:
             element, parent, plant = stack.pop()
             below = parent
-            if _local(element) == "plant":
-                plant = _attribute(element, "label") or ""
+            if rsml_xml.local(element) == "plant":
+                plant = rsml_xml.attribute(element, "label") or ""
                 plant = "" if plant == _NAMELESS else plant
-            if _local(element) == "root":
+            if rsml_xml.local(element) == "root":
                 number += 1
                 order = found[parent].order + 1 if parent >= 0 else 0
                 root = self._root(element, f"root {number}", order, parent, plant)
                 if root is not None:
                     below = len(found)
                     found.append(root)
-                    node = _property(list(_own(element)), "parent-node")
+                    node = rsml_xml.property_of(list(rsml_xml.own(element)), "parent-node")
                     self.parent_nodes.append(int(node) if node.isdecimal() else None)
             stack.extend((child, below, plant) for child in reversed(element))
         if not found:
@@ -262,23 +259,23 @@ class _Reader:
         return tuple(found)
 
     def _root(self, element: ET.Element, name: str, order: int, parent: int, plant: str) -> Root | None:
-        label = _attribute(element, "label") or ""
+        label = rsml_xml.attribute(element, "label") or ""
         name = f'{name} ("{label}")' if label else name
-        own = list(_own(element))
-        polylines = [p for p in own if _local(p) == "polyline" and any(_local(q) == "point" for q in p)]
+        own = list(rsml_xml.own(element))
+        polylines = [p for p in own if rsml_xml.local(p) == "polyline" and any(rsml_xml.local(q) == "point" for q in p)]
         if not polylines:
             return None
         if len(polylines) > 1:
             raise UserError(f"{self.path}: {name} has {len(polylines)} polylines; a root has one")
-        points = [p for p in polylines[0] if _local(p) == "point"]
+        points = [p for p in polylines[0] if rsml_xml.local(p) == "point"]
         if len(points) < 2:
             return None
-        axes = "xyz" if _attribute(points[0], "z") is not None else "xy"
-        given = np.array([[self._number(_attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
+        axes = "xyz" if rsml_xml.attribute(points[0], "z") is not None else "xy"
+        given = np.array([[self._number(rsml_xml.attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
-        seen = (_property(own, _TIP_SEEN) or "").lower() not in ("false", "0")
+        seen = (rsml_xml.property_of(own, _TIP_SEEN) or "").lower() not in ("false", "0")
         return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen, plant=plant)
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
@@ -286,13 +283,13 @@ class _Reader:
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
             for element in own:
-                samples = [child for child in element if _local(child) == "sample"]
-                match = _THICKNESS.fullmatch(_attribute(element, "name") or "")
-                if not _local(element).startswith("function") or not samples or match is None or match[1].lower() != word:
+                samples = [child for child in element if rsml_xml.local(child) == "sample"]
+                match = _THICKNESS.fullmatch(rsml_xml.attribute(element, "name") or "")
+                if not rsml_xml.local(element).startswith("function") or not samples or match is None or match[1].lower() != word:
                     continue
                 scale_mm = to_diameter * (self._unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
                 return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
-            text = _property(own, word)
+            text = rsml_xml.property_of(own, word)
             if text:
                 value = self._number(text, f"{word} of {name}")
                 scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
@@ -305,8 +302,9 @@ class _Reader:
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
         """Return a function's values at the points (N,): one a point, or spread over the root's length."""
-        values = np.array([self._number(_attribute(s, "value") or s.text, what) for s in samples])
-        positions, by_point = [_attribute(s, "position") for s in samples], (_attribute(function, "domain") or "").lower() == "polyline"
+        values = np.array([self._number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
+        positions = [rsml_xml.attribute(s, "position") for s in samples]
+        by_point = (rsml_xml.attribute(function, "domain") or "").lower() == "polyline"
         if len(values) == len(points_mm) and (by_point or None in positions):
             return values
         if len(values) == 1:
@@ -342,7 +340,7 @@ class _Reader:
             return size * self._unit_mm(match[2], "option --specimen-unit")
         written = self.metadata("unit")
         if not written:
-            marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(_attribute(e, "name") or "")) and m[2]}
+            marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(rsml_xml.attribute(e, "name") or "")) and m[2]}
             if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
                 return self._unit_mm(marked.pop(), "a function's name")
             raise UserError(f"{self.path}: names no unit; {_SET_UNIT}: mm, cm, m, um or inch, or a step such as 0.1 mm")
@@ -365,8 +363,8 @@ class _Reader:
         """Return the mm of one unit of the properties that the metadata define with a unit of length."""
         found: dict[str, float] = {}
         for definition in self.document.iter():
-            if _local(definition) == "property-definition":
-                texts = {_local(child): (child.text or "").strip() for child in definition}
+            if rsml_xml.local(definition) == "property-definition":
+                texts = {rsml_xml.local(child): (child.text or "").strip() for child in definition}
                 if texts.get("unit", "").lower() in _UNITS_MM:
                     found[texts.get("label", "").lower()] = _UNITS_MM[texts["unit"].lower()]
         return found
@@ -374,9 +372,9 @@ class _Reader:
     def metadata(self, key: str) -> str:
         """Return an entry of the metadata, empty where there is none."""
         for metadata in self.document:
-            if _local(metadata) == "metadata":
+            if rsml_xml.local(metadata) == "metadata":
                 for child in metadata:
-                    if _local(child) == key:
+                    if rsml_xml.local(child) == key:
                         return (child.text or "").strip()
         return ""
 
@@ -393,57 +391,3 @@ class _Reader:
         if not math.isfinite(value):
             raise UserError(f'{self.path}: the {what} is "{text or ""}", which is no finite number')
         return value
-
-
-def _property(own: list[ET.Element], name: str) -> str:
-    """Return the text of a root's first property of a name that has one; empty where it has none."""
-    for holder in (element for element in own if _local(element) == "properties"):
-        for child in holder:
-            called = (_attribute(child, "name") or "").lower() or _local(child)
-            text = (_attribute(child, "value") or child.text or "").strip()
-            if called == name and text:
-                return text
-    return ""
-
-
-def _parse(path: Path) -> ET.Element:
-    """Parse XML without document types or entities, and without minding prefixes that nobody declared."""
-    builder = ET.TreeBuilder()
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-
-    def refuse(*_: object) -> None:
-        raise UserError(f"{path}: declares a document type, which RSML does not need and this program does not read; remove <!DOCTYPE ...>")
-
-    parser.StartDoctypeDeclHandler = refuse
-    try:
-        parser.Parse(path.read_bytes(), True)
-        return builder.close()
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise UserError(f"{path}: is no RSML file: not valid XML ({error})") from error
-
-
-def _local(element: ET.Element) -> str:
-    """Return an element's name without its prefix, in lower case."""
-    return element.tag.rsplit(":", 1)[-1].lower()
-
-
-def _attribute(element: ET.Element, name: str) -> str | None:
-    """Return an attribute by its name in any case."""
-    return next((value for key, value in element.attrib.items() if key.lower() == name), None)
-
-
-def _own(root: ET.Element) -> Iterator[ET.Element]:
-    """Walk what belongs to a root itself, not to its laterals."""
-    stack = list(reversed(root))
-    while stack:
-        element = stack.pop()
-        if _local(element) != "root":
-            yield element
-            stack.extend(reversed(element))

@@ -21,8 +21,9 @@ from skimage import morphology
 
 from rhizotwin.recon import device
 from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers, vectors, wholes
-from rhizotwin.recon.hull import carve
-from rhizotwin.recon.hull.carve import DistanceMaps, Leaves
+from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.hull.surface import paint, to_voxels
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
@@ -196,7 +197,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     outline has the normal g = a du + b dv in space, so the sphere's radius is D / |g|. On a root's centre line D has a
     crease: |a| and |b| are taken from the steeper of the two sides. The sampled map rounds the crease off; ``sharpen``
     restores its height from the slopes on both sides, for points that lie on it. Points that fewer than
-    `carve.least_votes` of the views see get the radius 0.
+    `distance_maps.least_votes` of the views see get the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -207,7 +208,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
     state = (mi.UInt32(0), dr.full(mi.Float, 1e4, len(points)), dr.zeros(mi.UInt32, len(points)))
     _, least, votes = dr.while_loop(state, lambda view, *_: view < bank.end, body)
     dr.eval(least, votes)
-    return np.where(np.array(votes) >= carve.least_votes(bank.count), np.array(least, np.float64), 0.0)
+    return np.where(np.array(votes) >= distance_maps.least_votes(bank.count), np.array(least, np.float64), 0.0)
 
 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
@@ -229,7 +230,7 @@ def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *
 
     With it, px/mm there, and whether the view sees it.
     """
-    p, distance, seen = carve.look(bank, maps, view, point, mi.Bool(True))
+    p, distance, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
     for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
         # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
@@ -347,7 +348,7 @@ def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDAr
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
         explained = _spread(np.array(covered).reshape(height, width), 3)
-        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < carve.TELLS_PX)
+        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue

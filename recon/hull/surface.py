@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from skimage import measure
 
 from rhizotwin.recon.hull.boxes import Box
-from rhizotwin.recon.hull.carve import Leaves
+from rhizotwin.recon.hull.leaves import Leaves
 
 _BRICK = 96
 """Edge of the blocks, in voxels, in which the surface is drawn: one takes 3.5 MB, and its overlap with the next is 3 %

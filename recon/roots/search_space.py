@@ -8,8 +8,10 @@ import numpy as np
 
 from rhizotwin.recon.coverage import evidence
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.hull import carve
-from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Water
+from rhizotwin.recon.hull import carve, distance_maps
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.roots import density
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.scenes.monitor import Monitor
@@ -53,14 +55,14 @@ def carve_cells(seen: Evidence, water: Water, px_a_mm: float, *, monitor: Monito
     return cells, density.even_cells(_carve(seen, deep, grid, water))
 
 
-def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> carve.Leaves:
+def _carve(seen: Evidence, maps: DistanceMaps, grid: Grid, water: Water) -> Leaves:
     """Carve outlines out of the water."""
     hull = carve.carve(
         seen.bank,
         maps,
         grid,
         water,
-        min_votes=carve.least_votes(seen.bank.count),
+        min_votes=distance_maps.least_votes(seen.bank.count),
         slack_px=0.0,  # nobody asks for this hull's interval: nodes beside the outline are decided early
     )
     return hull.leaves

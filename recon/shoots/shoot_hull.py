@@ -9,8 +9,10 @@ import numpy as np
 import trimesh
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import carve, surface
-from rhizotwin.recon.hull.carve import DistanceMaps, Hull, Water
+from rhizotwin.recon.hull import carve, distance_maps, surface
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Hull
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
@@ -40,7 +42,7 @@ def find(
     UserError
         Where the silhouettes have no volume in common.
     """
-    order = np.argsort((np.arange(len(views)) * 0.6180339887498949) % 1.0, kind="stable")  # neighbours far apart: nodes are carved early
+    order = carve.spread(len(views))
     drawn, views = [drawn[k] for k in order], [views[k] for k in order]
     room = _room(drawn, views, scene)
     maps = DistanceMaps.drawn(drawn, "shoot", monitor)
@@ -55,8 +57,8 @@ def find(
         bottom_z_mm=room.bottom_mm,
     )
     low = np.array([-room.radius_mm, -room.radius_mm, room.bottom_mm])
-    grid = carve.Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)
-    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, min_votes=carve.least_votes(len(views)), slack_px=SLACK_PX)
+    grid = Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)
+    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, min_votes=distance_maps.least_votes(len(views)), slack_px=SLACK_PX)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from rhizotwin.recon.calibration.cameras import BareUncertainty
-from rhizotwin.recon.hull.carve import Leaves
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.hull.carve import Leaves
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.optics.cameras import View, project_inner
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.uncertainty.budget import Term

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon import device
 from rhizotwin.recon.device import UInt32
-from rhizotwin.recon.hull import carve, parsimony
-from rhizotwin.recon.hull.carve import DistanceMaps, Leaves, Water
+from rhizotwin.recon.hull import distance_maps, parsimony
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -102,7 +104,7 @@ def _way(from_mm: Array, direction: Array, water: Water) -> Array:
 
 def _seen(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.bool_]:
     """Tell which points (N, 3) enough views see."""
-    return _votes(bank, maps, points_mm) >= carve.least_votes(bank.count)
+    return _votes(bank, maps, points_mm) >= distance_maps.least_votes(bank.count)
 
 
 def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.int64]:
@@ -112,7 +114,7 @@ def _votes(bank: ViewBank, maps: DistanceMaps, points_mm: Array) -> NDArray[np.i
     point = device.points(points_mm)
 
     def body(view: UInt32, votes: UInt32) -> tuple[UInt32, UInt32]:
-        _, _, seen = carve.look(bank, maps, view, point, mi.Bool(True))
+        _, _, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
         return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
 
     state = (mi.UInt32(0), dr.zeros(mi.UInt32, len(points_mm)))

@@ -8,8 +8,10 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
-from rhizotwin.recon.hull import carve
-from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Hull, Water
+from rhizotwin.recon.hull import carve, distance_maps
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Hull
 from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -98,7 +100,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
             outlines,
             grid,
             water,
-            min_votes=carve.least_votes(some.count),
+            min_votes=distance_maps.least_votes(some.count),
         ).leaves.volume_mm3()
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
     ]

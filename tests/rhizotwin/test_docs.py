@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.__main__ import parser as benchmarks_parser
+from benchmarks.arguments import parser as benchmarks_parser
 from rhizotwin import command_line
 from rhizotwin.commands import COMMANDS, GROUPS
 from rhizotwin.recon.settings import Settings

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.hull import carve, surface
+from rhizotwin.recon.hull import carve, distance_maps, surface
 from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Hull
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.recon.uncertainty import sight
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -18,20 +20,20 @@ RADIUS_MM = 8.0
 
 
 @cache
-def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, carve.DistanceMaps]:
+def seen_ball(centre_mm: tuple[float, float, float]) -> tuple[projection.ViewBank, DistanceMaps]:
     scene = Scene(camera=Camera().resized((240, 180)), plan=CapturePlan(rings=(Ring(views=24),)))
     optics = refraction.Optics.of(scene)
     views = exact_pictures.views_of(scene)
     sphere = (centre_mm, (centre_mm[0], centre_mm[1], centre_mm[2] - 1e-3), RADIUS_MM)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, (sphere,))) for view in views]
-    return projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
+    return projection.ViewBank.of(views, optics), DistanceMaps.of(np.stack(maps))
 
 
 @cache
-def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> carve.Hull:
+def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = False) -> Hull:
     bank, maps = seen_ball(centre_mm)
     r = bank.optics.inner_radius_mm
-    grid = carve.Grid.over(np.array([-r, -r, -110.0]), np.array([r, r, -8.0]), 0.4)
+    grid = Grid.over(np.array([-r, -r, -110.0]), np.array([r, r, -8.0]), 0.4)
     return carve.carve(
         bank,
         maps,
@@ -58,7 +60,7 @@ def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
 
 def test_nodes_placed_by_their_parents_give_the_hull_of_those_followed_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     by_parent = carved((40.0, 5.0, -50.0))
-    monkeypatch.setattr(carve, "_BY_PARENT_MM", 0.0)
+    monkeypatch.setattr(carve, "BY_PARENT_MM", 0.0)
     one_by_one = carved.__wrapped__((40.0, 5.0, -50.0))
     for ours, theirs in (
         (by_parent.leaves.volume_mm3(), one_by_one.leaves.volume_mm3()),
@@ -79,15 +81,15 @@ def test_a_ball_at_the_wall_survives_blind_directions() -> None:
 def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     """The pictures say nothing above some row; large nodes that the edge of the blind zone cuts are not blind as a whole."""
     bank, maps = seen_ball((0.0, 0.0, -50.0))
-    row = float(np.array(carve.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
+    row = float(np.array(distance_maps.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
     values = np.array(maps.values).reshape(bank.count, 360, 480)
     values[:, : int(2 * row)] = silhouettes.UNSEEN_PX
-    half = carve.DistanceMaps.of(values)
-    grid = carve.Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
+    half = DistanceMaps.of(values)
+    grid = Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
     leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves
     z = np.arange(-50.0, -40.0, 0.05)
     point = mi.Point3f(0.2, 0.2, mi.Float(z))
-    votes = sum(np.array(carve.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
+    votes = sum(np.array(distance_maps.look(bank, half, mi.UInt32(view), point, mi.Bool(True))[2], int) for view in range(bank.count))
     np.testing.assert_array_equal(sight._votes(bank, half, np.stack([np.full_like(z, 0.2), np.full_like(z, 0.2), z], axis=1)), votes)
     on_axis = np.floor((0.2 - leaves.grid.origin_mm[:2]) / 0.4)
     column = (leaves.index[:, :2] <= on_axis).all(axis=1) & (leaves.index[:, :2] + leaves.size[:, None] > on_axis).all(axis=1)

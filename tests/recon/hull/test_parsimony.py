@@ -9,6 +9,8 @@ import pytest
 from rhizotwin.recon.coverage import silhouettes
 from rhizotwin.recon.hull import carve, parsimony
 from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
@@ -36,14 +38,14 @@ def volume_of(segments: tuple[Segment, ...]) -> float:
 
 
 @cache
-def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, carve.DistanceMaps, carve.Leaves]:
+def hull_of(segments: tuple[Segment, ...]) -> tuple[projection.ViewBank, DistanceMaps, Leaves]:
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=20),)))
     optics = refraction.Optics.of(scene)
     views = exact_pictures.views_of(scene)
     maps = [silhouettes.signed_distance(exact_pictures.drawn(view, optics, segments)) for view in views]
     r = optics.inner_radius_mm
-    bank, device_maps = projection.ViewBank.of(views, optics), carve.DistanceMaps.of(np.stack(maps))
-    lattice = carve.Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
+    bank, device_maps = projection.ViewBank.of(views, optics), DistanceMaps.of(np.stack(maps))
+    lattice = Grid.over(np.array([-r, -r, -100.0]), np.array([r, r, -8.0]), 0.25)
     return bank, device_maps, carve.carve(bank, device_maps, lattice, Water(r, -8.0, -100.0), min_votes=6).leaves
 
 

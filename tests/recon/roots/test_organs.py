@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rhizotwin.recon.hull.carve import Grid
+from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.hull.parsimony import Spheres
 from rhizotwin.recon.roots import organs
 from rhizotwin.recon.roots.density import Cells

@@ -5,7 +5,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull.carve import Grid
+from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.roots import residue, tracing
 from rhizotwin.recon.roots.density import Cells, estimate
 from rhizotwin.recon.scoring import score_roots

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhizotwin.recon.hull.carve import Grid, Leaves
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.hull.parsimony import Spheres, Trimmed
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.calibration.cameras import BareUncertainty
-from rhizotwin.recon.hull.carve import Grid, Leaves
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.uncertainty import bare_uncertainty
 from rhizotwin.recon.uncertainty.budget import NINETY
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhizotwin.recon import shaping
-from rhizotwin.recon.hull.carve import DistanceMaps, Grid, Leaves, Water
+from rhizotwin.recon.hull import carve
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import sight, solid_uncertainty
@@ -50,7 +52,7 @@ def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object
 
 @pytest.mark.parametrize("count", [20, 40, 41, 80])
 def test_every_second_view_is_every_second_round_the_turn(count: int) -> None:
-    frames = [10 + place for place in shaping._spread(count)]
+    frames = [10 + place for place in carve.spread(count)]
     chosen = sorted(frames[place] for place in solid_uncertainty.every_second(frames))
     assert chosen == list(range(10, 10 + count, 2))
 

@@ -1,0 +1,69 @@
+"""Space cut into cubes: the grid of the finest nodes, occupied leaves of several sizes, and the hull that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+_COARSEST_MM = 4.6
+"""Edge of the first nodes, at most: 33 across the canister."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cubic lattice of the finest nodes: node (i, j, k) covers origin + size * [i, i + 1] and so on."""
+
+    origin_mm: Array
+    size_mm: float
+    levels: int
+    """How often the coarsest nodes are halved."""
+    coarse_shape: tuple[int, int, int]
+
+    @staticmethod
+    def over(low_mm: Array, high_mm: Array, size_mm: float) -> Grid:
+        """Cover a box with a lattice whose planes x = 0 and y = 0 are node faces."""
+        levels = max(0, int(np.floor(np.log2(_COARSEST_MM / size_mm))))
+        coarse = size_mm * 2**levels
+        first = np.floor(np.asarray(low_mm) / coarse)
+        shape = np.maximum(np.ceil(np.asarray(high_mm) / coarse) - first, 1).astype(int)
+        return Grid(first * coarse, size_mm, levels, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+    def edge_mm(self, level: int) -> float:
+        """Return the edge of the nodes of a level; those of level 0 are the coarsest."""
+        return self.size_mm * 2.0 ** (self.levels - level)
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Occupied leaves of different sizes, all in units of the grid's finest nodes; they do not overlap."""
+
+    grid: Grid
+    index: Index
+    """(N, 3) lowest corner."""
+    size: Index
+    """(N,) edge length, a power of two."""
+    occupancy: NDArray[np.float32]
+    """(N,) fraction inside the shape."""
+
+    def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
+        """Return the summed volume, also for other occupancies (N,) of the same leaves."""
+        cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
+        return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
+
+
+@dataclass(frozen=True)
+class Hull:
+    """What carving leaves."""
+
+    leaves: Leaves
+    moved_in_mm3: float
+    """Volume with every outline moved in by its uncertainty."""
+    moved_out_mm3: float
+    """Volume with every outline moved out by its uncertainty."""
+    blind_mm3: float
+    """Volume of the water that too few views see."""

@@ -1,0 +1,156 @@
+"""What all views say of a node: empty, partly outside, or inside, and how many of them see it."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from rhizotwin.recon.device import Bool, Float, Kernel, Point3f, UInt32, Vector3f
+from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
+
+_EMPTY, _PARTIAL = 1 << 31, 1 << 30
+"""Bits of `Marks.flags` above the votes."""
+
+
+def _footprint_px(p: projection.Projected, half_mm: Float) -> Float:
+    """Return a bound of the distance in pixels from a cube's centre to any of its points, curvature included."""
+    reach = mi.Float(0.0)
+    for sy, sz in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        du = p.du.x + sy * p.du.y + sz * p.du.z
+        dv = p.dv.x + sy * p.dv.y + sz * p.dv.z
+        reach = dr.maximum(reach, du * du + dv * dv)
+    linear = dr.sqrt(reach) * half_mm
+    return linear * (1.03 + 0.03 * half_mm) + 0.25  # the distance maps are right within 0.4 px and 2 %
+
+
+@dataclass
+class Marks:
+    """What the views say of nodes."""
+
+    empty: Bool
+    """mi.Bool, whether a view finds a node empty."""
+    partial: Bool
+    """mi.Bool, whether a view finds it partly outside."""
+    votes: UInt32
+    """mi.UInt32, how many views see the centre."""
+    depth: Float
+    """mi.Float, signed distance in mm of the centre to the hull: the least over the views that see it ..."""
+    scale: Float
+    """mi.Float, ... and px per mm in that view."""
+
+    def again(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
+        """Hear one more view of nodes that none has found empty yet."""
+        open_ = ~self.empty
+        seen &= open_
+        self.partial |= seen & (distance < reach + slack_px)
+        here = dr.select(seen, distance / px_per_mm, 1e3)
+        self.scale = dr.select(here < self.depth, px_per_mm, self.scale)
+        self.depth = dr.minimum(self.depth, here)
+        self.votes += dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+        self.empty |= seen & clear & (distance < -reach - slack_px)
+
+    def flags(self) -> UInt32:
+        """Return votes, `_EMPTY` and `_PARTIAL` in one number."""
+        zero = mi.UInt32(0)
+        return self.votes | dr.select(self.empty, mi.UInt32(_EMPTY), zero) | dr.select(self.partial, mi.UInt32(_PARTIAL), zero)
+
+
+def mark_nodes(
+    bank: ViewBank, maps: DistanceMaps, point: Point3f, parts: list[Vector3f], half_mm: Float, slack_px: Float, ignore_blindness: bool
+) -> Marks:
+    """Look at nodes from every view, until one finds them empty.
+
+    Only ``point`` is followed through the water; nodes beside it are placed by its Jacobian. What that neglects is half
+    the change of the scale on the way (3 % a mm, as in `_footprint_px`) times the way: at most 0.011 of an edge where
+    edges are below `carve.BY_PARENT_MM`.
+
+    Parameters
+    ----------
+    parts : list of mi.Vector3f
+        From the point to the centres of the nodes: eight for the children of a node about the point, or nothing but
+        zero for itself.
+    half_mm : mi.Float
+        Half an edge of these nodes.
+
+    Returns
+    -------
+    Marks
+        Of all nodes, those about a point side by side.
+    """
+    width = dr.width(point)
+
+    def body(view: UInt32, marks: list[Marks]) -> tuple[UInt32, list[Marks]]:
+        p = projection.project(bank, view, point, mi.Bool(True))
+        reach, px_per_mm = _footprint_px(p, half_mm), dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+        for part, mark in zip(parts, marks, strict=True):
+            px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
+            distance, seen = distance_maps.read(maps, view, px, p.seen & ~mark.empty)
+            mark.again(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            if ignore_blindness:
+                mark.empty |= ~seen
+        return view + 1, marks
+
+    def undecided(view: UInt32, marks: list[Marks]) -> Bool:
+        return (view < bank.end) & ~functools.reduce(operator.and_, [mark.empty for mark in marks])
+
+    def begin(kind: type, value: float) -> Kernel:
+        return dr.full(kind, value, width)
+
+    marks = [
+        Marks(begin(mi.Bool, False), begin(mi.Bool, False), begin(mi.UInt32, 0), begin(mi.Float, 1e3), begin(mi.Float, 1.0)) for _ in parts
+    ]
+    marks = dr.while_loop((mi.UInt32(0), marks), undecided, body)[1]
+    # one scatter for each field, and all in one kernel: each further kernel would run the loop again
+    lane, count = dr.arange(mi.UInt32, width), len(parts) * width
+    flags, depth, scale = dr.empty(mi.UInt32, count), dr.empty(mi.Float, count), dr.empty(mi.Float, count)
+    dr.scatter(flags, mi.ArrayXu([mark.flags() for mark in marks]), lane)
+    dr.scatter(depth, mi.ArrayXf([mark.depth for mark in marks]), lane)
+    dr.scatter(scale, mi.ArrayXf([mark.scale for mark in marks]), lane)
+    dr.eval(flags, depth, scale)
+    return Marks((flags & _EMPTY) != 0, (flags & _PARTIAL) != 0, flags & (_PARTIAL - 1), depth, scale)
+
+
+def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Float, asked: Bool, min_votes: int) -> Bool:
+    """Tell which nodes have a corner that enough views see, though too few see the centre.
+
+    The edge of the blind zone cuts them.
+    """
+    result = dr.zeros(mi.Bool, dr.width(point))
+    chosen = dr.compress(asked)
+    if dr.width(chosen) == 0:
+        return result
+    part = dr.gather(mi.Point3f, point, chosen)
+    some, least = dr.zeros(mi.Bool, dr.width(chosen)), dr.opaque(mi.UInt32, min_votes)
+
+    def undecided(view: UInt32, votes: UInt32) -> Bool:
+        return (view < bank.end) & (votes < least) & (votes + (bank.end - view) >= least)
+
+    for offset in corners(half_mm):
+        at = part + offset
+
+        def body(view: UInt32, votes: UInt32, at: Point3f = at) -> tuple[UInt32, UInt32]:
+            seen = distance_maps.look(bank, maps, view, at, mi.Bool(True))[2]
+            return view + 1, votes + dr.select(seen, mi.UInt32(1), mi.UInt32(0))
+
+        state = (mi.UInt32(0), dr.select(some, least, mi.UInt32(0)))
+        some |= dr.while_loop(state, undecided, body)[1] >= least
+        dr.eval(some)
+    dr.scatter(result, some, chosen)
+    return result
+
+
+def corners(half_mm: Float) -> list[Vector3f]:
+    """Return from a node's centre to its corners, in the order of `carve`'s children.
+
+    Signs that are no constants leave one kernel for all.
+    """
+    signs = [dr.opaque(mi.Float, sign) for sign in (-1.0, 1.0)]
+    return [mi.Vector3f(*(half_mm * signs[c] for c in corner)) for corner in np.ndindex(2, 2, 2)]

@@ -1,0 +1,62 @@
+"""RSML's XML as files in the wild have it: prefixes nobody declared, names in any case, never a document type."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from xml.parsers import expat
+
+from rhizotwin.scenes.errors import UserError
+
+
+def parse(path: Path) -> ET.Element:
+    """Parse XML without document types or entities, and without minding prefixes that nobody declared."""
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+
+    def refuse(*_: object) -> None:
+        raise UserError(f"{path}: declares a document type, which RSML does not need and this program does not read; remove <!DOCTYPE ...>")
+
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(path.read_bytes(), True)
+        return builder.close()
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise UserError(f"{path}: is no RSML file: not valid XML ({error})") from error
+
+
+def local(element: ET.Element) -> str:
+    """Return an element's name without its prefix, in lower case."""
+    return element.tag.rsplit(":", 1)[-1].lower()
+
+
+def attribute(element: ET.Element, name: str) -> str | None:
+    """Return an attribute by its name in any case."""
+    return next((value for key, value in element.attrib.items() if key.lower() == name), None)
+
+
+def own(root: ET.Element) -> Iterator[ET.Element]:
+    """Walk what belongs to a root itself, not to its laterals."""
+    stack = list(reversed(root))
+    while stack:
+        element = stack.pop()
+        if local(element) != "root":
+            yield element
+            stack.extend(reversed(element))
+
+
+def property_of(own: list[ET.Element], name: str) -> str:
+    """Return the text of a root's first property of a name that has one; empty where it has none."""
+    for holder in (element for element in own if local(element) == "properties"):
+        for child in holder:
+            called = (attribute(child, "name") or "").lower() or local(child)
+            text = (attribute(child, "value") or child.text or "").strip()
+            if called == name and text:
+                return text
+    return ""
