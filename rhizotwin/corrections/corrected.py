@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections import surface
@@ -53,7 +52,7 @@ def write(session: Session, output: Path) -> dict[str, Any]:
         Where the folder holds something that is no result, or a file of the result is missing.
     """
     state, measured = session.state, session.measure()
-    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), session.solid, state, measured.volumes_mm3)
+    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, state, measured.volumes_mm3)
     roots = state.roots()
     summary = _summary(session, measured, mesh)
     traits = _traits(summary, mesh, roots)
@@ -61,7 +60,7 @@ def write(session: Session, output: Path) -> dict[str, Any]:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
-        atomic.write_bytes(building / "shape.npz", _shape(session, measured.volumes_mm3))
+        atomic.write_bytes(building / "shape.npz", _shape(session, measured))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
@@ -123,9 +122,9 @@ def _traits(summary: dict[str, Any], mesh: trimesh.Trimesh, roots: tuple[rsml.Ro
     )
 
 
-def _shape(session: Session, volumes_mm3: NDArray[np.float64]) -> bytes:
+def _shape(session: Session, measured: Measured) -> bytes:
     """Return ``shape.npz``: the voxels that are left, and the hull as it was."""
-    solid, hull = session.solid, result_files.read_leaves(session.folder, hull=True)
+    solid, volumes_mm3, hull = measured.solid, measured.volumes_mm3, result_files.read_leaves(session.folder, hull=True)
     kept = volumes_mm3 > _EMPTY_MM3
     if not kept.any():
         kept[0] = True  # a shape of which nothing is left keeps one empty voxel, so that it can be read
@@ -147,7 +146,6 @@ def _shape(session: Session, volumes_mm3: NDArray[np.float64]) -> bytes:
 
 def read_mesh(session: Session) -> Mesh:
     """Return the surface as it is now."""
-    mesh = surface.corrected(
-        result_files.read_mesh(session.folder / "shape.ply"), session.solid, session.state, session.measure().volumes_mm3
-    )
+    measured = session.measure()
+    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, session.state, measured.volumes_mm3)
     return Mesh(vertices_mm=np.asarray(mesh.vertices, np.float64), faces=np.asarray(mesh.faces, np.int64))

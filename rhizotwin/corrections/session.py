@@ -32,23 +32,32 @@ class Measured:
     roots: int
     volumes_mm3: Array
     """(N,) in each voxel."""
+    solid: Solid
+    """Whose first N voxels they are."""
 
 
 class Session:
-    """One result and its corrections. Safe for several threads."""
+    """One result and its corrections. Safe for several threads.
+
+    The volume is divided among the roots (seconds, for large plants) when `solid` is first asked for, at the latest by
+    the first correction.
+    """
 
     def __init__(self, result_folder: Path, *, refit: Refit | None = None) -> None:
         self.folder = Path(result_folder)
         self.summary: dict[str, Any] = result_files.read_summary(self.folder)
         self.roots: tuple[Root, ...] = read_roots(self.folder)
         self.leaves = result_files.read_leaves(self.folder)
-        finest = self.summary["settings"].get("finest_mm")
-        self.solid = Solid.of(self.leaves, [(root.points_mm, root.diameters_mm) for root in self.roots], finest_mm=finest)
+        self._sources = [(root.points_mm, root.diameters_mm) for root in self.roots]
+        self._finest_mm: float | None = self.summary["settings"].get("finest_mm")
+        self._undivided = Solid.undivided(self.leaves, self._sources, finest_mm=self._finest_mm)
+        self._divided: Solid | None = None
+        self._dividing = threading.Lock()
         self.log: Log = logs.new(self.folder)
         self.lock = threading.RLock()
         self.refit = refit
         """Fits roots to the pictures again; None: nobody can."""
-        self._states = [states.start(self.solid, self.roots)]
+        self._states = [states.start(self._undivided, self.roots)]
         self._saved: tuple[Edit, ...] = ()
         self._undone: list[tuple[Edit, State]] = []
         self._measured: tuple[State, Measured] | None = None
@@ -57,6 +66,14 @@ class Session:
     def state(self) -> State:
         """Return the roots and voxels as they are now."""
         return self._states[-1]
+
+    @property
+    def solid(self) -> Solid:
+        """Return the voxels with what is whose in them."""
+        with self._dividing:
+            if self._divided is None:
+                self._divided = Solid.of(self.leaves, self._sources, finest_mm=self._finest_mm)
+            return self._divided
 
     @property
     def can_undo(self) -> bool:
@@ -105,8 +122,14 @@ class Session:
         with self.lock:
             now = self.state
             if self._measured is None or self._measured[0] is not now:
-                volumes = self.solid.volumes_mm3(now.pieces, now.gone)
-                self._measured = now, Measured(float(volumes.sum()), now.length_mm, len(now.lines), volumes)
+                if self.can_undo:
+                    solid = self.solid
+                    volumes = solid.volumes_mm3(now.pieces, now.gone)
+                    total = float(volumes.sum())
+                else:
+                    solid = self._divided or self._undivided
+                    volumes, total = solid.measured_mm3, float(self._undivided.measured_mm3.sum())
+                self._measured = now, Measured(total, now.length_mm, len(now.lines), volumes, solid)
             return self._measured[1]
 
     @property

@@ -33,8 +33,10 @@ Numbers = NDArray[np.int32]
 _SAMPLES_A_NODE = 1.8
 """As the reconstruction paints tubes, in nodes of its finest size ..."""
 _FINEST_SPACING_MM = 0.05
-_MOST_SAMPLES = 4_000_000
-"""... unless the points would be more: they are kept."""
+_MOST_SAMPLES = 1_000_000
+"""... unless the points would be more: they are kept. Against 3.4 million, on a day-30 plant of 607 roots, what
+taking single roots away takes differs by 0.3 % in the sum of 41 roots, by 0.04 % of the plant for the worst; dividing
+takes a third of the time and of the memory."""
 _LEAST_A_DISC = 6
 _END_MM = 1e-6
 _NEAR_VOXELS = 2.0
@@ -96,9 +98,8 @@ class Solid:
         finest_mm : float or None
             Edge of the nodes in which the reconstruction painted tubes; None: that of the voxels.
         """
-        low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
-        volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
-        made = cls(low, size, leaves.origin_mm, leaves.voxel_mm, finest_mm or leaves.voxel_mm, volume)
+        made = cls.undivided(leaves, [], finest_mm=finest_mm)
+        size, volume = made.size, made.measured_mm3
         made._claim, made._rest_mm3 = np.ones(len(size)), volume.copy()
         made._rest_source, made._rest_along = np.full(len(size), -1), np.zeros(len(size))
         if lines:
@@ -108,6 +109,15 @@ class Solid:
             made._claim[: len(size)] = np.minimum(1.0, volume / np.maximum(painted, 1e-300))
             made._rest_mm3[: len(size)] = np.maximum(volume - made._claim[: len(size)] * painted, 0.0)
             made._share_rest()
+        return made
+
+    @classmethod
+    def undivided(cls, leaves: Leaves, lines: Sequence[tuple[Array, Array]], *, finest_mm: float | None = None) -> Solid:
+        """Return the voxels of a result and its roots, at once: enough to look at, not to take roots away."""
+        low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
+        volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
+        made = cls(low, size, leaves.origin_mm, leaves.voxel_mm, finest_mm or leaves.voxel_mm, volume, list(lines))
+        made.given = len(lines)
         return made
 
     @property

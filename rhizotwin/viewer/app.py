@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,9 @@ from rhizotwin.viewer.drawing import CLICKS, Drawing
 from rhizotwin.viewer.picking import Ray, Screen
 
 Array = NDArray[np.float64]
+
+_PREPARE_AFTER_S = 3.0
+"""Between the first browser and the work that only corrections need: by then a day-30 plant is drawn."""
 
 
 class Viewer(Drawing):
@@ -64,7 +68,7 @@ class Viewer(Drawing):
         self.changed()
 
     def _click_voxel(self, ray: Ray, *, more: bool) -> None:
-        solid, rows = self.shown.session.solid, self._voxel_rows()
+        solid, rows = self.shown.session.measure().solid, self._voxel_rows()
         hit = picking.voxel_at(solid.centre_mm[rows], np.asarray(0.5 * solid.size[rows] * solid.voxel_mm), ray)
         if not more:
             self.voxels.clear()
@@ -82,7 +86,7 @@ class Viewer(Drawing):
         with self.lock:
             if self.look.click == CLICKS[1] or "voxels" in self.look.layers:
                 rows = self._voxel_rows()
-                inside = screen.inside(self.shown.session.solid.centre_mm[rows], low, high)
+                inside = screen.inside(self.shown.session.measure().solid.centre_mm[rows], low, high)
                 self.voxels |= {int(row) for row in rows[inside]}
             else:
                 lines = self._clipped(self.shown.session.state.lines)
@@ -93,9 +97,9 @@ class Viewer(Drawing):
     def choose_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
         """Choose the voxels whose middles lie in a box."""
         with self.lock:
-            rows = self.shown.session.solid.leaves_in(low_mm, high_mm)
-            there = self.shown.session.measure().volumes_mm3[rows] > 1e-9
-            self.voxels = {int(row) for row in rows[there]}
+            measured = self.shown.session.measure()
+            rows = measured.solid.leaves_in(low_mm, high_mm)
+            self.voxels = {int(row) for row in rows[rows < len(measured.volumes_mm3)] if measured.volumes_mm3[row] > 1e-9}
             self._draw_chosen()
         self.changed()
 
@@ -107,6 +111,11 @@ class Viewer(Drawing):
         self.changed()
 
     # corrections
+
+    def prepare(self) -> None:
+        """Do what the first correction would wait for."""
+        self.shown.strung()
+        _ = self.shown.session.solid
 
     def do(self, kind: str, **what: Any) -> None:
         """Make a correction and show what it comes to."""
@@ -207,4 +216,13 @@ def start(folders: Sequence[Path], dataset: Path | None, *, host: str = guard.LO
     served = guard.serve(host=host, port=port)
     viewer = Viewer(served, folders, dataset)
     panels.build(viewer)
+    prepare = threading.Timer(_PREPARE_AFTER_S, viewer.prepare)
+    prepare.daemon = True
+    begin = threading.Lock()
+
+    @served.server.on_client_connect
+    def _(_: viser.ClientHandle) -> None:
+        if begin.acquire(blocking=False):  # once
+            prepare.start()
+
     return viewer

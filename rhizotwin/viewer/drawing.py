@@ -82,7 +82,9 @@ class Drawing:
             self.standing = None
             self.served.server.scene.set_background_image(None)
             shown = self.shown
-            points = np.concatenate([line.points_mm for line in shown.session.state.lines.values()] or [shown.session.solid.centre_mm])
+            points = np.concatenate(
+                [line.points_mm for line in shown.session.state.lines.values()] or [shown.session.measure().solid.centre_mm]
+            )
             self.scene.look_at(points, rim_mm=60.0)
             if not shown.session.state.lines:
                 self.look.layers |= {"surface"}
@@ -166,20 +168,20 @@ class Drawing:
             return
         self._voxel_key = key
         rows = self._voxel_rows() if wanted else np.zeros(0, np.int64)
-        solid, volumes = session.solid, session.measure().volumes_mm3
-        room = (solid.size[rows] * solid.voxel_mm) ** 3
-        self.scene.show_voxels(solid.centre_mm[rows], volumes[rows] / room, solid.voxel_mm)
+        measured = session.measure()
+        solid, room = measured.solid, (measured.solid.size[rows] * measured.solid.voxel_mm) ** 3
+        self.scene.show_voxels(solid.centre_mm[rows], measured.volumes_mm3[rows] / room, solid.voxel_mm)
 
     def _voxel_rows(self) -> NDArray[np.int64]:
         """Return the voxels that are there and inside the clipping heights."""
-        session, look = self.shown.session, self.look
-        height = session.solid.centre_mm[:, 2]
-        return np.flatnonzero((session.measure().volumes_mm3 > 1e-9) & (height >= look.low_mm) & (height <= look.high_mm))
+        measured, look = self.shown.session.measure(), self.look
+        height = measured.solid.centre_mm[: len(measured.volumes_mm3), 2]
+        return np.flatnonzero((measured.volumes_mm3 > 1e-9) & (height >= look.low_mm) & (height <= look.high_mm))
 
     def _draw_chosen(self) -> None:
         session = self.shown.session
         self.roots = [number for number in self.roots if number in session.state.lines]
-        solid = session.solid
+        solid = session.measure().solid
         rows = np.array(sorted(self.voxels), np.int64)
         here = self.standing is None
         self.scene.show_chosen([session.state.lines[k] for k in self.roots] if here else [], solid.centre_mm[rows], solid.voxel_mm)

@@ -38,7 +38,7 @@ def build(viewer: Viewer) -> None:
 
     def follow() -> None:
         session = viewer.shown.session
-        head.content = words.volume(session.summary, session.measure())
+        head.content = words.volume(session.summary, session.measure(), edits=len(session.log.edits))
         said.content, said.visible = words.note(viewer.told), bool(viewer.told)
 
     viewer.on_change.append(follow)
@@ -74,7 +74,7 @@ def _look(viewer: Viewer) -> None:
     gui = viewer.served.server.gui
     shown = viewer.shown
     for layer in LAYERS:
-        if (layer == "truth" and shown.truth is None) or (layer in ("canister", "cameras") and shown.dataset is None):
+        if (layer == "truth" and shown.truth_file is None) or (layer in ("canister", "cameras") and shown.dataset is None):
             continue
         box = gui.add_checkbox(_FIRST[layer], initial_value=layer in viewer.look.layers)
 
@@ -83,7 +83,7 @@ def _look(viewer: Viewer) -> None:
             viewer.refresh()
 
         box.on_update(switch)
-    if shown.truth is not None:
+    if shown.truth_file is not None:
         compare = gui.add_dropdown("Truth is drawn", TRUTH)
 
         @compare.on_update
@@ -93,7 +93,7 @@ def _look(viewer: Viewer) -> None:
 
     by = gui.add_dropdown("Colour by", colours.CHOICES, initial_value=viewer.look.colour)
     legend = gui.add_html("")
-    height = shown.session.solid.centre_mm[:, 2]
+    height = shown.session.measure().solid.centre_mm[:, 2]
     low, high = float(height.min()) - 1.0, float(height.max()) + 1.0
     ends = round(low, 1), round(high, 1)
     clip = gui.add_multi_slider("Heights shown (mm)", min=ends[0], max=ends[1], step=0.1, initial_value=ends)
@@ -182,7 +182,8 @@ def _correct(viewer: Viewer) -> None:
             best = [] if pictures is None else [pictures.files[k] for k in pictures.best_for(lines[number])]
             root.content = words.root(number, lines, colours.order_of(lines)[number], best) + words.profile(lines[number])
         count = len(session.log.edits)
-        log.content = words.note(f"{count} edit{'' if count == 1 else 's'}: " + "; ".join(edit.do for edit in session.log.edits[-5:]))
+        done = f"{count} edit{'' if count == 1 else 's'}: " + "; ".join(edit.do for edit in session.log.edits[-5:])
+        log.content = words.note(done if count else "No edits yet.")
 
     viewer.on_change.append(follow)
 
@@ -209,7 +210,9 @@ def _pictures(viewer: Viewer) -> None:
         now = viewer.shown.pictures
         if viewer.standing is not None and now is not None:
             angle = now.table_deg[viewer.standing]
-            name.content = words.note(now.files[viewer.standing] + ("" if angle is None else f", table at {angle % 360.0:.1f} degrees"))
+            name.content = words.note(
+                now.files[viewer.standing] + ("" if angle is None else f", table at {round(angle, 1) % 360.0:.1f} degrees")
+            )
         else:
             name.content = words.note(f"{0 if now is None else len(now.views)} pictures with cameras")
 

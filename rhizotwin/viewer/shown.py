@@ -58,11 +58,16 @@ class Shown:
         """Return the pictures with cameras; None without the dataset."""
         return None if self.dataset is None else Pictures.of(self.dataset, self.session.summary)
 
+    @property
+    def truth_file(self) -> Path | None:
+        """Return where the true solid of a simulated dataset lies."""
+        file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
+        return file if file is not None and file.is_file() else None
+
     @cached_property
     def truth(self) -> Mesh | None:
         """Return the true solid of a simulated dataset."""
-        file = None if self.dataset is None else self.dataset.folder / "truth" / "specimen.ply"
-        return simpler(result_files.read_mesh(file), MOST_TRIANGLES) if file is not None and file.is_file() else None
+        return None if self.truth_file is None else simpler(result_files.read_mesh(self.truth_file), MOST_TRIANGLES)
 
     @cached_property
     def surface(self) -> Mesh:

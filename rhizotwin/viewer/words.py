@@ -16,17 +16,19 @@ from rhizotwin.scenes.said import ml
 Array = NDArray[np.float64]
 
 
-def volume(summary: dict[str, Any], measured: Measured | None) -> str:
-    """Return the volume with its interval in ml, and what corrections made of it."""
+def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
+    """Return the volume with its interval in ml and the roots' length, and what corrections made of it."""
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
     half = max(high - found, found - low)
     text = f"<b>{ml(found, half_mm3=half)} ml</b>, 90 % interval {ml(low, half_mm3=half)} to {ml(high, half_mm3=half)} ml"
     if not summary["volume_trusted"]:
         text += "<br><b>Do not trust this volume.</b> " + html.escape(str(summary["volume_verdict"]))
-    if measured is not None:
+    roots = f"{measured.length_mm:.0f} mm in {measured.roots} root{'' if measured.roots == 1 else 's'}"
+    if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
-        now = ml(measured.volume_mm3, half_mm3=half)
-        text += f"<br>as corrected: <b>{now} ml</b> ({moved:+.2f} %), {measured.length_mm:.0f} mm in {measured.roots} roots"
+        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=half)} ml</b> ({moved:+.2f} %), {roots}"
+    elif measured.roots:
+        text += f"<br>{roots}"
     return f"<div style='padding:0.3em 0.8em'>{text}</div>"
 
 
