@@ -40,9 +40,19 @@ PRINTED = (0.95, 0.62, 0.25)
 
 
 def write_parts(
-    scene: Scene, folder: Path, *, rig: RigFile, measures: Measures, board: CharucoBoard, bed_mm: tuple[float, float, float]
+    scene: Scene,
+    folder: Path,
+    *,
+    rig: RigFile,
+    measures: Measures,
+    board: CharucoBoard,
+    bed_mm: tuple[float, float, float],
+    names: Sequence[str] = (),
 ) -> list[Part]:
     """Write a folder with all that is needed to print the parts and put them together.
+
+    With ``names`` only these are written, without the drawings, pictures and wiring of the whole. What does not fit
+    another part is refused all the same.
 
     Parameters
     ----------
@@ -58,30 +68,49 @@ def write_parts(
         What the stand holds.
     bed_mm : tuple of float
         Width, depth and height of what the printer can print.
+    names : sequence of str
+        Of the parts that are written; empty: all.
+
+    Returns
+    -------
+    list of Part
+        Those that were written.
 
     Raises
     ------
     UserError
-        For a part that cannot be, does not fit the bed, or stands in another's way, and for a folder that is not empty.
+        For a name that no part has, a part that cannot be, does not fit the bed, or stands in another's way,
+        and for a folder that is not empty.
     """
     parts = parts_of(scene, rig=rig, measures=measures, board=board)
-    for part in parts:
+    unknown = [name for name in names if name not in {part.name for part in parts}]
+    if unknown:
+        raise UserError(f"no part of this rig is called {unknown[0]!r}; there are {', '.join(part.name for part in parts)}")
+    wanted = [part for part in parts if part.name in names or not names]
+    for part in wanted:
         check_bed(part, bed_mm)
     bought = bought_of(scene, rig=rig, measures=measures)
     for one, other, mm3 in collisions(parts, bought):
         raise UserError(f"{one} and {other} would fill the same {mm3:.1f} mm3 of the rig: change the scene, the rig file or the measures")
     with new_folder(folder) as inside:
-        for part in tqdm(parts, desc="parts", unit="part", leave=False):
+        for part in tqdm(wanted, desc="parts", unit="part", leave=False):
             write_bytes(inside / f"{part.name}.stl", stl_bytes(part.printed))
             write_pages([part_page(part, title=scene.name)], inside / "drawings" / f"{part.name}.svg", title=f"{part.name} of {scene.name}")
-        write_pages([rig_page(parts, bought, title=scene.name)], inside / "drawings" / "rig.svg", title=f"rig of {scene.name}")
-        write_pages([exploded_page(parts, bought, title=scene.name)], inside / "drawings" / "exploded.svg", title=f"parts of {scene.name}")
-        for name, page in wiring_pages().items():
-            write_pages([page], inside / "drawings" / f"wiring_{name}.svg", title=f"wiring, {name}")
-        write_image(inside / "exploded.png", exploded_picture(parts, bought))
-        write_text(inside / "parameters.csv", _csv(parts))
-        write_json(inside / "parameters.json", _json(scene, parts, measures))
-    return parts
+        write_text(inside / "parameters.csv", _csv(wanted))
+        write_json(inside / "parameters.json", _json(scene, wanted, measures))
+        if not names:
+            _write_whole(inside, parts, bought, title=scene.name)
+    return wanted
+
+
+def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> None:
+    """Write what shows all parts together."""
+    drawings = folder / "drawings"
+    write_pages([rig_page(parts, bought, title=title)], drawings / "rig.svg", title=f"rig of {title}")
+    write_pages([exploded_page(parts, bought, title=title)], drawings / "exploded.svg", title=f"parts of {title}")
+    for name, page in wiring_pages().items():
+        write_pages([page], drawings / f"wiring_{name}.svg", title=f"wiring, {name}")
+    write_image(folder / "exploded.png", exploded_picture(parts, bought))
 
 
 def stl_bytes(solid: Manifold) -> bytes:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from rhizotwin.arguments import OutputFolder, SceneName, millimetres, named, option
+from rhizotwin.arguments import OutputFolder, SceneName, millimetres, named, option, options
 
 BED_LIMITS_MM = (50.0, 2000.0)
 
@@ -25,6 +25,7 @@ def parts(
     rig: Annotated[Path | None, named("FILE")] = None,
     measures: Annotated[Path | None, named("FILE")] = None,
     bed_mm: Annotated[tuple[float, float, float], option(read_bed_mm, "WxDxH")] = (220.0, 220.0, 250.0),
+    part: Annotated[tuple[str, ...], options(str, "NAME")] = (),
 ) -> None:
     """Write the parts of a scene's rig for a 3D printer.
 
@@ -50,11 +51,14 @@ def parts(
         TOML file of what you bought and measured, such as fit_mm = 0.25; the defaults are in parameters.json.
     bed_mm : tuple
         What your printer can print.
+    part : tuple of str
+        Only this part, such as net_pot, without the drawings of the whole; once for each part; default: all.
 
     Examples
     --------
     rhizotwin parts printed_8ml -o my_parts
     rhizotwin parts my_scene.toml --rig my_rig.toml --bed-mm 256x256x256 -o my_parts
+    rhizotwin parts my_scene.toml --part net_pot --part canister_ring -o my_first_parts
     """
     from rhizotwin.building.measures import Measures, load_measures
     from rhizotwin.building.rig_parts import thesis_rig
@@ -70,8 +74,9 @@ def parts(
         measures=Measures() if measures is None else load_measures(measures),
         board=CharucoBoard(),
         bed_mm=bed_mm,
+        names=part,
     )
-    for part in made:
-        wide, deep, high = part.size_mm
-        print(f"{part.name:<16} {wide:6.1f} x {deep:6.1f} x {high:5.1f} mm   {part.about}")
+    for one in made:
+        wide, deep, high = one.size_mm
+        print(f"{one.name:<16} {wide:6.1f} x {deep:6.1f} x {high:5.1f} mm   {one.about}")
     print(f"wrote {output}; nothing has been printed from it yet: try the net pot and the canister ring first")

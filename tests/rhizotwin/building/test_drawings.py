@@ -12,7 +12,10 @@ from rhizotwin.building.drawings import part_page
 from rhizotwin.building.line_drawing import CORNER, FRONT, TOP, draw
 from rhizotwin.building.measures import Measures, load_measures
 from rhizotwin.building.mounts import board_stand
-from rhizotwin.building.write import stl_bytes
+from rhizotwin.building.part import Part
+from rhizotwin.building.pot import canister_ring
+from rhizotwin.building.rig_parts import thesis_rig
+from rhizotwin.building.write import stl_bytes, write_parts
 from rhizotwin.rig.printing.print_page import Text
 from rhizotwin.rig.rig_file import HatPart
 from rhizotwin.scenes.board import CharucoBoard
@@ -84,3 +87,20 @@ def test_measures_of_ones_own(tmp_path) -> None:
     path.write_text("fitt_mm = 0.2\n")
     with pytest.raises(UserError, match=r"line 1.*fitt_mm"):
         load_measures(path)
+
+
+def test_one_part_alone_is_the_one_of_the_whole(tmp_path) -> None:
+    def write(*names: str) -> list[Part]:
+        folder = tmp_path / "_".join(names)
+        return write_parts(
+            Scene(), folder, rig=thesis_rig(), measures=Measures(), board=CharucoBoard(), bed_mm=(220.0, 220.0, 250.0), names=names
+        )
+
+    (ring,) = write("canister_ring")
+    assert ring.name == "canister_ring"
+    written = tmp_path / "canister_ring"
+    assert {path.name for path in written.rglob("*.*")} == {"canister_ring.stl", "canister_ring.svg", "parameters.csv", "parameters.json"}
+    assert (written / "canister_ring.stl").read_bytes() == stl_bytes(canister_ring(Scene(), Measures()).printed)
+    with pytest.raises(UserError, match="no part of this rig is called 'nose'; there are net_pot, "):
+        write("nose")
+    assert not (tmp_path / "nose").exists()
