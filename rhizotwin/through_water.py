@@ -21,6 +21,8 @@ Colour = NDArray[np.uint8]
 
 _SHIFT = 4
 """OpenCV draws lines at sixteenths of a pixel."""
+LEAST_WIDE_PX = 1600
+"""Pictures that are drawn over are enlarged to this at least: lines beside a root of two pixels leave it to be seen."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +72,13 @@ class Pictures(Cameras):
         return [int(place) for place in np.argsort(shown)[::-1][:count]]
 
     def drawn(self, place: int, lines: Mapping[int, Line], colours: Mapping[int, tuple[int, int, int]], *, thickness: int = 1) -> Colour:
-        """Return a picture with both flanks of roots drawn over it."""
-        image = self.picture(place)
+        """Return a picture, enlarged where it is small, with both flanks of roots drawn over it."""
+        image, scale = _enlarged(self.picture(place))
         if not lines:
             return image
         points = np.concatenate([line.points_mm for line in lines.values()])
         pixels = self.pixels(place, points)
-        sides = _flanks(self, place, lines, pixels)
+        sides = [scale * (side + 0.5) - 0.5 for side in _flanks(self, place, lines, pixels)]
         first = np.cumsum([0, *(len(line.points_mm) for line in lines.values())])
         for side in sides:
             for place_of, number in enumerate(lines):
@@ -84,15 +86,26 @@ class Pictures(Cameras):
         return image
 
     def with_outline(self, place: int, mesh: Mesh, colour: tuple[int, int, int], *, thickness: int = 1) -> Colour:
-        """Return a picture with the outline of a surface drawn over it."""
-        image, pixels = self.picture(place), self.pixels(place, mesh.vertices_mm)
-        corners = pixels[mesh.faces]
+        """Return a picture, enlarged where it is small, with the outline of a surface drawn over it."""
+        image, scale = _enlarged(self.picture(place))
+        corners = scale * (self.pixels(place, mesh.vertices_mm)[mesh.faces] + 0.5) - 0.5
         seen = corners[np.isfinite(corners).all(axis=(1, 2))]
         mask = np.zeros(image.shape[:2], np.uint8)
         cv2.fillPoly(mask, list(np.round(seen * 2**_SHIFT).astype(np.int32)), 255, cv2.LINE_8, _SHIFT)
         contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, contours, -1, colour, thickness, cv2.LINE_AA)
         return image
+
+
+def _enlarged(image: Colour) -> tuple[Colour, int]:
+    """Return a picture at least `LEAST_WIDE_PX` wide, and how many times as large it is.
+
+    The middle of pixel k comes to scale (k + 0.5) - 0.5.
+    """
+    scale = -(-LEAST_WIDE_PX // image.shape[1])
+    if scale <= 1:
+        return image, 1
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8), scale
 
 
 def _flanks(pictures: Pictures, place: int, lines: Mapping[int, Line], pixels: Array) -> list[Array]:

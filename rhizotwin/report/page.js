@@ -106,7 +106,15 @@
     let shades = fill("c", colours(mesh, choice.value));
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(mesh.faces), gl.STATIC_DRAW);
-    let turn = 0.6, tilt = 0.25, near = 1, shift = [0, 0], wanted = false;
+    let turn = 0.6, tilt = 0.25, near = 0, shift = [0, 0], wanted = false;
+    const fitting = (rows, width, height) => { // how near all of it just fits, with a margin
+      let across = 1e-6, up = 1e-6;
+      for (let k = 0; k < at.length; k += 3) {
+        across = Math.max(across, Math.abs(rows[0][0] * at[k] + rows[0][1] * at[k + 1] + rows[0][2] * at[k + 2]));
+        up = Math.max(up, Math.abs(rows[1][0] * at[k] + rows[1][1] * at[k + 1] + rows[1][2] * at[k + 2]));
+      }
+      return 0.92 * Math.min(1 / (across * Math.min(1, height / width)), 1 / (up * Math.min(1, width / height)));
+    };
     function draw() {
       wanted = false;
       const ratio = Math.min(window.devicePixelRatio || 1, 2), width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
@@ -114,6 +122,7 @@
       gl.viewport(0, 0, width, height); gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       const [ct, st, cp, sp] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
       const r = [[-st, ct, 0], [-sp * ct, -sp * st, cp], [cp * ct, cp * st, sp]]; // rows: right, up, towards the eye
+      near = near || fitting(r, width, height);
       const across = near * Math.min(1, height / width), up = near * Math.min(1, width / height);
       const m = [], rows = [r[0].map((v) => v * across), r[1].map((v) => v * up), r[2].map((v) => -0.2 * v)];
       for (let column = 0; column < 3; column++) m.push(rows[0][column], rows[1][column], rows[2][column], 0);

@@ -167,12 +167,11 @@ def _head(read: _Read) -> str:
 
 def _solid(read: _Read) -> str:
     """Return the shape to turn, and the files to save."""
-    mesh = result_files.read_mesh(read.folder / "shape.ply")
     data = {
         "name": read.name,
         "file": re.sub(r"[^A-Za-z0-9_-]+", "_", read.name) or "result",
         "csv": trait_table.to_csv(read.traits),
-        "solid": solid.packed(read.roots, mesh),
+        "solid": solid.packed(read.roots, read.folder / "shape.ply"),
     }
     choices = ("order", "diameter", "depth") if read.roots else ("depth", "plain")
     options = "".join(f"<option value={choice}>colour by {choice}</option>" for choice in choices)
@@ -200,8 +199,8 @@ def _pictures(read: _Read) -> str:
     if not pictures.files:
         return ""
     lines = {k: Line(root.points_mm, root.diameters_mm, root.parent, ()) for k, root in enumerate(read.roots)}
-    mesh = simpler(result_files.read_mesh(read.folder / "shape.ply"), OUTLINE_TRIANGLES)
-    around = mesh.vertices_mm if not read.roots else np.concatenate([root.points_mm for root in read.roots])
+    mesh = None if lines else simpler(result_files.read_mesh(read.folder / "shape.ply"), OUTLINE_TRIANGLES)
+    around = np.concatenate([root.points_mm for root in read.roots]) if mesh is None else mesh.vertices_mm
     shown, seen = [], set[int]()
     for angle in ANGLES_DEG:
         place = pictures.nearest(float(angle))
@@ -209,10 +208,11 @@ def _pictures(read: _Read) -> str:
             continue
         seen.add(place)
         try:
-            image = pictures.drawn(place, lines, dict.fromkeys(lines, OUTLINE)) if lines else pictures.with_outline(place, mesh, OUTLINE)
+            image = pictures.with_outline(place, mesh, OUTLINE) if mesh else pictures.drawn(place, lines, dict.fromkeys(lines, OUTLINE))
         except UserError:  # a picture that cannot be read any more: the page is made without it
             continue
-        image = _cut(image, pictures.pixels(place, around))
+        scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
+        image = _cut(image, scale * (pictures.pixels(place, around) + 0.5) - 0.5)
         shown.append(_figure(_jpeg(image), f"{angle} degrees: {Path(pictures.files[place]).name}"))
     return f"<div class=pictures>{''.join(shown)}</div>"
 

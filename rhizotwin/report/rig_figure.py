@@ -14,7 +14,7 @@ def svg(scene: Scene) -> str:
     can, pot, water, strip, lights = scene.canister, scene.net_pot, scene.water, scene.strip, scene.lights
     rings = scene.plan.rings
     left = -lights.backlight_distance_mm - _MARGIN_MM
-    right = max(ring.distance_mm for ring in rings) + _MARGIN_MM + 25.0
+    right = max(ring.distance_mm for ring in rings) + _MARGIN_MM + 55.0
     panel = lights.backlight_z_mm - lights.backlight_wh_mm[1] / 2.0, lights.backlight_z_mm + lights.backlight_wh_mm[1] / 2.0
     shown = max(panel[0], -can.height_mm - 60.0), min(panel[1], max(pot.top_mm, *(ring.height_mm for ring in rings), 0.0) + 60.0)
     top, bottom = shown[1] + _MARGIN_MM, shown[0] - _MARGIN_MM
@@ -33,7 +33,7 @@ def svg(scene: Scene) -> str:
         parts += [
             _line(x, z, can.outer_radius_mm, z, "#1f5f8b", dash=True),
             _box(x, z - 9.0, 22.0, 18.0, "#1f5f8b", "#123a55"),
-            _text(x + 11.0, z + 14.0, f"camera, ring {number}" if len(rings) > 1 else "camera", "middle"),
+            _text(x + 26.0, z - 3.0, f"camera, ring {number}" if len(rings) > 1 else "camera", "start"),
             _measure(0.0, x, -can.height_mm - 22.0 - 12.0 * number, f"{ring.distance_mm:g} mm"),
             _upright(x - 14.0 - 12.0 * number, 0.0, z, f"{ring.height_mm:g} mm"),
         ]
@@ -42,11 +42,12 @@ def svg(scene: Scene) -> str:
         wide,
         _upright(-can.outer_radius_mm - 12.0, -can.height_mm, 0.0, f"{can.height_mm:g} mm"),
         _measure(-lights.backlight_distance_mm, 0.0, shown[0] - 14.0, f"{lights.backlight_distance_mm:g} mm"),
-        _text(0.0, can.floor_z_mm + 6.0, f"water, n = {water.n_water:g}; wall {can.wall_mm:g} mm, n = {can.n_wall:g}", "middle"),
+        _text(0.0, can.floor_z_mm + 18.0, f"water, n = {water.n_water:g}", "middle"),
+        _text(0.0, can.floor_z_mm + 6.0, f"wall {can.wall_mm:g} mm, n = {can.n_wall:g}", "middle"),
         _text(0.0, pot.top_mm + 4.0, "net pot with marker strip", "middle"),
         _arrow(0.0, 0.0, 28.0, 0.0, "x"),
         _arrow(0.0, 0.0, 0.0, 28.0, "z"),
-        f'<circle cx="0" cy="0" r="2" fill="#c0392b"/>{_text(-4.0, 5.0, "canister frame", "end", "#c0392b")}',
+        f'<circle cx="0" cy="0" r="2" fill="#c0392b"/>{_text(0.0, pot.skirt_bottom_mm - 12.0, "canister frame", "middle", "#c0392b")}',
     ]
     name = escape(scene.name)
     return (

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.result_files import Mesh, read_mesh
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.simpler import simpler
 
@@ -18,12 +19,12 @@ MOST_TRIANGLES = 120_000
 _LEVELS = 65535
 
 
-def packed(roots: Sequence[Root], mesh: Mesh) -> dict[str, Any]:
-    """Return roots, or where there are none the surface, as JSON values that `page.js` reads.
+def packed(roots: Sequence[Root], surface: Path) -> dict[str, Any]:
+    """Return roots, or where there are none the surface in a file, as JSON values that `page.js` reads.
 
     Coordinates are steps of the largest extent over 65535, a few micrometres; diameters steps of 1 micrometre.
     """
-    return _lines(roots) if roots else _surface(simpler(mesh, MOST_TRIANGLES))
+    return _lines(roots) if roots else _surface(simpler(read_mesh(surface), MOST_TRIANGLES))
 
 
 def _lines(roots: Sequence[Root]) -> dict[str, Any]:

@@ -83,14 +83,17 @@ def budget(summary: dict[str, Any]) -> list[str]:
 def trait(definition: Definition, value: float | int | None) -> tuple[str, str, str]:
     """Return a trait's name, its value with unit, and what it means."""
     name = SAID.get(definition.field, definition.name.replace("_", " ").capitalize())
+    meaning = definition.meaning
+    for field, said in SAID.items():  # tables name other columns by their keys
+        meaning = meaning.replace(field, said.lower())
     if value is None:
-        return name, "not known", definition.meaning
+        return name, "not known", meaning
     if isinstance(value, int):
-        return name, str(value), definition.meaning
+        return name, str(value), meaning
     if definition.field in _ML:
-        return name, f"{rounded(value / 1000.0)} ml", definition.meaning
+        return name, f"{rounded(value / 1000.0)} ml", meaning
     unit = {"mm2": "mm²", "deg": "degrees"}.get(definition.unit, definition.unit)
-    return name, f"{rounded(value)} {unit}".rstrip(), definition.meaning
+    return name, f"{rounded(value)} {unit}".rstrip(), meaning
 
 
 def estimated(summary: dict[str, Any], field: str) -> str:

@@ -166,7 +166,7 @@ def test_a_page_without_the_pictures_says_so(plant: plants.Plant, tmp_path: Path
 def test_the_shape_is_packed_to_micrometres(plant: plants.Plant):
     import base64
 
-    packed = solid.packed(plant.roots, None)  # type: ignore[arg-type]
+    packed = solid.packed(plant.roots, plant.result / "shape.ply")
     steps = np.frombuffer(base64.b64decode(packed["points"]), "<u2").reshape(-1, 3)
     points = np.array(packed["origin"]) + packed["scale"] * steps
     assert points == pytest.approx(np.concatenate([root.points_mm for root in plant.roots]), abs=1e-3)
