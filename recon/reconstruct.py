@@ -26,7 +26,7 @@ from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, picture_checks, root_uncertainty, shape_checks
+from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
 from rhizotwin.scenes.checks import refuse_tank
@@ -157,15 +157,23 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
     made = [picture_checks.of_scan(dataset.origin, pictures.frames), picture_checks.of_views(azimuth_deg, len(pictures.frames), trust)]
     if not dataset.masks:
-        made += [picture_checks.of_exposure(coverage.exposures, trust), shape_checks.of_dirt(coverage.dirt, trust)]
+        made += [
+            picture_checks.of_exposure(coverage.exposures, trust),
+            shape_checks.of_dirt(coverage.dirt, _spread(coverage, cameras), trust),
+        ]
     if found is not None:
         made += [
             picture_checks.of_curve(pictures.curve),
-            picture_checks.of_sharpness(found.blur_px, trust),
+            picture_checks.of_sharpness(found.blur_px, found.refocus_px, trust),
             picture_checks.of_markers(found.inset_px, found.after_px, trust),
             picture_checks.of_canister(found.canister, dataset.scene.canister, trust),
         ]
     return tuple(made)
+
+
+def _spread(coverage: Coverage, cameras: Cameras) -> float | None:
+    """Return the share of the light that is spread about roots, by the views in the order of their cameras."""
+    return halo.spread([coverage.silhouettes[k] for k in cameras.order])
 
 
 def gather(

@@ -27,7 +27,6 @@ from rhizotwin.recon.uncertainty import (
     shape_checks,
     sight,
     solid_uncertainty,
-    structure,
     tube_uncertainty,
 )
 from rhizotwin.recon.uncertainty.budget import Budget
@@ -210,7 +209,6 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
         missed=_misses(found.carved, found.carved.hull.leaves),
         unexplained=budget.unexplained,
         fill=budget.fill,
-        structure=None if system is None else structure.left_by(system.seen, system),
         trust=budget.trust,
     )
     return shape_checks.of_motion(sway_mm, budget.trust), agreed

@@ -120,6 +120,9 @@ class MarkerCalibration:
     """None where the canister's edges were not seen."""
     blur_px: float | None = None
     """Median blur of the markers, the pixel's own (0.29) included; None where it was not measured."""
+    refocus_px: float | None = None
+    """By how much the least sharp picture is blurred more than the sharpest one (difference of squares, its root); None
+    where too few markers were measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

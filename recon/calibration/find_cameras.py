@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration
@@ -24,6 +25,9 @@ LEAST_VIEWS = 3
 """Two silhouettes bound no shape."""
 FOCUS_GIVEN = 1e-4
 """How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
+
+_LEAST_BLURS = 3
+"""Markers of a picture that tell its blur: one alone may have a highlight on it."""
 
 
 def find_cameras(
@@ -165,5 +169,12 @@ def _calibration(
         after_px=solved.after_px,
         table_correction_deg=float(np.std(turned)) if turned else None,
         blur_px=float(np.median(np.concatenate(blurs))) if blurs else None,
+        refocus_px=_refocus_px(blurs),
         canister=canister,
     )
+
+
+def _refocus_px(blurs: Sequence[NDArray[np.float64]]) -> float | None:
+    """Return how much more the least sharp picture is blurred than the sharpest, by the blurs of each one's markers."""
+    medians = [float(np.median(one)) for one in blurs if len(one) >= _LEAST_BLURS]
+    return float(np.sqrt(max(medians) ** 2 - min(medians) ** 2)) if medians else None

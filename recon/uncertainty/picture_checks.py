@@ -79,12 +79,18 @@ def of_curve(found: CurveFound | None) -> Check:
     return judged("curve", bend, "share", limits, said, advice)
 
 
-def of_sharpness(blur_px: float | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the markers are sharp."""
+def of_sharpness(blur_px: float | None, refocus_px: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the markers are sharp, and alike in all pictures."""
     if blur_px is None:
         return untold("sharpness", "no markers were measured to tell the blur", unit="px", limits=trust.blur_px)
     advice = "focus on the canister's axis, close the lens's opening, or let the table come to rest"
-    return judged("sharpness", blur_px, "px", trust.blur_px, f"edges are blurred by {blur_px:.2f} px", advice)
+    sharp = judged("sharpness", blur_px, "px", trust.blur_px, f"edges are blurred by {blur_px:.2f} px", advice)
+    if refocus_px is None:
+        return sharp
+    said = f"some pictures are blurred by {refocus_px:.2f} px more than others"
+    return foremost(
+        judged("sharpness", refocus_px, "px", trust.refocus_px, said, "focus once, by hand, and let the table come to rest"), sharp
+    )
 
 
 def of_markers(inset_px: float | None, corners_px: float | None, trust: TrustSettings = TrustSettings()) -> Check:

@@ -4,7 +4,7 @@ Motion, dirt, and whether the views agree and see.
 """
 
 from rhizotwin.recon.settings import TrustSettings
-from rhizotwin.recon.uncertainty.checks import Check, judged, state_of, stated, untold
+from rhizotwin.recon.uncertainty.checks import Check, foremost, judged, state_of, stated, untold
 
 
 def of_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> Check:
@@ -15,15 +15,34 @@ def of_motion(sway_mm: float | None, trust: TrustSettings = TrustSettings()) -> 
     return judged("motion", sway_mm, "mm", trust.sway_mm, said, "wait longer after each step of the table, and turn it more gently")
 
 
-def of_dirt(share: float | None, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the wall is clean enough to look through."""
+def of_dirt(share: float | None, spread: float | None = None, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that wall and water are clear enough to look through.
+
+    Parameters
+    ----------
+    share : float or None
+        Of the wall, that is fouled.
+    spread : float or None
+        Of the light, that is spread about roots (`halo.spread`).
+    trust : TrustSettings
+        The limits.
+    """
+    made = []
+    if spread is not None:
+        said = (
+            f"{100.0 * abs(spread):.1f} % of what roots take of the light is missing beside them{' (or too bright)' if spread < 0 else ''}"
+        )
+        advice = "change the water, clean the lens, and switch off what sharpens pictures or evens out their tones"
+        made.append(judged("dirt", abs(spread), "share", trust.spread, said, advice))
     if share is None:
-        return untold("dirt", "too few views to tell dirt on the wall from roots", unit="share")
-    said = f"films, bubbles and glare lie on {100.0 * share:.1f} % of what is seen of the wall"
-    return judged("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and knock the bubbles off")
+        made.append(untold("dirt", "too few views to tell dirt on the wall from roots", unit="share"))
+    else:
+        said = f"films, bubbles and glare lie on {100.0 * share:.1f} % of what is seen of the wall"
+        made.append(judged("dirt", share, "share", trust.dirt, said, "clean the canister inside and outside, and knock the bubbles off"))
+    return foremost(*made)
 
 
-def of_sight(*, missed: float, unexplained: float, fill: float, structure: float | None, trust: TrustSettings = TrustSettings()) -> Check:
+def of_sight(*, missed: float, unexplained: float, fill: float, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the views agree, that the shape explains them, and that they see past the roots.
 
     The worst of them is told.
@@ -34,8 +53,6 @@ def of_sight(*, missed: float, unexplained: float, fill: float, structure: float
         Share of what the pictures show that the hull of all views leaves out.
     unexplained, fill : float
         As in `Budget`.
-    structure : float or None
-        What is left beside the tubes over what they cover; None where there are none.
     trust : TrustSettings
         The limits.
     """
@@ -46,9 +63,6 @@ def of_sight(*, missed: float, unexplained: float, fill: float, structure: float
         (unexplained, trust.unexplained, f"the shape leaves {100.0 * unexplained:.1f} % of what the pictures show unexplained", agree),
         (fill, trust.fill, f"thin roots cover {100.0 * fill:.0f} % of the root zone's picture", crowded),
     ]
-    if structure is not None:
-        said = f"what is left beside the tubes is {100.0 * structure:.0f} % of what they cover: roots that are no plain absorbers"
-        rows.append((structure, trust.structure, said, "look at the pictures: glassy or hairy roots, motion, or focus"))
     value, limits, found, advice = max(rows, key=lambda row: row[0] / row[1][1])
     if state_of(value, *limits) == "good":
         found = f"the views agree: {100.0 * missed:.1f} % of what they show is left out by the hull of all"

@@ -87,16 +87,23 @@ def test_views_go_round() -> None:
 
 
 def test_the_worst_of_what_is_seen_is_told() -> None:
-    good = shape_checks.of_sight(missed=0.01, unexplained=0.0, fill=0.1, structure=0.05)
+    good = shape_checks.of_sight(missed=0.01, unexplained=0.0, fill=0.1)
     assert (good.state, good.advice) == ("good", "")
-    crowded = shape_checks.of_sight(missed=0.01, unexplained=0.0, fill=0.6, structure=0.05)
+    crowded = shape_checks.of_sight(missed=0.01, unexplained=0.0, fill=0.6)
     assert crowded.state == "bad"
     assert "60 %" in crowded.found
 
 
 @pytest.mark.parametrize(("missed", "expected"), [(0.03, "good"), (0.06, "fair"), (0.2, "bad"), (0.3, "bad")])
 def test_what_the_hull_of_all_views_leaves_out_is_judged_as_was_measured(missed: float, expected: str) -> None:
-    assert shape_checks.of_sight(missed=missed, unexplained=0.0, fill=0.1, structure=0.05).state == expected
+    assert shape_checks.of_sight(missed=missed, unexplained=0.0, fill=0.1).state == expected
+
+
+def test_pictures_are_alike_in_sharpness() -> None:
+    assert picture_checks.of_sharpness(0.4, 0.1).state == "good"
+    found = picture_checks.of_sharpness(0.9, 1.4)
+    assert found.state == "bad"
+    assert "1.40 px more than others" in found.found
 
 
 def test_motion_is_untold_without_roots_and_bad_where_they_sway() -> None:
