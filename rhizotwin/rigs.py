@@ -105,9 +105,12 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     if isinstance(errors, TwinPictures) and errors.fidelity == "render":
         pictures = "render"
         steps.start_engine(errors.device)
-    from rhizotwin.rig.twin.twin import Twin
+    from rhizotwin.rig.twin.twin import Twin, default_rig
 
-    emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures)
+    rig_file = default_rig()
+    if errors.profile == "real":  # whose roots swing
+        rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
+    emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
     return Bench(rig=emulated.rig, scene=emulated.calibrated_scene(), clock=emulated.clock, twin=emulated)
 
 

@@ -42,6 +42,9 @@ class Turntable(Protocol):
     def knows_zero(self) -> bool:
         """Whether the device still holds an angle that was declared: False after power-up or a reset."""
 
+    def accelerate(self, deg_per_s2: float) -> None:
+        """Speed up and slow down so from the next move on; at first as the rig file says."""
+
     def move_to(self, angle_deg: float) -> float:
         """Turn, always arriving from the same side; wait until done; return the angle read back.
 

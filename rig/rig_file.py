@@ -29,6 +29,8 @@ class TurntablePart:
     """A serial port, or any URL of pyserial such as socket://localhost:4000."""
     baud: int = bounded(115200, 1200, 4_000_000)
     speed_deg_per_s: float = bounded(30.0, 0.1, 360.0)
+    acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
+    """At the beginning and end of each move; a Marlin board takes what its own limits allow."""
     full_step_deg: float = bounded(1.8, 0.001, 30.0)
     """Table angle of one full step of the motor."""
     approach_deg: float = bounded(3.6, 0.0, 45.0)
@@ -39,8 +41,8 @@ class TurntablePart:
     settle_s: float = bounded(0.5, 0.0, 60.0)
     """Rest after a move before a picture: the water must be still."""
     rest: Literal["given", "measured"] = "given"
-    """measured: a scan turns once before its first picture, watches how long the picture moves, rests so long,
-    ``settle_s`` at least."""
+    """measured: a scan turns a few times before its first picture, at this acceleration and gentler ones, watches how
+    long the picture moves, and goes on with what is soonest at rest; it rests ``settle_s`` at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +78,6 @@ class HatPart:
     """As the driver's MODE pins are wired."""
     reverse: bool = False
     """Whether the motor's coils are such that the table turns the other way."""
-    acceleration_deg_per_s2: float = bounded(60.0, 0.1, 10000.0)
-    """Of the table, at the beginning and end of each move."""
     panel_pin: int = bounded(18, 0, 27)
     """GPIO 12 or 18: channel 0 of rpi_ws281x."""
     front_pin: int = bounded(13, 0, 27)

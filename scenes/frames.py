@@ -57,6 +57,13 @@ def apply(a_from_b: Array, points_b: Array) -> Array:
     return points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
 
 
+def twisted(points: Array, share: Array, twist_deg: float) -> Array:
+    """Turn points (N, 3) about the z axis, each by its share (N,) of an angle."""
+    angle_rad = np.deg2rad(twist_deg) * share
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1], points[:, 2]], axis=1)
+
+
 def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Array:
     """Return ``cam_from_rig`` of a camera on the +x side whose optical axis crosses the table's axis.
 

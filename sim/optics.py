@@ -249,16 +249,16 @@ class Hanging:
         low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
         return Hanging(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
-    def at(self, tip_mm: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the vertices (V, 3) when the lowest tip hangs aside by x, y."""
-        return self.vertices + self.share[:, None] * np.array([*tip_mm, 0.0])
+    def at(self, tip_mm: tuple[float, float], twist_deg: float) -> NDArray[np.float64]:
+        """Return the vertices (V, 3) when the lowest tip hangs aside by x, y and is turned about the z axis."""
+        return frames.twisted(self.vertices, self.share, twist_deg) + self.share[:, None] * np.array([*tip_mm, 0.0])
 
 
-def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float]) -> None:
+def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
     """Put what hangs where it is in a view."""
     parameters = mi.traverse(scene)
     for one in hanging:
-        parameters[f"{one.name}.vertex_positions"] = np.ascontiguousarray(one.at(tip_mm), dtype=np.float32).ravel()
+        parameters[f"{one.name}.vertex_positions"] = np.ascontiguousarray(one.at(tip_mm, twist_deg), dtype=np.float32).ravel()
     parameters.update()
 
 

@@ -141,7 +141,7 @@ class Renderer:
         """
         return self.look(self.world.cameras[k], ring=self.ring_of_view[k], stream=k)
 
-    def look(self, camera: TrueCamera, *, ring: int, stream: int = 0) -> tuple[Image, Image]:
+    def look(self, camera: TrueCamera, *, ring: int, stream: int = 0, twist_deg: float | None = None) -> tuple[Image, Image]:
         """Render what a camera anywhere sees.
 
         Parameters
@@ -152,6 +152,8 @@ class Renderer:
             Ring of the plan whose focus the lens has.
         stream : int
             Number of the path tracer's random stream, and of the view whose sway the specimen has.
+        twist_deg : float or None
+            How far the lowest tips are turned against the pot instead of that sway, in a scene whose specimen sways.
 
         Returns
         -------
@@ -159,8 +161,9 @@ class Renderer:
             As from `view`.
         """
         if self.hanging:
+            tip_mm = self.world.sway_mm[stream] if twist_deg is None else (0.0, 0.0)
             for scene in self.swaying:
-                optics.sway(scene, self.hanging, self.world.sway_mm[stream])
+                optics.sway(scene, self.hanging, tip_mm, twist_deg or 0.0)
         eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
         self.lamps.place(camera)

@@ -21,9 +21,9 @@ from rhizotwin.rig.scanning.arm_stand import ArmStand
 from rhizotwin.rig.scanning.eye import Eye
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.onlooker import Onlooker
+from rhizotwin.rig.scanning.resting import choose
 from rhizotwin.rig.scanning.safety import Say, make_safe
 from rhizotwin.rig.scanning.session import Session, file_of, take_up
-from rhizotwin.rig.scanning.settling import MARGIN, WATCH_S, settling, watch
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
 from rhizotwin.rig.scanning.watch import Watch
@@ -253,20 +253,16 @@ class _Scan:
         )
 
     def _measure_rest(self, views: Sequence[View]) -> None:
-        """Turn as far as to a next view, watch how long the picture still moves, and rest so long from now on."""
-        if self._rest_known:
+        """Choose acceleration and rest by how long the picture moves after a turn."""
+        if self._rest_known or len(views) < 2:
             return
-        self._turning.turn(views[0].table_deg)
-        self._turning.turn(views[min(1, len(views) - 1)].table_deg)
-        found = settling(*watch(lambda: self._devices.camera.capture().image, self._devices.clock))
-        if found.rest_s is None:
-            self._rest_s = max(self._rest_s, WATCH_S)
-            text = f"the picture still moves {WATCH_S:g} s after a turn: a gentler acceleration or a slower speed_deg_per_s is needed"
-        else:
-            self._rest_s = max(self._rest_s, MARGIN * found.rest_s)
-            text = f"the picture moves for {found.rest_s:.2f} s after a turn"
-        self._rest_known = True
-        self._note("rest", f"turntable: {text}; each picture waits {self._rest_s:.2f} s")
+        devices = self._devices
+        angles_deg = [view.table_deg for view in views]
+        chosen = choose(
+            self._turning, lambda: devices.camera.capture().image, devices.clock, angles_deg=angles_deg, part=devices.rig.turntable
+        )
+        self._rest_s, self._rest_known = chosen.rest_s, True
+        self._note("rest", f"turntable: {chosen.text()}")
 
     def _say_unchecked(self, planned: int) -> None:
         """Say of what nobody knows that it is right."""

@@ -69,6 +69,7 @@ class Turning:
         self._looks: list[Reference] = []
         self.pictures: list[Taken] = []
         """Pictures of the scan that the camera took where it stands."""
+        self._acceleration: float | None = None  # chosen; None: as the rig file says
         self.lost = False
         """Whether the board was lost and has not come back."""
 
@@ -159,6 +160,12 @@ class Turning:
             read_deg = self._devices.table.move_to(angle_deg)
         self._compare(angle_deg, read_deg)
         return read_deg
+
+    def accelerate(self, deg_per_s2: float) -> None:
+        """Let the table speed up and slow down so from now on."""
+        with board_watched():
+            self._devices.table.accelerate(deg_per_s2)
+        self._acceleration = deg_per_s2
 
     def verify(self, angle_deg: float) -> None:
         """Ask again, after a picture: a board that was reset since the move has forgotten the angle."""
@@ -267,6 +274,8 @@ class Turning:
             try:
                 self._devices.reconnect_board()
                 self._devices.table.prepare()
+                if self._acceleration is not None:
+                    self._devices.table.accelerate(self._acceleration)
                 part = self._devices.rig.lights
                 self._devices.lights.set(panel=part.panel_level, front=part.front_level)
             except RigError as error:

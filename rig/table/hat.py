@@ -28,6 +28,7 @@ class HatTurntable:
     def __init__(self, pins: Pins, hat: HatPart, part: TurntablePart, clock: Clock) -> None:
         self._pins, self._hat, self._part, self._clock = pins, hat, part, clock
         self._step_deg = part.full_step_deg / hat.microsteps
+        self._acceleration = part.acceleration_deg_per_s2
         self._steps: int | None = None  # where the table stands, from angle 0, in microsteps; None: not known
         self._on = False
         self._seated = False  # whether the last move arrived from the side that all moves arrive from
@@ -74,6 +75,10 @@ class HatTurntable:
         """Whether an angle was declared since the motor was switched on."""
         return self._on and self._steps is not None
 
+    def accelerate(self, deg_per_s2: float) -> None:
+        """Speed up and slow down so from the next move on."""
+        self._acceleration = deg_per_s2
+
     def move_to(self, angle_deg: float) -> float:
         """Turn by an even ramp, always arriving from below; return the angle of the nearest microstep.
 
@@ -117,7 +122,7 @@ class HatTurntable:
         forward = (goal > here) != self._hat.reverse
         self._pins.output(self._hat.direction_pin, int(forward))
         self._clock.sleep(SETUP_S)
-        speed, acceleration = (x / self._step_deg for x in (self._part.speed_deg_per_s, self._hat.acceleration_deg_per_s2))
+        speed, acceleration = (x / self._step_deg for x in (self._part.speed_deg_per_s, self._acceleration))
         due_s = step_times_s(count, speed=speed, acceleration=acceleration)
         self._steps = None
         until_s = self._clock.now_s() + float(due_s[-1]) + LATE_S

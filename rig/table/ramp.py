@@ -5,6 +5,13 @@ import numpy as np
 from rhizotwin.scenes.frames import Array
 
 
+def move_s(way: float, *, speed: float, acceleration: float) -> float:
+    """Return the seconds of a move from rest to rest; way, speed and acceleration in one unit of length."""
+    ramp = min(speed**2 / (2.0 * acceleration), way / 2.0)
+    top = np.sqrt(2.0 * acceleration * ramp)
+    return float(2.0 * top / acceleration + (way - 2.0 * ramp) / max(top, 1e-12))
+
+
 def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
     """Return when each step of a move is due, after its beginning.
 
@@ -31,7 +38,7 @@ def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
     ramp = min(speed**2 / (2.0 * acceleration), steps / 2.0)
     top = np.sqrt(2.0 * acceleration * ramp)
     ramp_s = top / acceleration
-    whole_s = 2.0 * ramp_s + (steps - 2.0 * ramp) / max(top, 1e-12)
+    whole_s = move_s(steps, speed=speed, acceleration=acceleration)
     up = np.sqrt(2.0 * np.minimum(s, ramp) / acceleration)
     down = whole_s - np.sqrt(2.0 * np.clip(steps - s, 0.0, ramp) / acceleration)
     level = ramp_s + (s - ramp) / max(top, 1e-12)

@@ -8,6 +8,7 @@ from rhizotwin.rig.errors import LostError, NoAnswerError, UnsafeError
 from rhizotwin.rig.rig_file import TurntablePart
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_lines import POSITION
+from rhizotwin.rig.table.ramp import move_s
 
 ZERO_X_DEG = 360.0
 """The firmware's X at table angle 0. A board that was reset says X = 0, which no table angle ever gives: so the board
@@ -17,7 +18,7 @@ KNOWN_X_DEG = 200.0
 _ROUNDED_DEG = 0.0051
 """M114 prints two decimals of a single-precision number."""
 _START_S = 2.0
-"""Starting and stopping, on top of the way at full speed."""
+"""Longer than computed a move may take."""
 _LOOKS = 3
 _PAUSE_S = 0.2
 """Before looking again: what is late comes meanwhile, and is dropped."""
@@ -33,6 +34,7 @@ class MarlinTurntable:
         self._clock = clock
         self._verified: tuple[int, float] | None = None  # session of the link, and X as it was verified in it
         self._seated = False  # whether the last move arrived from the side that all moves arrive from
+        self._acceleration = part.acceleration_deg_per_s2
 
     def describe(self) -> str:
         """Say which firmware answers, and where the table stands."""
@@ -46,6 +48,7 @@ class MarlinTurntable:
         self._link.start()
         self._link.command("M17")
         self._link.command("G90")
+        self._link.command(f"M204 T{_plain(self._acceleration)}")
         # moves nothing; a firmware that has stopped itself says so here
         self._link.command(f"G1 F{_plain(self._feed())}")
         self._link.ask("M114", POSITION)
@@ -75,6 +78,11 @@ class MarlinTurntable:
         """Whether the board still holds an angle that was declared: False after power-up or a reset."""
         return self._x_deg() >= KNOWN_X_DEG
 
+    def accelerate(self, deg_per_s2: float) -> None:
+        """Speed up and slow down so from the next move on (M204 T: moves that extrude nothing)."""
+        self._acceleration = deg_per_s2
+        self._link.command(f"M204 T{_plain(deg_per_s2)}")
+
     def move_to(self, angle_deg: float) -> float:
         """Turn, always arriving from below; wait until done; return the angle read back.
 
@@ -94,8 +102,8 @@ class MarlinTurntable:
         way = [angle_deg]
         if room_deg > 0.0 and angle_deg < (here if self._seated else here + room_deg) - _ROUNDED_DEG:
             way.insert(0, angle_deg - room_deg)
-        length_deg = sum(abs(b - a) for a, b in zip([here, *way], way, strict=False))
-        expect_s = length_deg / self._part.speed_deg_per_s + _START_S
+        lengths = [abs(b - a) for a, b in zip([here, *way], way, strict=False)]
+        expect_s = _START_S + sum(move_s(length, speed=self._part.speed_deg_per_s, acceleration=self._acceleration) for length in lengths)
         self._verified, self._seated = None, False
         for goal_deg in way:
             self._link.command(f"G1 X{_plain(goal_deg + ZERO_X_DEG)} F{_plain(self._feed())}")

@@ -33,6 +33,7 @@ class Motor(Protocol):
     """What a board drives; angles are degrees of the motor's own count since power-up."""
 
     steps_per_deg: float
+    acceleration_deg_per_s2: float
     energised: bool
 
     @property

@@ -1,6 +1,6 @@
 """How far the emulated devices are from perfect: one set of numbers a profile."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Key = tuple[int, ...]
 """Key of a random stream: the seed first."""
@@ -30,6 +30,11 @@ class Imperfections:
     """Play between the motor and the table."""
     table_jump_steps: float = 0.0
     """When the motor is first energised after power-up, the rotor jumps by up to this many full steps."""
+    swing_hz: float = 0.0
+    """At which the roots would twist to and fro in the water without damping; 0: they hang still whatever the table
+    does."""
+    swing_damping: float = 1.0
+    """Of it, as a fraction of the critical one."""
     lamp_ramp_s: float = 0.0
     """Time a lamp takes from dark to full."""
     lamp_level_error: float = 0.0
@@ -53,10 +58,14 @@ BENCH = Imperfections(
 )
 """A hobby arm of LX servos and a stepper behind a DRV8825; sources of the numbers: docs/twin.md."""
 
+REAL = replace(BENCH, swing_hz=0.86, swing_damping=1.4)
+"""A bench with soft roots: one of 0.5 mm across and 100 mm long, of 30 MPa, is a cantilever in water of 0.86 Hz, and
+its drag is 1.4 of the critical one (docs/twin.md has the sums)."""
+
 
 def imperfections_of(profile_name: str) -> Imperfections:
     """Return the device errors that go with a disturbance profile.
 
-    None for ``clean``, those of a bench for every other.
+    None for ``clean``, roots that swing for ``real``, those of a bench for every other.
     """
-    return CLEAN if profile_name == "clean" else BENCH
+    return {"clean": CLEAN, "real": REAL}.get(profile_name, BENCH)

@@ -18,9 +18,7 @@ ABOUT = (
 )
 CAPABILITIES = ("SERIAL_XON_XOFF:0", "EEPROM:0", "AUTOREPORT_TEMP:1", "EMERGENCY_PARSER:1", "HOST_ACTION_COMMANDS:0", "BUSY_PROTOCOL:1")
 STOPPED = "Printer stopped due to errors. Fix the error and use M999 to restart. (Temperature is reset. Set it after restarting)"
-_SILENT = frozenset(
-    ("G21", "M82", "M83", "M108", "M111", "M154", "M155", "M201", "M203", "M204", "M205", "M211", "M220", "M410", "M500", "M501")
-)
+_SILENT = frozenset(("G21", "M82", "M83", "M108", "M111", "M154", "M155", "M201", "M203", "M205", "M211", "M220", "M410", "M500", "M501"))
 """Accepted without effect here; M108 and M410 had theirs when they were received."""
 
 Words = dict[str, float | None]
@@ -66,6 +64,7 @@ class MarlinCommands:
             "M114": self._position,
             "M115": self._about,
             "M150": self._light,
+            "M204": self._accelerate,
             "M400": self._finish,
             "M999": self._restart,
         }
@@ -156,6 +155,12 @@ class MarlinCommands:
         if x := words.get("X"):
             self._firmware_steps = x
         return Answer(() if words else (f"echo: M92 X{self._firmware_steps:.2f} Y80.00 Z400.00",))
+
+    def _accelerate(self, words: Words, _now_s: float) -> Answer:
+        """M204 T is the acceleration of moves of which nothing is extruded."""
+        if travel := words.get("T"):
+            self._motor.acceleration_deg_per_s2 = travel * self._firmware_steps / self._motor.steps_per_deg
+        return Answer()
 
     def _position(self, _words: Words, _now_s: float) -> Answer:
         count = self._motor.steps + round(self._offset_deg * self._firmware_steps)

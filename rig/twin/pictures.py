@@ -144,7 +144,7 @@ class Rendered:
         from rhizotwin.sim.exposure import mask_picture
 
         renderer = self._renderer(panel=panel, front=front)
-        image, coverage = renderer.look(_camera(sight), ring=self._nearest_ring(sight))
+        image, coverage = renderer.look(_camera(sight), ring=self._nearest_ring(sight), twist_deg=sight.twist_deg)
         if sight.place_key not in self._masks:
             self._masks[sight.place_key] = zlib.compress(mask_picture(coverage).tobytes(), 1)
         return image

@@ -67,7 +67,7 @@ class Sketch:
         panel = np.float32(sight.panel * lights.backlight_level)
         light = np.full((height, width), panel, np.float32)
         cam_from_canister = sight.cam_from_rig @ sight.rig_from_canister
-        self._draw_roots(light, cam_from_canister, panel)
+        self._draw_roots(light, cam_from_canister, panel, sight.twist_deg)
         self._draw_strip(light, cam_from_canister @ self._canister_from_strip, np.float32(sight.front * lights.front_level))
         return light * np.float32(sight.exposure)
 
@@ -101,8 +101,10 @@ class Sketch:
         hit = (inside > 0.0) & (along > 0.0) & (at_z <= pot.top_mm) & (at_z >= pot.skirt_bottom_mm)
         light[rows, columns] = np.where(hit, seen * front * np.minimum(facing * np.float32(1.2), 1.0), light[rows, columns])
 
-    def _draw_roots(self, light: Light, cam_from_canister: frames.Array, panel: np.float32) -> None:
-        lines = [self._project(cam_from_canister, line) for line in self._roots_mm]
+    def _draw_roots(self, light: Light, cam_from_canister: frames.Array, panel: np.float32, twist_deg: float) -> None:
+        top_mm = self._scene.net_pot.grid_z_mm
+        hanging = [frames.twisted(line, (top_mm - line[:, 2]) / ROOT_DEPTH_MM, twist_deg) for line in self._roots_mm]
+        lines = [self._project(cam_from_canister, line) for line in hanging]
         for i, line in enumerate(lines):
             if line is not None:
                 points = np.rint(line * 2**_SHIFT).astype(np.int32)

@@ -8,6 +8,7 @@ the world's affair.
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,14 @@ class _Move:
             done = way - gain * (self.duration_s - t_s) ** 2 / 2.0
         return self.start_steps + math.copysign(done, self.goal_steps - self.start_steps)
 
+    def pieces(self) -> Iterator[tuple[float, float, float, float]]:
+        """Yield begin, end, speed at the begin and acceleration of speeding up, going on, slowing down."""
+        top = math.copysign(self.speed, self.goal_steps - self.start_steps)
+        gain, last_s = top / self.ramp_s, self.duration_s - self.ramp_s
+        yield 0.0, self.ramp_s, 0.0, gain
+        yield self.ramp_s, last_s, top, 0.0
+        yield last_s, self.duration_s, top, -gain
+
 
 class Stepper:
     """A motor with its table.
@@ -73,6 +82,7 @@ class Stepper:
         self._aligned = False  # the rotor has found its phase since power-up
         self._output_deg = 0.0
         self._power_ups = 0
+        self.acceleration_deg_per_s2 = ACCELERATION_DEG_PER_S2
         self.energised = False
         self._turn_output()
 
@@ -113,7 +123,7 @@ class Stepper:
         if start == goal:
             return
         way = abs(goal - start)
-        gain = ACCELERATION_DEG_PER_S2 * self.steps_per_deg
+        gain = self.acceleration_deg_per_s2 * self.steps_per_deg
         speed = min(max(speed_deg_per_s, 0.01), MAX_SPEED_DEG_PER_S) * self.steps_per_deg
         speed = min(speed, math.sqrt(gain * way))
         self._moves.append(_Move(start, goal, speed, speed / gain, way / speed + speed / gain))
@@ -149,6 +159,7 @@ class Stepper:
         self._steps = 0.0
         self.energised = False
         self._aligned = False
+        self.acceleration_deg_per_s2 = ACCELERATION_DEG_PER_S2
         self._power_ups += 1
         self._shift_deg = 0.0
         self._shift_deg = stood_deg - self._motor_deg()
@@ -169,6 +180,20 @@ class Stepper:
         else:
             self._into_s = 0.0
         self._turn_output()
+
+    def motion(self, dt_s: float) -> Iterator[tuple[float, float, float]]:
+        """Yield what the table does from now on: seconds, speed at their begin (deg/s), acceleration (deg/s2)."""
+        into_s, left_s = self._into_s, dt_s
+        for move in self._moves:
+            for begin_s, end_s, speed, gain in move.pieces():
+                from_s = max(begin_s, into_s)
+                seconds = min(end_s - from_s, left_s)
+                if seconds > 0.0:
+                    left_s -= seconds
+                    yield seconds, (speed + gain * (from_s - begin_s)) / self.steps_per_deg, gain / self.steps_per_deg
+            into_s = max(into_s - move.duration_s, 0.0)
+        if left_s > 0.0:
+            yield left_s, 0.0, 0.0
 
     def _motor_deg(self) -> float:
         """Where the rotor is: its error repeats with every electrical turn, which is four full steps."""

@@ -14,6 +14,7 @@ from rhizotwin.rig.twin.imperfections import Imperfections
 from rhizotwin.rig.twin.lamps import Lamp
 from rhizotwin.rig.twin.servo import Servo, Supply
 from rhizotwin.rig.twin.stepper import Stepper
+from rhizotwin.rig.twin.swing import Swing
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.model import Scene
 
@@ -40,16 +41,23 @@ class Sight:
     """Levels of the lamps, fractions of the scene's."""
     exposure: float = 1.0
     """Exposure time and gain against the nominal ones."""
+    twist_deg: float = 0.0
+    """How far the lowest tips are turned against the pot; what is higher less, in proportion."""
 
     @property
     def place_key(self) -> bytes:
-        """Digest of where camera and canister are, to a millionth of a millimetre."""
-        return _digest(self.cam_from_rig, self.rig_from_canister)
+        """Digest of where camera, canister and roots are, to a millionth of a millimetre."""
+        return _digest(self.cam_from_rig, self.rig_from_canister, *self._twist)
 
     @property
     def key(self) -> bytes:
         """Digest of everything."""
-        return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]))
+        return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist)
+
+    @property
+    def _twist(self) -> list[frames.Array]:
+        """What tells pictures of moving roots from those at rest."""
+        return [np.array([self.twist_deg])] if self.twist_deg else []
 
 
 class TwinWorld:
@@ -76,6 +84,7 @@ class TwinWorld:
         self.tripod_cam_from_rig = plan.views(scene)[0].cam_from_rig
         """The camera's pose where there is no arm."""
         self.table = Stepper(full_step_deg=rig.turntable.full_step_deg, imperfections=imperfections, key=(seed, _TABLE))
+        self.swing = Swing(hz=imperfections.swing_hz, damping=imperfections.swing_damping)
         self._table_start_deg = float(np.random.default_rng([seed, _START]).uniform(0.0, 360.0))
         lights = rig.lights
         self.panel = Lamp(full_rgb=lights.panel_rgb, imperfections=imperfections, key=(seed, _LAMP, 0))
@@ -97,6 +106,8 @@ class TwinWorld:
 
     def advance(self, dt_s: float) -> None:
         """Let every device act for a while."""
+        for piece in self.table.motion(dt_s):
+            self.swing.turn(*piece)
         self.table.advance(dt_s)
         self.panel.advance(dt_s)
         self.front.advance(dt_s)
@@ -157,6 +168,7 @@ class TwinWorld:
             panel=self.panel.level,
             front=self.front.level,
             exposure=exposure,
+            twist_deg=self.swing.twist_deg,
         )
 
     def _angles(self, arm: ArmPart, counts: list[float]) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ Piece = tuple[float, bytes]
 """Delay in seconds, and bytes."""
 Fault = Callable[[bytes], list[Piece]]
 SPEED_DEG_PER_S = 30.0
-COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114, 115, 150, 154, 155, 211, 400, 410))}
+COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114, 115, 150, 154, 155, 204, 211, 400, 410))}
 
 
 @dataclass

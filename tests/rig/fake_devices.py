@@ -43,6 +43,7 @@ class World:
     front: float = 0.0
     now_s: float = 0.0
     motor: bool = False
+    acceleration_deg_per_s2: float = 60.0
     joints_deg: tuple[float, ...] | None = None
     """Where the arm really is; None: the camera stands on a tripod where the first ring wants it."""
     torque: bool = False
@@ -129,6 +130,10 @@ class _FakeTable:
         self.world.counter_deg = angle_deg
         self.world.now_s += 0.3
         return angle_deg
+
+    def accelerate(self, deg_per_s2: float) -> None:
+        self.world.call("table.accelerate")
+        self.world.acceleration_deg_per_s2 = deg_per_s2
 
     def release(self) -> None:
         self.world.call("table.release")

@@ -170,7 +170,7 @@ def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeyp
         pass
 
 
-@pytest.mark.parametrize("scenario", ["write", "new", "replace", "import"])
+@pytest.mark.parametrize("scenario", ["write", "new", "replace", "import", "scan"])
 def test_a_kill_at_any_file_operation_leaves_the_old_or_the_new(scenario: str, tmp_path: Path) -> None:
     words = [sys.executable, str(KILL_POINTS), scenario, str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"})

@@ -1,17 +1,25 @@
 """The rest that pictures need after a stop."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rhizotwin.rig.devices import Shot
+from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.rig_file import RigFile, TurntablePart
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.scanning.settling import settling, watch
+from rhizotwin.rig.table.ramp import move_s
 from rhizotwin.rig.twin.clock import VirtualClock
-from tests.rig.fake_devices import World, devices
+from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes.dataset import read_image
+from rhizotwin.scenes.model import CapturePlan, Ring
+from tests.rig.fake_devices import SCENE, World, devices
 
 
 def swinging(at_s: float, *, amplitude_px: float, decay_s: float, noise: float, rng: np.random.Generator) -> NDArray[np.uint16]:
@@ -55,16 +63,36 @@ def test_looks_are_as_far_apart_as_asked() -> None:
     assert times_s == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 
 
-@pytest.mark.parametrize(("decay_s", "least_s", "most_s"), [(1.2, 2.0, 12.0), (0.01, 0.5, 0.5)], ids=["sloshing", "still"])
-def test_a_scan_rests_as_long_as_it_saw_the_water_move(decay_s: float, least_s: float, most_s: float, tmp_path: Path) -> None:
-    world = World()
+@dataclass
+class Case:
+    """How long the picture swings after a turn at an acceleration, and what must be chosen."""
+
+    name: str
+    decay_s: Callable[[float], float]
+    chosen_deg_per_s2: float
+    rest_s: tuple[float, float]
+
+
+CASES = (
+    Case("nothing moves", lambda _: 0.01, 60.0, (0.5, 0.5)),
+    Case("gentleness does not help", lambda _: 1.2, 60.0, (2.0, 12.0)),
+    Case("gentleness helps", lambda acceleration: 1.2 if acceleration > 20.0 else 0.01, 15.0, (0.5, 0.5)),
+    Case("never at rest", lambda _: 60.0, 7.5, (12.0, 12.0)),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_scan_turns_and_rests_as_it_saw_the_water_move(case: Case, tmp_path: Path) -> None:
+    world = World(scene=replace(SCENE, plan=CapturePlan(rings=(Ring(views=6),))))
     opened = devices(world)
     opened.rig = replace(opened.rig, turntable=replace(opened.rig.turntable, rest="measured"))
     rng, rests, stopped = np.random.default_rng(3), list[float](), [0.0]
     move, capture = opened.table.move_to, opened.camera.capture
 
     def moving(angle_deg: float) -> float:
+        way = abs(angle_deg - (world.counter_deg or 0.0))
         read = move(angle_deg)
+        world.now_s += move_s(way, speed=30.0, acceleration=world.acceleration_deg_per_s2)
         stopped[0] = world.now_s
         return read
 
@@ -72,7 +100,7 @@ def test_a_scan_rests_as_long_as_it_saw_the_water_move(decay_s: float, least_s: 
         since_s = world.now_s - stopped[0]
         rests.append(since_s)
         shot = capture()
-        swing = 6.0 * np.exp(-since_s / decay_s) * np.cos(2.0 * np.pi * 2.03 * since_s)
+        swing = 6.0 * np.exp(-since_s / case.decay_s(world.acceleration_deg_per_s2)) * np.cos(2.0 * np.pi * 2.03 * since_s)
         moved = np.roll(shot.image, round(swing), axis=1).astype(np.float64)
         full = np.iinfo(shot.image.dtype).max
         image = np.clip(moved + rng.normal(0.0, 0.005 * full, moved.shape), 0, full).astype(shot.image.dtype)
@@ -81,7 +109,29 @@ def test_a_scan_rests_as_long_as_it_saw_the_water_move(decay_s: float, least_s: 
     opened.table.move_to, opened.camera.capture = moving, sloshing  # type: ignore[method-assign]
     said: list[str] = []
     dataset = scan(opened, world.scene, tmp_path / "scan", say=said.append)
+    assert world.acceleration_deg_per_s2 == case.chosen_deg_per_s2
     (line,) = [text for text in said if "each picture waits" in text]
-    assert least_s <= min(rests[-len(dataset.frames) :]) <= most_s
+    assert case.rest_s[0] - 1e-6 <= min(rests[-len(dataset.frames) :]) <= case.rest_s[1] + 1e-6
     assert f"{min(rests[-len(dataset.frames) :]):.1f}"[:2] in line
     assert any("each picture waits" in entry["text"] for entry in dataset.origin["log"])
+
+
+@pytest.mark.parametrize(("rest", "least_deg", "most_deg"), [("given", 0.3, 20.0), ("measured", 0.0, 0.05)])
+def test_on_the_emulated_rig_pictures_are_at_rest(
+    rest: Literal["given", "measured"], least_deg: float, most_deg: float, tmp_path: Path
+) -> None:
+    """Roots that swing as the table turns: half a second after it pictures show them twisted, those of a measured rest do not."""
+    scene = replace(SCENE, plan=CapturePlan(rings=(Ring(views=12),)))
+    rig = RigFile(name="twin", turntable=TurntablePart(rest=rest))
+    twin = Twin(scene, profile_name="real", pictures="sketch", rig=rig)
+    opened = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
+    said: list[str] = []
+    try:
+        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", say=said.append)
+    finally:
+        opened.close()
+    shots = [twin.record.shot_of(read_image(dataset, frame)) for frame in dataset.frames]
+    twists = [abs(shot.sight.twist_deg) for shot in shots if shot is not None]
+    assert len(twists) == 12
+    assert least_deg <= max(twists[1:]) <= most_deg
+    assert any("the picture moves for" in text for text in said) == (rest == "measured")

@@ -43,8 +43,15 @@ def test_preparing_keeps_the_motor_on_for_good_and_moves_nothing(make_board: Any
     assert table.knows_zero()
     assert table.position_deg() == 45.0
     assert board.moves == []
-    for text in ("M18 S0", "M17", "G90", "M211 S0", "M155 S0"):
+    for text in ("M18 S0", "M17", "G90", "M204 T60", "M211 S0", "M155 S0"):
         assert text in board.done
+
+
+def test_an_acceleration_is_told_and_told_again(board: Any) -> None:
+    table = on(board, replace(PART, acceleration_deg_per_s2=45.0))
+    table.accelerate(7.5)
+    table.prepare()
+    assert [text for text in board.done if text.startswith("M204")] == ["M204 T45", "M204 T7.5", "M204 T7.5"]
 
 
 def test_an_angle_is_declared_without_motion(board: Any) -> None:

@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhizotwin.rig.table.ramp import move_s
 from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.imperfections import BENCH, CLEAN, Imperfections, imperfections_of
 from rhizotwin.rig.twin.lamps import Lamp
 from rhizotwin.rig.twin.servo import DEG_PER_COUNT, Servo, Supply
 from rhizotwin.rig.twin.stepper import MICROSTEPS, Stepper
+from rhizotwin.rig.twin.swing import Swing
 
 
 def servo(wrong: Imperfections = CLEAN, *, start: float = 500.0, key: tuple[int, ...] = (0, 1)) -> Servo:
@@ -258,6 +260,57 @@ def test_power_up_forgets_the_count_but_not_the_place() -> None:
     assert table.steps == 0
     assert not table.energised
     assert table.true_deg == pytest.approx(stood)
+
+
+def test_the_motion_in_pieces_is_the_motion() -> None:
+    """Speed and acceleration of the pieces add up to where the table goes, however the time is cut."""
+    table = stepper()
+    table.queue(40.0, 30.0)
+    table.queue(35.0, 30.0)
+    at, rng = 0.0, np.random.default_rng(0)
+    while table.moving:
+        dt_s = float(rng.uniform(0.001, 0.3))
+        pieces = list(table.motion(dt_s))
+        assert sum(seconds for seconds, _, _ in pieces) == pytest.approx(dt_s)
+        at += sum(seconds * speed + gain * seconds**2 / 2.0 for seconds, speed, gain in pieces)
+        table.advance(dt_s)
+        assert at == pytest.approx(table.true_deg, abs=1e-6)
+    assert at == pytest.approx(35.0, abs=0.03)
+
+
+def test_a_table_that_is_sped_up_gently_takes_longer() -> None:
+    table = stepper()
+    table.acceleration_deg_per_s2 = 15.0
+    table.queue(9.0, 30.0)
+    assert table.remaining_s() == pytest.approx(2.0 * np.sqrt(9.0 / 15.0), rel=1e-3)
+    assert table.remaining_s() == pytest.approx(move_s(9.0, speed=30.0, acceleration=15.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.1, 1.4])
+def test_what_hangs_twists_as_its_equation_says(damping: float) -> None:
+    """Against small steps of time, with the pot sped up, turned and stopped at once."""
+    swing, w = Swing(hz=0.86, damping=damping), 2.0 * np.pi * 0.86
+    twist = rate = seen = 0.0
+    dt_s = 1e-5
+    for seconds, speed, gain in ((0.4, 0.0, 60.0), (0.3, 24.0, 0.0), (1.0, 0.0, 0.0)):
+        rate += seen - speed  # the jolt
+        for k in range(round(seconds / dt_s)):
+            now = speed + gain * k * dt_s
+            rate += dt_s * (-gain - 2.0 * damping * w * (rate + now) - w**2 * twist)
+            twist += dt_s * rate
+        seen = speed + gain * seconds
+        for _ in range(4):
+            swing.turn(seconds / 4.0, speed, gain)
+            speed += gain * seconds / 4.0
+        assert swing.twist_deg == pytest.approx(twist, abs=2e-3)
+    swing.turn(60.0, 0.0, 0.0)
+    assert swing.twist_deg == 0.0
+
+
+def test_without_a_frequency_nothing_swings() -> None:
+    swing = Swing(hz=0.0, damping=1.0)
+    swing.turn(1.0, 0.0, 60.0)
+    assert swing.twist_deg == 0.0
 
 
 @given(st.lists(st.floats(-400.0, 400.0), min_size=1, max_size=6), st.floats(1.0, 90.0))
