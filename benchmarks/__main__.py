@@ -69,6 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _scatter(given)
         if given.what == "scaling":
             return _scaling(given)
+        if given.what == "thesis":
+            return _thesis(given)
         if given.what == "mixtures":
             return _mixtures(given)
         if given.what == "damages":
@@ -80,6 +82,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
+
+
+def _thesis(given: argparse.Namespace) -> int:
+    """Write the page of the thesis beside ours."""
+    from benchmarks import assumptions, thesis_page
+    from rhizotwin import engine
+
+    path = given.output or _results() / "thesis.md"
+    if path.suffix.lower() != ".md":
+        raise UserError(f"{path}: the page is Markdown; give a name that ends in .md")
+    engine.start(given.device)
+    counted = assumptions.measure(thesis_page.PRINT, say=say, only_kept=given.kept)
+    levels = assumptions.levels(thesis_page.PRINT, say=say, only_kept=given.kept)
+    found = thesis_page.plants(thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept))
+    for file in thesis_page.write(path, found, levels, counted):
+        say(f"wrote {file}")
+    return 0
 
 
 def _mixtures(given: argparse.Namespace) -> int:

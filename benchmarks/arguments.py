@@ -50,12 +50,26 @@ def parser() -> argparse.ArgumentParser:
     mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
+    _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
     )
     adopted.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     return made
+
+
+_THESIS = (
+    "one page: the thesis's table 4.1 and figures 3.10, 4.1 and 5.3 beside its method as re-implemented and ours, "
+    "and which of its assumptions turn the error; a stopped run goes on where it stopped, and what the ladder measured is kept"
+)
+
+
+def _add_thesis(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--profile", choices=cases.PROFILES, default="clean", help="of the radishes' pictures (default: %(default)s)")
+    one.add_argument("--kept", action="store_true", help="take what was measured before and run nothing; what is missing is a dash")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="the page; figures go beside it (default: the cache folder)")
 
 
 _SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"

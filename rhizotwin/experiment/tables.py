@@ -79,10 +79,15 @@ def number(row: Row, column: str) -> float | None:
     return value
 
 
+def shipped(name: str) -> Path:
+    """Return the file of one of the thesis's tables (`SHIPPED`)."""
+    return Path(str(files(__package__).joinpath("data", name)))
+
+
 def write_shipped(folder: Path) -> list[Path]:
     """Write the thesis's tables into a folder; files that are there are not replaced."""
     written = []
     for name in SHIPPED:
-        atomic.write_text(folder / name, files(__package__).joinpath("data", name).read_text(encoding="utf-8"), new=True)
+        atomic.write_text(folder / name, shipped(name).read_text(encoding="utf-8"), new=True)
         written.append(folder / name)
     return written

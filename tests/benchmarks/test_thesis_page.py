@@ -1,0 +1,64 @@
+"""The page that sets the thesis beside its method and ours."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import assumptions, thesis_page
+from benchmarks.assumptions import Assumptions, Counted, Level
+from benchmarks.cases import Pictures
+
+
+def score(mm3: float) -> dict[str, object]:
+    return {"volume_mm3": mm3, "volume_interval_mm3": [0.9 * mm3, 1.1 * mm3]}
+
+
+def test_the_thesiss_plants_are_the_librarys_in_its_order() -> None:
+    records = [
+        {"case": {"scene": "radish_day05a", "method": "thesis"}, "score": score(600.0)},
+        {"case": {"scene": "radish_day30c", "method": "coverage"}, "score": score(1750.0)},
+    ]
+    found = thesis_page.plants(records)
+    assert len(found) == 18
+    assert (found[0].name, found[0].thesis_ml, found[0].grams) == ("radish 1", 1.79, 0.0348)
+    assert found[0].redone == score(600.0)
+    assert found[0].ours is None
+    assert found[16].thesis_ml is None
+    assert found[17].ours == score(1750.0)
+    for case in thesis_page.plant_cases("clean"):
+        scene = case.pictures.scene_to_render()
+        plant = next(one for one in found if one.name == scene.subject.plant)
+        assert plant.grams == pytest.approx(scene.specimen.volume_ml)  # the twin's plant has the thesis's mass at 1 g/ml
+
+
+def test_every_combination_of_assumptions_once_the_thesiss_first() -> None:
+    every = assumptions.every()
+    assert every[0] == Assumptions()
+    assert len(set(every)) == len(every) == 18
+
+
+def test_the_page_shows_numbers_and_dashes(tmp_path: Path) -> None:
+    found = thesis_page.plants([{"case": {"scene": "radish_day05a", "method": "coverage"}, "score": score(35.0)}])
+    levels = [
+        Level(voxel_mm=0.54, thesis_ml=14.0, thesis_s=1.0, ours_ml=9.0, ours_s=0.5),
+        Level(voxel_mm=0.27, thesis_ml=12.0, thesis_s=4.0, ours_ml=8.5, ours_s=1.0),
+    ]
+    counted = [Counted(assumed=Assumptions(), kept=0.53, shared=0.2, dropped=-0.11)]
+    files = thesis_page.write(tmp_path / "page.md", found, levels, counted)
+    assert all(file.stat().st_size > 1000 for file in files)
+    text = files[0].read_text()
+    assert "| radish 1 | 5 | 0.0348 | 1.7900 | 0.019 | - | - | 0.0350 | 0.0315 to 0.0385 | 0.994 |" in text
+    assert "| radish 17 | 30 | 0.3414 | - | - | - | - | - | - | - |" in text
+    assert "| picture | edges | carve | +53.0 % | +20.0 % | -11.0 % |" in text
+    assert all(file.name in text for file in files[1:])
+
+
+def test_nothing_is_run_where_only_what_is_kept_is_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
+    said: list[str] = []
+    two = thesis_page.plant_cases("clean")[:2]
+    monkeypatch.setattr(thesis_page, "plant_cases", lambda _: two)
+    pictures = Pictures(scene="printed_8ml", image_wh=(400, 300))
+    assert assumptions.measure(pictures, say=said.append, only_kept=True) == []
+    assert assumptions.levels(pictures, say=said.append, only_kept=True) == []
+    assert thesis_page.measure("clean", device="cpu", say=said.append, only_kept=True) == []
