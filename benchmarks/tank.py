@@ -5,6 +5,7 @@
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.projection import images_swept
 from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.cameras import View, through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_bytes
@@ -36,7 +37,8 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
     points = np.column_stack([r * np.cos(a), r * np.sin(a), np.full(len(r), HEIGHT_MM)])
     view = View(camera=Camera(), cam_from_canister=frames.level_camera(distance_mm=distance_mm, height_mm=HEIGHT_MM, tilt_deg=0.0))
     through = {"round": images_swept(view, optics, points, rays=8001)}
-    at = tank.TankView(view=view, canister_from_rig=np.eye(4), tank=Tank(n_liquid=scene.water.n_water), optics=optics)
+    wet = replace(optics, tank=Tank(n_liquid=scene.water.n_water))
+    at = through_tank(replace(view, cam_from_tank=view.cam_from_canister), wet)
     through["tank of water"] = tank.images_at_height(at, points, rays=8001)
     return radius, {name: (count.reshape(RADII, AZIMUTHS) == 1).mean(axis=1) for name, count in through.items()}
 

@@ -29,7 +29,6 @@ from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check
 from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
-from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -78,7 +77,6 @@ def reconstruct(
         After `Monitor.cancel`.
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    refuse_tank(dataset.scene, "the reconstruction")
     settings, monitor = settings or Settings(), Monitor.of(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)

@@ -176,6 +176,7 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, thick, carved.water)
     told = None if system is None else tube_uncertainty.estimate(system.seen, system)
+    edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
         *(() if told is None else told.terms),
         *solid_uncertainty.estimate(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
@@ -187,18 +188,10 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
             views=carved.bank.count,
             mm3_per_px=solid_uncertainty.mm3_per_px(carved.hull, slack_px=settings.hull.slack_px),
         ),
-        canister_uncertainty.canister(
-            carved.cameras.views, carved.bank.optics, leaves, volume_mm3, radius_excess_mm=_radius_excess_mm(carved.cameras)
-        ),
+        canister_uncertainty.canister(carved.cameras.views, carved.bank.optics, leaves, volume_mm3, edges=edges),
     )
     fill, unexplained = (0.0, 0.0) if told is None else (told.fill, told.unexplained)
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
-
-
-def _radius_excess_mm(cameras: Cameras) -> float | None:
-    """Return how much farther out than drawn the canister's edges are; None where they were not seen."""
-    pose = None if cameras.markers is None else cameras.markers.canister
-    return None if pose is None else pose.radius_excess_mm
 
 
 def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:

@@ -12,7 +12,6 @@ from rhizotwin.nerfstudio import GivenCameras, read_cameras
 from rhizotwin.picture_files import SUFFIXES, list_pictures
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_bytes
-from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
@@ -79,7 +78,11 @@ def import_pictures(
         For an unreadable, damaged or differently sized picture, one without a checksum whose rows are like no other
         picture's, silhouettes without cameras or with greys, or cameras that do not fit.
     """
-    refuse_tank(scene, "import")
+    if scene.tank is not None and (cameras is not None or no_strip):
+        raise UserError(
+            f"how the [tank] of scene {scene.name} stands to the cameras is found from the strip's markers, so that pictures with given "
+            "cameras or without the strip cannot be used with it; leave that option or that section out"
+        )
     if masks and cameras is None:
         raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
     if no_strip:

@@ -21,7 +21,7 @@ from rhizotwin import plan_report, sources
 from rhizotwin.plans import Row, Variant
 from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import write_bytes, write_json, write_text
-from rhizotwin.scenes.checks import check_scene, refuse_tank
+from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
 from rhizotwin.scenes.model import Scene
@@ -69,7 +69,6 @@ def run_plans(
         For a plan that the scene does not allow, plans of which none can be reconstructed, or a folder of something
         else.
     """
-    refuse_tank(scene, "plan")
     wanted = [variant.of(scene) for variant in variants]
     for variant, changed in zip(variants, wanted, strict=True):
         check_scene(changed, where=f"the plan {variant.name}")

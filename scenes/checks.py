@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 from rhizotwin.scenes.plants import check_plants
 from rhizotwin.scenes.schema import Place, suggestion
 from rhizotwin.scenes.specimens import GrownSpecimen, Specimen, SphereSpecimen
@@ -71,7 +71,7 @@ def refuse_tank(scene: Scene, what: str) -> None:
     if scene.tank is not None:
         raise UserError(
             f"{what} knows no tank: scene {scene.name} has a [tank], through whose flat walls light goes another "
-            "way; leave that section out, or use it with 'rhizotwin simulate' alone"
+            "way; leave that section out (simulate, import, plan and reconstruct know it)"
         )
 
 
@@ -152,19 +152,30 @@ def _check_tank(scene: Scene, place: Place) -> None:
         )
     if tank.level_mm <= scene.canister.floor_z_mm:
         raise here.at("level_mm").error(f"must lie above the canister's floor at z = {scene.canister.floor_z_mm:g}", tank.level_mm)
-    if tank.front_mm >= scene.lights.backlight_distance_mm:
+    turn = math.radians(abs(tank.turn_deg))
+    if tank.front_mm * math.cos(turn) + tank.half_width_mm * math.sin(turn) >= scene.lights.backlight_distance_mm:
         must = f"must be below lights.backlight_distance_mm, {scene.lights.backlight_distance_mm:g}: the panel stands behind the tank"
         raise here.at("front_mm").error(must, tank.front_mm)
     for i, ring in enumerate(scene.plan.rings):
         if ring.distance_mm <= tank.front_mm:
             must = f"must be above tank.front_mm, {tank.front_mm:g}: the camera stands before the tank"
             raise place.at("plan", "rings", i, "distance_mm").error(must, ring.distance_mm)
+        _check_strip_above(scene, tank, ring, place.at("plan", "rings", i, "height_mm"))
     if scene.surroundings.n > 1.0 or scene.camera.kind != "pinhole":
         raise here.at("front_mm").error("stands in air before a pinhole camera: leave surroundings.n at 1 and camera.kind at pinhole")
     if wrong.seam_opacity or wrong.dust_specks or wrong.scratches or wrong.highlight:
         raise here.at("front_mm").error(
             "has no dirty canister: set dust_specks, scratches, seam_opacity and highlight of disturbances to 0"
         )
+
+
+def _check_strip_above(scene: Scene, tank: Tank, ring: Ring, here: Place) -> None:
+    """Refuse a camera so low that it sees the strip through the tank's liquid: markers are read in air."""
+    strip_mm, low_mm = scene.net_pot.outer_radius_mm, scene.strip.bottom_mm
+    least_mm = low_mm + (tank.level_mm - low_mm) * (ring.distance_mm - strip_mm) / (tank.front_mm - strip_mm)
+    if scene.strip.rows and tank.front_mm > strip_mm and ring.height_mm < least_mm:
+        must = f"must be above {least_mm:.4g}: from below, the strip's lower edge is seen through the tank's liquid (level_mm)"
+        raise here.error(must, ring.height_mm)
 
 
 def _check_strip(scene: Scene, place: Place) -> None:

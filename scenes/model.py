@@ -121,6 +121,9 @@ class Tank:
     """Water does; what has the water's own index hides the canister's wall most."""
     level_mm: float = bounded(-8.0, -2000.0, 0.0)
     """z of its surface, below the marker strip; so high are its walls."""
+    turn_deg: float = bounded(0.0, -10.0, 10.0)
+    """How it is turned from square to the rig, counter-clockwise from above; the canister's edges tell it better than
+    an eye does."""
 
 
 FAR_MM = 1.5e5

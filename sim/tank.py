@@ -61,7 +61,7 @@ def _surface(tank: Tank, hole: Array) -> tuple[Array, Faces]:
 
 
 def meshes(scene: Scene, tank: Tank) -> dict[str, tuple[Array, Faces, dict[str, Any]]]:
-    """Return the tank's meshes by name: vertices (V, 3) in the rig's frame, mm, faces (F, 3), material."""
+    """Return the tank's meshes by name: vertices (V, 3) in its own frame, mm, faces (F, 3), material."""
     low = -scene.canister.height_mm
     turn = 2.0 * np.pi * np.arange(HOLE_SIDES) / HOLE_SIDES
     hole = scene.canister.outer_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -100,7 +100,9 @@ def place(built: mi.Scene, scene: Scene, rig_from_canister: Array, *, radius_mm:
     here = frames.apply(rig_from_canister, circle)
     hole = here + ((scene.tank.level_mm - here[:, 2]) / axis[2])[:, None] * axis
     parameters = mi.traverse(built)
+    rig_from_tank = frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
+    canister_from_tank = canister_from_rig @ rig_from_tank
     for name, (vertices, _, _) in meshes(scene, scene.tank).items():
-        moved = _surface(scene.tank, hole[:, :2])[0] if name == SURFACE else vertices
-        parameters[f"{name}.vertex_positions"] = np.ascontiguousarray(frames.apply(canister_from_rig, moved), dtype=np.float32).ravel()
+        moved = _surface(scene.tank, frames.apply(frames.invert(rig_from_tank), hole)[:, :2])[0] if name == SURFACE else vertices
+        parameters[f"{name}.vertex_positions"] = np.ascontiguousarray(frames.apply(canister_from_tank, moved), dtype=np.float32).ravel()
     parameters.update()

@@ -28,6 +28,8 @@ class Camera:
     """Why the view is left out."""
     cam_from_canister: Array | None = None
     """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
+    cam_from_tank: Array | None = None
+    """(4, 4) how a tank stands to it; None where there is none, or nobody knows."""
     reprojection_px: float | None = None
     """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
     single_view_px: float | None = None
@@ -170,13 +172,15 @@ class Cameras:
     @staticmethod
     def given(views: Sequence[View], optics: Optics, uncertainty: RigUncertainty | None = None) -> Cameras:
         """Return cameras of views (V,) of one lens."""
-        every = tuple(Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister) for view in views)
+        every = tuple(
+            Camera(file="", ring=0, used=True, cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank) for view in views
+        )
         return Cameras(lens=views[0].camera, optics=optics, all=every, order=tuple(range(len(views))), uncertainty=uncertainty)
 
     @cached_property
     def views(self) -> tuple[View, ...]:
         """Lens and pose (V,) of the views that are used, in their order."""
-        return tuple(View(camera=self.lens, cam_from_canister=self.pose(k)) for k in self.order)
+        return tuple(View(camera=self.lens, cam_from_canister=self.pose(k), cam_from_tank=self.all[k].cam_from_tank) for k in self.order)
 
     @cached_property
     def by_frame(self) -> dict[int, View]:
@@ -198,5 +202,5 @@ class Cameras:
         """Return cameras whose used views (V,), all of one lens, stand elsewhere, or look through something else."""
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):
-            every[k] = replace(every[k], cam_from_canister=view.cam_from_canister)
+            every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank)
         return replace(self, lens=views[0].camera, optics=optics, all=tuple(every))

@@ -7,6 +7,10 @@ the water do (Bouguer's invariant at
 edges of all views in one least-squares problem give the axis's offset and tilt; how far the edges lie outside of R_o
 (blur, a canister of another size) is common to all and found with it, and so is how far the wall is from
 round: the support of an oval with radii R + e and R - e is R + e cos 2(azimuth - its own) to first order in e / R.
+
+In a tank the same holds of the lines in its liquid: inside of the edge light goes into the wall and past the water, far
+aside. A tank that is turned moves both edges of all views the same way, by its front's bending (a quarter of a degree
+for each degree, in water); how far it is turned is found with the rest.
 """
 
 from __future__ import annotations
@@ -20,12 +24,15 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
-from rhizotwin.recon.optics.cameras import View, matrix
+from rhizotwin.recon.calibration.view_fit import twist
+from rhizotwin.recon.optics import tank
+from rhizotwin.recon.optics.cameras import View, known_tank, matrix, project_inner
+from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import MAD, inverse, sandwich, scatter
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Scene, Tank
 from rhizotwin.scenes.pictures import Grey
 
 LEVELS_MM = 2.5
@@ -40,13 +47,17 @@ LEAST_RISE = 0.25
 """An edge must rise by this share of the brightness outside of it within three pixels."""
 LEAST_EDGES = 200
 """Two views show about as many (52 heights, two sides); one alone does not tell a tilt towards it from none."""
-_SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1])
-"""Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm."""
+_SCALE = np.array([1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.1, 4e-3])
+"""Steps (rad, mm) that move an edge about as far: a milliradian over half the canister's height is 0.08 mm, and of a
+tank's turn a quarter of that over its depth."""
 _POSE_SCALE = np.array([1e-3] * 3 + [0.1] * 3)
 """The same of a camera's twist."""
-PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25])
-"""How misaligned a net pot may stand (rad, mm), how far the edges may lie from the nominal radius (mm), and how far
-from round cast tube is sold (half a millimetre between largest and smallest diameter)."""
+PRIOR = np.array([np.deg2rad(1.0), np.deg2rad(1.0), 2.0, 2.0, 1.0, 0.25, 0.25, np.deg2rad(2.0)])
+"""How misaligned a net pot may stand (rad, mm), how far the edges may lie from the nominal radius (mm), how far from
+round cast tube is sold (half a millimetre between largest and smallest diameter), and how far a tank may be turned
+that was set by eye (rad)."""
+_OPEN = 7
+"""So many of these unknowns there are without a tank."""
 
 TOGETHER_MM = 20.0
 """Places along one side of one picture are off alike over this length (correlation 0.7, 0.5, 0.3, 0.1 at 2.5, 5, 10, 20
@@ -74,6 +85,10 @@ class CanisterPose:
     oval_deg: float
     """Azimuth of the largest, 0 to 180."""
     edges: int
+    tank_turn_deg: float
+    """How far the tank is turned beyond what the scene says; 0 without one ..."""
+    tank_sigma_deg: float
+    """... and its standard deviation."""
     before_mm: float
     """Median distance of the edges from where a canister that stands true in the strip would have them."""
     after_mm: float
@@ -109,32 +124,35 @@ def find_canister(
         surroundings).
     """
     px = [_edge_pixels(view, images(k), scene) for k, view in enumerate(views)]
-    edges = _Edges.through(px, views, scene.canister.outer_radius_mm)
+    edges = _Edges.through(px, views, Optics.of(scene))
+    prior, scale = (part[: _OPEN if scene.tank is None else None] for part in (PRIOR, _SCALE))
     if len(edges.view) < LEAST_EDGES:
         return None
 
     def residuals(unknown: Array) -> Array:
-        return np.concatenate([edges.off(unknown), unknown / PRIOR * settings.edge_mm / np.sqrt(len(edges.view))])
+        return np.concatenate([edges.off(unknown), unknown / prior * settings.edge_mm / np.sqrt(len(edges.view))])
 
-    fit = least_squares(residuals, np.zeros(7), loss="cauchy", f_scale=settings.edge_mm, x_scale=_SCALE)
+    fit = least_squares(residuals, np.zeros(len(prior)), loss="cauchy", f_scale=settings.edge_mm, x_scale=scale)
     left = edges.off(fit.x)
     spread_mm = MAD * float(np.median(np.abs(left)))
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None
-    covariance, by_cameras = _doubt(edges.only(near), fit.x, views, errors, settings)
+    covariance, by_cameras = _doubt(edges.only(near), fit.x, errors, settings)
     shared = np.zeros((1, 1)) if errors is None else errors.shared
     sigma = np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T))
-    straight = edges.off(np.zeros(7))[near]
+    straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
         canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),
-        covariance=covariance,
-        by_cameras=by_cameras,
-        sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:]]),
+        covariance=covariance[:4, :4],
+        by_cameras=by_cameras[:4],
+        sigma=np.concatenate([np.rad2deg(sigma[:2]), sigma[2:4]]),
         radius_excess_mm=float(fit.x[4]),
         oval_mm=float(np.hypot(fit.x[5], fit.x[6])),
         oval_deg=float(np.rad2deg(0.5 * np.arctan2(fit.x[6], fit.x[5])) % 180.0),
         edges=int(near.sum()),
+        tank_turn_deg=float(np.rad2deg(fit.x[_OPEN])) if len(prior) > _OPEN else 0.0,
+        tank_sigma_deg=float(np.rad2deg(sigma[4])) if len(prior) > _OPEN else 0.0,
         before_mm=float(np.median(np.abs(straight - np.median(straight)))),
         after_mm=float(np.median(np.abs(left[near]))),
     )
@@ -142,22 +160,22 @@ def find_canister(
 
 @dataclass(frozen=True, kw_only=True)
 class _Edges:
-    """Lines of sight through the canister's edges, in the strip's frame."""
+    """Lines of sight through the canister's edges."""
 
+    views: Sequence[View]
+    """(V,) in the strip's frame."""
+    optics: Optics
     view: NDArray[np.int64]
     """(N,) index of the view."""
     side: NDArray[np.int64]
     """(N,) 0 or 1."""
-    origin: Array
-    """(N, 3) mm."""
-    direction: Array
-    """(N, 3)."""
+    ray: Array
+    """(N, 3) direction, camera's frame."""
     place: NDArray[np.int64]
     """(N,) number of the pixel in which the edge lies, with its neighbours along the edge over `TOGETHER_MM`."""
-    radius_mm: float
 
     @staticmethod
-    def through(found: Sequence[tuple[Array, Array]], views: Sequence[View], radius_mm: float) -> _Edges:
+    def through(found: Sequence[tuple[Array, Array]], views: Sequence[View], optics: Optics) -> _Edges:
         """Return the lines of sight through each view's pixels (M, 2)."""
         px = np.concatenate([pixels for pixels, _ in found])
         of = np.repeat(np.arange(len(views)), [len(pixels) for pixels, _ in found])
@@ -166,65 +184,82 @@ class _Edges:
             for (pixels, _), view in zip(found, views, strict=True)
             if len(pixels)
         ]
-        rays = np.column_stack([np.concatenate([*undone, np.empty((0, 2))]), np.ones(len(px))])
-        turned = np.einsum("ni,nij->nj", rays, np.array([view.cam_from_canister[:3, :3] for view in views])[of])
         side = np.concatenate([sides for _, sides in found])
         one = px[(of == of[0]) & (side == side[0])] if len(px) else np.zeros((1, 2))
         along = int(np.argmax(np.ptp(one, axis=0)))  # rows, where edges stand upright in the pictures
         block = np.ones(2)
         block[along] = TOGETHER_MM * views[0].camera.focal_px[0] / views[0].rho_mm
+        rays = np.column_stack([np.concatenate([*undone, np.empty((0, 2))]), np.ones(len(px))])
         return _Edges(
+            views=views,
+            optics=optics,
             view=of,
             side=side,
-            origin=np.array([view.centre_mm for view in views])[of],
-            direction=turned / np.linalg.norm(turned, axis=1, keepdims=True),
+            ray=rays / np.linalg.norm(rays, axis=1, keepdims=True),
             place=np.asarray(np.unique(np.floor(px / block), axis=0, return_inverse=True)[1].ravel(), np.int64),
-            radius_mm=radius_mm,
         )
 
+    def lines(self, tank_turn_rad: float) -> tuple[Array, Array]:
+        """Return a point (N, 3) and the direction (N, 3) of each line where it meets the canister, strip's frame."""
+        if self.optics.tank is None:
+            turned = np.einsum("ni,nij->nj", self.ray, np.array([view.cam_from_canister[:3, :3] for view in self.views])[self.view])
+            return np.array([view.centre_mm for view in self.views])[self.view], turned
+        turn = frames.rotation_z(tank_turn_rad)
+        poses = np.array([known_tank(view) @ turn for view in self.views])
+        centre = np.array([frames.invert(pose)[:3, 3] for pose in poses])[self.view]
+        q = np.einsum("ni,nij->nj", self.ray, poses[:, :3, :3][self.view])
+        point, p, _ = tank.in_liquid(self.optics.tank, centre, q[:, 1], q[:, 2])
+        strip_from_tank = np.array([frames.invert(view.cam_from_canister) @ pose for view, pose in zip(self.views, poses, strict=True)])
+        here = strip_from_tank[self.view]
+        return np.einsum("nij,nj->ni", here[:, :3, :3], point) + here[:, :3, 3], np.einsum("nij,nj->ni", here[:, :3, :3], p)
+
     def off(self, unknown: Array) -> Array:
-        """Return how far (N,) outside a wall the lines pass: its tilt (2), offset (2), excess of radius, oval (2)."""
+        """Return how far (N,) outside a wall the lines pass.
+
+        Its tilt (2), offset (2), excess of radius, oval (2), and how far a tank is turned are unknown.
+        """
         canister_from_strip = frames.from_rotvec(np.array([unknown[0], unknown[1], 0.0]), np.array([unknown[2], unknown[3], 0.0]))
-        start, along = frames.apply(canister_from_strip, self.origin), self.direction @ canister_from_strip[:3, :3].T
+        origin, direction = self.lines(float(unknown[_OPEN]) if len(unknown) > _OPEN else 0.0)
+        start, along = frames.apply(canister_from_strip, origin), direction @ canister_from_strip[:3, :3].T
         away_mm, azimuth = _from_axis(start, along)
         oval_mm = unknown[5] * np.cos(2.0 * azimuth) + unknown[6] * np.sin(2.0 * azimuth)
-        return np.asarray(away_mm - self.radius_mm - unknown[4] - oval_mm)
+        return np.asarray(away_mm - self.optics.outer_radius_mm - unknown[4] - oval_mm)
 
     def only(self, some: NDArray[np.bool_]) -> _Edges:
         """Return some of the lines."""
-        rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "origin", "direction")}
+        rows = {name: getattr(self, name)[some] for name in ("view", "side", "place", "ray")}
         return replace(self, **rows)
 
-    def displaced(self, views: Sequence[View], step: Array) -> _Edges:
+    def displaced(self, step: Array) -> _Edges:
         """Return the same pixels' lines when every camera moved by a left-hand twist (6,) of ``cam_from_canister``."""
-        turn, shift = (np.array([view.cam_from_canister[:3, :3].T @ part for view in views])[self.view] for part in (step[:3], step[3:]))
-        return replace(self, origin=self.origin - shift, direction=self.direction - np.cross(turn, self.direction))
+        return replace(self, views=[view.moved(twist(step)) for view in self.views])
 
 
-def _doubt(
-    edges: _Edges, found: Array, views: Sequence[View], errors: PoseErrors | None, settings: CalibrationSettings
-) -> tuple[Array, Array]:
-    """Return the covariance (4, 4) of tilt and offset, and how they follow the errors that the cameras share (4, S).
+def _doubt(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
+    """Return the covariance (K, K) of tilt and offset, and how they follow the errors that the cameras share (K, S).
+
+    K is 4, and 5 with a tank, whose turn comes last.
 
     Edges belong together that are of one side of one view, and those on the same pixels of a camera that stands still,
     in whatever view: where an edge lies between two pixels decides by how much it is misplaced. The two sides of a view
     have nothing in common (correlation below 0.1) but the view's own pose, which is carried through with the others.
     """
-    jacobian = _slopes(edges.off, found, _SCALE)
+    told = [0, 1, 2, 3, *range(_OPEN, len(found))]
+    jacobian = _slopes(edges.off, found, _SCALE[: len(found)])
     square = (edges.off(found) / settings.edge_mm) ** 2
     pull = edges.off(found) / (1.0 + square)  # Cauchy's psi, and its mean derivative
     stiff = max(float(np.mean((1.0 - square) / (1.0 + square) ** 2)), LEAST_STIFFNESS)
     parts = stiff * jacobian[:, :, None] * jacobian[:, None, :]
-    normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR) ** 2 / len(edges.view))
+    normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR[: len(found)]) ** 2 / len(edges.view))
     meat = scatter(jacobian * pull[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
     bread = inverse(normal)
-    covariance = sandwich(normal, meat, bread * float(np.mean(pull**2)) / stiff)[:4, :4]
+    covariance = sandwich(normal, meat, bread * float(np.mean(pull**2)) / stiff)[np.ix_(told, told)]
     if errors is None:
-        return covariance, np.zeros((4, 1))
-    by_pose = _slopes(lambda step: edges.displaced(views, step).off(found), np.zeros(6), _POSE_SCALE)
-    follow = np.zeros((len(views), 7, 6))
+        return covariance, np.zeros((len(told), 1))
+    by_pose = _slopes(lambda step: edges.displaced(step).off(found), np.zeros(6), _POSE_SCALE)
+    follow = np.zeros((len(edges.views), len(found), 6))
     np.add.at(follow, edges.view, -stiff * jacobian[:, :, None] * by_pose[:, None, :])
-    follow = (bread @ follow)[:, :4]
+    follow = (bread @ follow)[:, told]
     own = follow @ errors.own @ follow.transpose(0, 2, 1)
     return covariance + own.sum(axis=0), np.einsum("vij,vjs->is", follow, errors.carry)
 
@@ -246,12 +281,14 @@ def _edge_pixels(view: View, image: Grey, scene: Scene) -> tuple[Array, Array]:
     """Return the pixels (M, 2) of both edges of one picture, and the side (M,) of each."""
     canister = scene.canister
     low = -canister.height_mm + MARGIN_MM
-    high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm) - MARGIN_MM
+    high = min(scene.net_pot.skirt_bottom_mm, scene.water.level_mm, np.inf if scene.tank is None else scene.tank.level_mm) - MARGIN_MM
     z = np.arange(low, high, LEVELS_MM)
-    centre = view.centre_mm
-    azimuth, half = np.arctan2(centre[1], centre[0]), np.arccos(np.clip(canister.outer_radius_mm / view.rho_mm, -1.0, 1.0))
+    centre, away_mm = view.centre_mm, view.rho_mm
+    if scene.tank is not None:  # as far as the camera seems to be, seen from the liquid
+        away_mm = scene.tank.front_mm + scene.tank.n_liquid * (away_mm - scene.tank.front_mm)
+    azimuth, half = np.arctan2(centre[1], centre[0]), np.arccos(np.clip(canister.outer_radius_mm / away_mm, -1.0, 1.0))
     found = [
-        _measured(view, image, _circle(azimuth + side * half, canister.outer_radius_mm, z), _circle(azimuth + side * half, 0.0, z))
+        _measured(view, image, *(_pixels(view, scene, _circle(azimuth + side * half, r, z)) for r in (canister.outer_radius_mm, 0.0)))
         for side in (-1.0, 1.0)
     ]
     return np.concatenate(found), np.repeat([0, 1], [len(px) for px in found])
@@ -261,16 +298,24 @@ def _circle(angle_rad: float, radius_mm: float, z: Array) -> Array:
     return np.stack([np.full_like(z, radius_mm * np.cos(angle_rad)), np.full_like(z, radius_mm * np.sin(angle_rad)), z], axis=1)
 
 
-def _pixels(view: View, points_mm: Array) -> Array:
+def _pixels(view: View, scene: Scene, points_mm: Array) -> Array:
+    """Return the pixels (M, 2) of points beside the canister: in the open, or in a tank's liquid."""
+    if scene.tank is not None:
+        return project_inner(view, _liquid(scene, scene.tank), points_mm)
     turn = cv2.Rodrigues(view.cam_from_canister[:3, :3])[0]
     shift, lens = view.cam_from_canister[:3, 3], np.array(view.camera.distortion)
     return np.asarray(cv2.projectPoints(points_mm, turn, shift, matrix(view.camera), lens)[0].reshape(-1, 2), np.float64)
 
 
-def _measured(view: View, image: Grey, tangent_mm: Array, inner_mm: Array) -> Array:
-    """Return the pixels (M, 2) of the edge near the projected points of tangency, one a height where it is clear."""
-    at = _pixels(view, tangent_mm)
-    outward = at - _pixels(view, inner_mm)
+def _liquid(scene: Scene, around: Tank) -> Optics:
+    """Return a tank as if there were no canister in it."""
+    radius_mm = around.front_mm - around.wall_mm
+    return replace(Optics.of(scene), outer_radius_mm=radius_mm, inner_radius_mm=radius_mm, n_wall=around.n_liquid, n_water=around.n_liquid)
+
+
+def _measured(view: View, image: Grey, at: Array, inner: Array) -> Array:
+    """Return the pixels (M, 2) of the edge near those of the points of tangency, one a height where it is clear."""
+    outward = at - inner
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     reach_px = max(REACH_MM * view.camera.focal_px[0] / view.rho_mm, 6.0)
     offset = np.arange(-reach_px, reach_px + STEP_PX / 2.0, STEP_PX)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from rhizotwin.recon.calibration.marker_fit import FULL
-from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.model import Scene
@@ -187,11 +187,12 @@ def _beside(view: View, optics: Optics, scene: Scene) -> Mask:
     """
     width, height = view.camera.image_wh
     u, v = np.meshgrid(np.arange(0, width, _STEP), np.arange(0, height, _STEP))
-    directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-    past_mm = np.abs(w) * optics.outer_radius_mm
+    directions = cameras.camera_directions(view.camera, np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64))
+    line, through = cameras.approach(view, optics, directions)
+    past_mm = np.abs(line.b_mm)
     outer_mm = max(optics.outer_radius_mm, scene.net_pot.outer_radius_mm) + _MARGIN_MM
-    z_mm = view.centre_mm[2] + p_z / np.sqrt(1.0 - p_z**2) * view.rho_mm
-    below = (z_mm < scene.net_pot.skirt_bottom_mm) & (z_mm > optics.floor_z_mm)
+    climb = line.p_z / np.sqrt(optics.n_around**2 - line.p_z**2)
+    z_mm = line.foot_z_mm + climb * (view.rho_mm - np.sqrt(view.rho_mm**2 - line.b_mm**2))  # as far off as the axis
+    below = through & (z_mm < scene.net_pot.skirt_bottom_mm) & (z_mm > optics.floor_z_mm)
     seen = ((past_mm > outer_mm) & below).reshape(u.shape)
     return cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -12,7 +12,6 @@ from rhizotwin.recon.calibration import bare_canister, markers, poses
 from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.chain import Chain
-from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.pictures import Pictures
 from rhizotwin.recon.settings import CalibrationSettings
@@ -58,6 +57,11 @@ def find_cameras(
         Where too few pictures have a camera.
     """
     scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
+    if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
+        raise UserError(
+            f"{pictures.dataset.folder}: how the tank stands is found from the markers of all views together: "
+            "it needs the strip, and neither given cameras nor single views"
+        )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
         return _usable(pictures, _exact(pictures, scene.camera, poses_given))
@@ -74,7 +78,7 @@ def find_cameras(
     with monitor.stage("canister"):
         canister = None if single_view else _canister(pictures, solved, lens, settings)
     chain = Chain.of(solved, canister)
-    found = tuple(chain.camera(k, view) for k, view in enumerate(solved.views))
+    found = tuple(_in_tank(chain.camera(k, view), canister) if scene.tank else chain.camera(k, view) for k, view in enumerate(solved.views))
     cameras = Cameras(
         lens=lens,
         optics=optics,
@@ -85,6 +89,14 @@ def find_cameras(
         warnings=(*solved.warnings, *left_out),
     )
     return _usable(pictures, cameras)
+
+
+def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
+    """Turn a view's tank as the canister's edges tell; leave the view out where nobody knows how its tank stands."""
+    if camera.cam_from_tank is None:
+        return replace(camera, used=False, reason=camera.reason or "its table angle is not known, and so not how the tank stands to it")
+    turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
+    return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
 
 def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
@@ -136,9 +148,11 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
 
 def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
     """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
-    used = {k: view.cam_from_canister for k, view in enumerate(solved.views) if view.used}
-    views = [View(camera=lens, cam_from_canister=pose) for pose in used.values() if pose is not None]
-    keys = list(used)
+    keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
+    if not keys:
+        return None
+    poses_found = Cameras(lens=lens, optics=Optics.of(pictures.dataset.scene), all=solved.views, order=tuple(keys))
+    views = poses_found.views
     errors = None if solved.errors is None else solved.errors.of(keys, [None] * len(keys))
     return find_canister(views, lambda i: pictures.images[keys[i]], pictures.dataset.scene, errors=errors, settings=settings)
 

@@ -14,6 +14,7 @@ from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
 from rhizotwin.recon.calibration.rig_start import first_rig
 from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, Sightings
 from rhizotwin.recon.settings import CalibrationSettings
+from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
@@ -222,6 +223,7 @@ def _together(
     for i, k in enumerate(keys):
         view = _placed(views[k], fit.rig.pose(i), fit.views[i], covariance[i])
         turn = scene.turntable.direction * np.rad2deg(fit.rig.angle_rad[i])
+        cam_from_rig = fit.rig.own[i] @ fit.rig.cam_from_rig[fit.rig.ring[i]]
         reason = _misfit(view.reprojection_px, float(np.median([local.rms_px for local in fit.views])), settings)
         views[k] = replace(
             view,
@@ -229,6 +231,7 @@ def _together(
             reason=reason,
             single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
+            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # else nobody knows the rig's azimuth
         )
     _need_one(views, captured)
     place = {k: i for i, k in enumerate(keys)}
@@ -248,6 +251,11 @@ def _together(
         after_px=float(np.median([local.rms_px for local in fit.views])),
         warnings=first.warnings,
     )
+
+
+def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
+    """Return how the tank, which stands still in the rig, stands to a camera."""
+    return None if scene.tank is None else cam_from_rig @ frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
 
 
 def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:

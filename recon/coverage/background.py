@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.coarse_lines import CoarseLines
 from rhizotwin.recon.optics import cameras, refraction
-from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.optics.refraction import Approach, Array, Optics
 from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CoverageSettings
 from rhizotwin.scenes.model import Scene
@@ -85,30 +85,36 @@ def water_mask(view: cameras.View, optics: Optics, scene: Scene) -> Mask:
     one pixel in four each way and interpolated.
     """
     lines = CoarseLines.of(view, optics, step=_STEP)
-    inside = np.where(np.abs(lines.w) < _FLANK * optics.w_limit, 1.0, np.nan)
-    clear = (inside * _clearance_mm(view, optics, scene, np.clip(lines.w, -_FLANK, _FLANK), lines.p_z)).astype(np.float32)
+    inside = np.where(lines.through & refraction.inside(optics, lines.line, _FLANK), 1.0, np.nan)
+    clear = (inside * _clearance_mm(view, optics, scene, refraction.within(optics, lines.line, _FLANK))).astype(np.float32)
     known = lines.enlarged(np.isfinite(clear), nearest=True) > 0
     half_px_mm = 0.5 * (view.rho_mm + optics.outer_radius_mm) / view.camera.focal_px[1]
     return np.asarray(known & (lines.enlarged(np.nan_to_num(clear, nan=-1.0)) > _MARGIN_MM + half_px_mm))
 
 
-def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, w: Array, p_z: Array) -> Array:
-    """Return how far (in height) rays with these invariants stay clear of everything opaque.
+def _clearance_mm(view: cameras.View, optics: Optics, scene: Scene, near: Approach) -> Array:
+    """Return how far (in height) lines of sight stay clear of everything opaque, and in a tank of the liquid's surface.
 
     NaN where they miss the water.
     """
-    r_skirt, r_o, r_i, z_cam = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, float(view.centre_mm[2])
+    r_skirt, r_o, r_i, p_z = scene.net_pot.outer_radius_mm, optics.outer_radius_mm, optics.inner_radius_mm, near.p_z
     with np.errstate(invalid="ignore"):
-        line = refraction.trace(optics, view.rho_mm, z_cam, np.where(np.abs(w) < optics.w_limit, w, np.nan), p_z)
-        in_air, in_wall = p_z / np.sqrt(1.0 - p_z**2), p_z / np.sqrt(optics.n_wall**2 - p_z**2)
-        b_wall = w * r_o * np.sqrt(1.0 - p_z**2) / np.sqrt(optics.n_wall**2 - p_z**2)
-        through_air = np.sqrt(r_skirt**2 - (w * r_o) ** 2) - np.sqrt(r_o**2 - (w * r_o) ** 2)
+        line = refraction.follow(optics, near)
+        h_around = np.sqrt(optics.n_around**2 - p_z**2)
+        in_wall = p_z / np.sqrt(optics.n_wall**2 - p_z**2)
+        b_wall = near.b_mm * h_around / np.sqrt(optics.n_wall**2 - p_z**2)
         through_wall = np.sqrt(r_o**2 - b_wall**2) - np.sqrt(r_i**2 - b_wall**2)
         far_z = line.entry_z_mm + line.slope * 2.0 * np.sqrt(r_i**2 - line.b_mm**2)
         far_outer_z = far_z + in_wall * through_wall
-        highest = np.maximum(line.outer_z_mm - in_air * through_air, far_outer_z + in_air * through_air)
-        clear = np.minimum(scene.net_pot.skirt_bottom_mm - highest, optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
-        return np.minimum(clear, np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm)
+        if optics.tank is None:
+            outside = p_z / h_around * (np.sqrt(r_skirt**2 - near.b_mm**2) - np.sqrt(r_o**2 - near.b_mm**2))
+            before, after, top_z = line.outer_z_mm - outside, far_outer_z + outside, scene.net_pot.skirt_bottom_mm
+        else:
+            beyond = cameras.beyond_canister(view, optics, near, line)
+            before, after, top_z = line.outer_z_mm, far_outer_z + p_z / h_around * beyond, optics.tank.level_mm
+        clear = np.minimum(top_z - np.maximum(before, after), optics.water_z_mm - np.maximum(line.entry_z_mm, far_z))
+        lowest = np.minimum(line.outer_z_mm, far_outer_z) - optics.floor_z_mm
+        return np.minimum(clear, lowest if optics.tank is None else np.minimum(lowest, after - optics.bottom_z_mm))
 
 
 def wall_light(view: cameras.View, optics: Optics) -> Image:
@@ -118,7 +124,7 @@ def wall_light(view: cameras.View, optics: Optics) -> Image:
     estimated without them.
     """
     lines = CoarseLines.of(view, optics, step=_STEP)
-    return lines.enlarged(refraction.transmittance(optics, np.clip(lines.w, -_FLANK, _FLANK) * optics.w_limit, lines.p_z))
+    return lines.enlarged(refraction.transmittance(optics, refraction.within(optics, lines.line, _FLANK)))
 
 
 class Panel(NamedTuple):

@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import cameras, refraction
+from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.optics.refraction import Approach, Optics
 
 
 @dataclass(frozen=True)
 class CoarseLines:
-    """Where a view's lines of sight meet the canister, by the invariants of `recon.optics.refraction`."""
+    """A view's lines of sight before they meet the canister."""
 
-    w: Array
-    """(N,) impact parameter over the outer radius."""
-    p_z: Array
-    """(N,) climb."""
+    line: Approach
+    """(N,)"""
+    through: NDArray[np.bool_]
+    """(N,) whether they come through a tank's front below the liquid's surface; in the open all do."""
     shape: tuple[int, int]
     """Rows and columns of the N."""
     step: int
@@ -44,9 +44,8 @@ class CoarseLines:
         width, height = view.camera.image_wh
         more, first = step if beyond else 0, 0.5 * step - 0.5
         u, v = np.meshgrid(np.arange(first, width + more, step), np.arange(first, height + more, step))
-        directions = cameras.pixel_directions(view, np.stack([u.ravel(), v.ravel()], axis=1))
-        w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, directions)
-        return CoarseLines(w, p_z, (u.shape[0], u.shape[1]), step, view.camera.image_wh)
+        directions = cameras.camera_directions(view.camera, np.stack([u.ravel(), v.ravel()], axis=1))
+        return CoarseLines(*cameras.approach(view, optics, directions), (u.shape[0], u.shape[1]), step, view.camera.image_wh)
 
     def enlarged(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
         """Return for every pixel (H, W) what was found for the lines (N,): interpolated, or the nearest line's."""

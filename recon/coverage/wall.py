@@ -76,7 +76,7 @@ def shape(optics: Optics) -> tuple[int, int]:
 def crossings(view: View, optics: Optics) -> Crossings:
     """Follow a view's pixels to where they enter and leave the water; outside of it the coordinates mean nothing."""
     lines = CoarseLines.of(view, optics, step=_STEP, beyond=True)
-    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(lines.w, -1.0, 1.0) * optics.w_limit, lines.p_z)
+    line = refraction.follow(optics, refraction.within(optics, lines.line))
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
     x, y, _ = view.centre_mm
     rows, columns = shape(optics)

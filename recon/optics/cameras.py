@@ -3,14 +3,15 @@
 Float64 reference.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import refraction
-from rhizotwin.recon.optics.refraction import Array, Optics
+from rhizotwin.recon.optics import refraction, tank
+from rhizotwin.recon.optics.refraction import Approach, Array, Optics
+from rhizotwin.recon.optics.tank import TankView
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
@@ -21,6 +22,13 @@ class View:
 
     camera: Camera
     cam_from_canister: Array
+    cam_from_tank: Array | None = None
+    """(4, 4), the tank's frame being the rig's, turned as the tank is; None: there is no tank."""
+
+    def moved(self, motion: Array) -> "View":
+        """Return the view of a camera that moved by a rigid motion (4, 4) in its own frame, alone."""
+        tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
+        return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
 
     @property
     def centre_mm(self) -> Array:
@@ -68,16 +76,78 @@ def in_azimuth(view: View, directions: Array) -> Array:
 def direction_pixels(view: View, directions: Array) -> Array:
     """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN for what is behind the camera."""
     cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
-    cam = directions @ cam_from_azimuth[:3, :3].T
+    return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
+
+
+def cam_pixels(camera: Camera, cam: Array) -> Array:
+    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN for what is behind the camera."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
-    k1, k2, p1, p2, k3 = view.camera.distortion
+    k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    (fx, fy), (cx, cy) = view.camera.focal_px, view.camera.principal_px
+    (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     return np.stack([fx * u + cx, fy * v + cy], axis=-1)
+
+
+def known_tank(view: View) -> Array:
+    """Return how the tank stands to a view's camera (4, 4).
+
+    Raises
+    ------
+    ValueError
+        For a view of which nobody said it.
+    """
+    if view.cam_from_tank is None:
+        raise ValueError(f"{view.cam_from_tank=} but expected a pose: the scene has a tank")
+    return view.cam_from_tank
+
+
+def through_tank(view: View, optics: Optics) -> TankView:
+    """Return how a view looks through the tank that its optics have."""
+    if optics.tank is None:
+        raise ValueError(f"{optics.tank=} but expected a tank")
+    cam_from_tank = known_tank(view)
+    return TankView(
+        tank=optics.tank,
+        centre_mm=frames.invert(cam_from_tank)[:3, 3],
+        azimuth_from_tank=view.azimuth_from_canister @ frames.invert(view.cam_from_canister) @ cam_from_tank,
+        optics=optics,
+    )
+
+
+def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, NDArray[np.bool_]]:
+    """Follow rays (N, 3), camera's frame, to the canister.
+
+    Returns
+    -------
+    line : Approach
+        In the azimuth frame.
+    through : (N,) bool array
+        Whether they come through a tank's front below the liquid's surface; in the open all do.
+    """
+    if optics.tank is not None:
+        at = through_tank(view, optics)
+        along = directions @ known_tank(view)[:3, :3]
+        return tank.approach(at, along[:, 1], along[:, 2])
+    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
+    with np.errstate(invalid="ignore"):
+        line = refraction.from_point(view.rho_mm, float(view.centre_mm[2]), w * optics.outer_radius_mm, p_z)
+    return line, np.ones(len(directions), bool)
+
+
+def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
+    """Return how far (...) lines run, horizontally, from the canister's outer wall to the inside of a tank's back."""
+    at = through_tank(view, optics)
+    tank_from_azimuth = frames.invert(at.azimuth_from_tank)
+    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out is the way in, mirrored
+    t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    nu = np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
+    leave = near.b_mm[..., None] * nu + np.sqrt(optics.outer_radius_mm**2 - near.b_mm**2)[..., None] * t
+    x = leave @ tank_from_azimuth[0, :2] + tank_from_azimuth[0, 2] * line.entry_z_mm + tank_from_azimuth[0, 3]
+    return np.asarray((x + at.tank.front_mm - at.tank.wall_mm) / np.maximum(-(t @ tank_from_azimuth[0, :2]), 1e-3))
 
 
 def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.WaterLine, NDArray[np.bool_]]:
@@ -90,19 +160,14 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
     enters : (N,) bool array
         Whether the ray enters the water through the wall.
     """
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, pixel_directions(view, px))
-    inside = np.abs(w) < optics.w_limit
-    w = np.where(inside, w, np.nan)
-    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), w, p_z)
-    with np.errstate(invalid="ignore"):
-        enters = (
-            inside & (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
-        )
-    return line, enters
+    near, through = approach(view, optics, camera_directions(view.camera, px))
+    inside = through & refraction.inside(optics, near)
+    line = refraction.follow(optics, replace(near, b_mm=np.where(inside, near.b_mm, np.nan)))
+    return line, inside & refraction.enters(optics, line)
 
 
 def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Project water points into a view, every image of each.
+    """Project water points into a view, every image of each; through a tank the one of `project_through_tank`.
 
     Parameters
     ----------
@@ -116,6 +181,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
     count : (N,) int64 array
         Number of images; 0 where the view is blind.
     """
+    if optics.tank is not None:
+        px, seen, _ = project_through_tank(view, optics, points_mm)
+        return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), seen.astype(np.int64)
     points = frames.apply(view.azimuth_from_canister, points_mm)
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
@@ -126,5 +194,47 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
 
     Their pixels (N, 2), NaN for those far out and those it cannot see.
     """
+    if optics.tank is not None:
+        return project_through_tank(view, optics, points_mm)[0]
     w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), frames.apply(view.azimuth_from_canister, points_mm))
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
+
+
+def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Project water points through a tank's front and the canister's wall, with the Jacobian.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) float64 array
+        In the canister's frame, inside the water's radius.
+
+    Returns
+    -------
+    px : (N, 2) float64 array
+        Pixels; NaN where the view does not see the point.
+    seen : (N,) bool array
+        Whether it does.
+    jacobian : (N, 2, 3) float64 array
+        Of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
+    """
+    at = through_tank(view, optics)
+    points = frames.apply(view.azimuth_from_canister, points_mm)
+    q, seen = tank.find_rays(at, points)
+    by_ray = np.stack(
+        [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
+    )
+    slopes = tank.slopes(lambda trial: tank.miss(at, points, trial), q)
+    line, _ = tank.trace(at, q[:, 0], q[:, 1])
+    # f1 = P . nu - b and f2 = entry + slope (P . t + ...) - P_z: their derivatives by P
+    by_point = np.zeros((len(q), 2, 3))
+    by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
+    jacobian = np.full((len(q), 2, 3), np.nan)
+    jacobian[seen] = -by_ray[seen] @ np.linalg.solve(slopes[seen], by_point[seen])
+    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3]
+
+
+def _pixels(view: View, q: Array) -> Array:
+    """Return the pixels (N, 2) of rays by their components along the tank's front."""
+    with np.errstate(invalid="ignore"):
+        direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
+    return cam_pixels(view.camera, direction @ known_tank(view)[:3, :3].T)

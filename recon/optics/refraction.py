@@ -5,20 +5,20 @@ n``): ``p_z`` and the angular momentum ``L = x p_y - y p_x`` (Bouguer's formula)
 ray's horizontal impact parameter in medium i is ``b_i = L / h_i``; between the radii r1 > r2 it covers the horizontal
 length ``s_i = sqrt(r1^2 - b_i^2) - sqrt(r2^2 - b_i^2)`` and climbs ``p_z / h_i * s_i``; at a wall of radius r its
 horizontal heading turns by ``asin(b_i / r) - asin(b_j / r)``. Everything here is in the camera's azimuth frame: the
-canister frame turned about z so that the camera's centre is at (rho, 0, z_cam). A camera is then just (rho, z_cam), and
-the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that meets the
-canister.
+canister frame turned about z so that the camera's centre is at (rho, 0, z_cam). A camera in the open is then just (rho,
+z_cam), and the unknowns of a projection are ``p_z`` and ``w = b_air / R_o``, which lies in (-1, 1) for every ray that
+meets the canister. Through the flat wall of a tank lines of sight do not come from one point: `recon.optics.tank` says
+how they run in its liquid (`Approach`), and from there on all is the same.
 
 `recon.optics.projection` is the same mathematics as a Dr.Jit kernel; a test holds the two together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes.checks import refuse_tank
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Scene, Tank
 
 Array = NDArray[np.float64]
 
@@ -48,26 +48,26 @@ class Optics:
     """Highest height at which a ray may enter the water."""
     bottom_z_mm: float
     """Underside of the canister: lowest height at which a ray may enter the wall."""
+    tank: Tank | None = None
+    """None: the canister stands in the open."""
+
+    @property
+    def n_around(self) -> float:
+        """Index of what the canister stands in."""
+        return 1.0 if self.tank is None else self.tank.n_liquid
 
     @property
     def w_limit(self) -> float:
-        """Largest impact parameter in air, over the outer radius, of rays that reach the water.
+        """Largest impact parameter about the canister, over the outer radius, of rays that reach the water.
 
-        It is 1 unless an index is near 1.
+        In air it is 1 unless an index is near 1.
         """
-        to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water)
+        to_water = self.inner_radius_mm / self.outer_radius_mm * min(self.n_wall, self.n_water) / self.n_around
         return min(1.0, to_water) * (1.0 - 1e-9)
 
     @staticmethod
     def of(scene: Scene) -> "Optics":
-        """Return the optics of a scene as it is described.
-
-        Raises
-        ------
-        UserError
-            For a scene with a tank, whose lines of sight are those of `recon.optics.tank`.
-        """
-        refuse_tank(scene, "the reconstruction")
+        """Return the optics of a scene as it is described."""
         can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,
@@ -77,7 +77,47 @@ class Optics:
             floor_z_mm=can.floor_z_mm,
             water_z_mm=min(scene.water.level_mm, scene.net_pot.grid_z_mm),
             bottom_z_mm=-can.height_mm,
+            tank=scene.tank,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """Straight lines of sight before they meet the canister, in the camera's azimuth frame; fields as the rays."""
+
+    b_mm: Array
+    """Impact parameter: signed distance from the axis."""
+    p_z: Array
+    """Vertical part of the optical direction, whose length is the index of what is about the canister."""
+    heading_rad: Array
+    """Azimuth of the horizontal direction."""
+    foot_z_mm: Array
+    """Height at which the line, made longer, passes nearest to the axis."""
+
+
+def reach_mm(optics: Optics, p_z: Array) -> Array:
+    """Return the largest impact parameter (...) about the canister of lines that reach the water."""
+    around2 = optics.n_around**2 - p_z**2
+    total = [optics.inner_radius_mm * np.sqrt((n**2 - p_z**2) / around2) for n in (optics.n_wall, optics.n_water)]
+    return np.asarray(np.minimum(optics.outer_radius_mm, np.minimum(*total)) * (1.0 - 1e-9))
+
+
+def within(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
+    """Draw lines that pass a share of the water's width into it: what is found for them means nothing."""
+    limit_mm = share * reach_mm(optics, approach.p_z)
+    return replace(approach, b_mm=np.clip(approach.b_mm, -limit_mm, limit_mm))
+
+
+def inside(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
+    """Tell which lines pass within a share of the water's width."""
+    return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
+
+
+def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z: Array) -> Approach:
+    """Return rays that come through the air from a camera at (rho, 0, z_cam)."""
+    climb = p_z / np.sqrt(1.0 - p_z**2)
+    foot_z = z_cam_mm + climb * np.sqrt(rho_mm**2 - b_mm**2)
+    return Approach(b_mm=b_mm, p_z=p_z, heading_rad=np.pi - np.arcsin(b_mm / rho_mm), foot_z_mm=foot_z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +147,7 @@ class WaterLine:
 
 
 def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:
-    """Follow camera rays into the water.
+    """Follow rays of a camera in the open into the water.
 
     Parameters
     ----------
@@ -118,31 +158,42 @@ def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Arr
     p_z : (...) float64 array
         Vertical component of the unit direction in air.
     """
-    r_o, r_i = optics.outer_radius_mm, optics.inner_radius_mm
-    h_a = np.sqrt(1.0 - p_z**2)
+    return follow(optics, from_point(rho_mm, z_cam_mm, w * optics.outer_radius_mm, p_z))
+
+
+def follow(optics: Optics, approach: Approach) -> WaterLine:
+    """Follow lines of sight through the canister's wall into the water; NaN for those that do not reach it."""
+    r_o, r_i, p_z, b_a = optics.outer_radius_mm, optics.inner_radius_mm, approach.p_z, approach.b_mm
+    h_a = np.sqrt(optics.n_around**2 - p_z**2)
     h_g = np.sqrt(optics.n_wall**2 - p_z**2)
     h_w = np.sqrt(optics.n_water**2 - p_z**2)
-    b_a = w * r_o
     b_g = b_a * h_a / h_g
     b_w = b_a * h_a / h_w
-    heading = np.pi - np.arcsin(b_a / rho_mm)
-    heading = heading + np.arcsin(b_a / r_o) - np.arcsin(b_g / r_o)
+    heading = approach.heading_rad + np.arcsin(b_a / r_o) - np.arcsin(b_g / r_o)
     heading = heading + np.arcsin(b_g / r_i) - np.arcsin(b_w / r_i)
-    s_a = np.sqrt(rho_mm**2 - b_a**2) - np.sqrt(r_o**2 - b_a**2)
     s_g = np.sqrt(r_o**2 - b_g**2) - np.sqrt(r_i**2 - b_g**2)
-    outer_z = z_cam_mm + p_z / h_a * s_a
+    outer_z = approach.foot_z_mm - p_z / h_a * np.sqrt(r_o**2 - b_a**2)
     return WaterLine(b_mm=b_w, heading_rad=heading, slope=p_z / h_w, entry_z_mm=outer_z + p_z / h_g * s_g, outer_z_mm=outer_z)
 
 
-def transmittance(optics: Optics, w: Array, p_z: Array) -> Array:
+def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
+    """Tell which lines enter the water through the wall."""
+    with np.errstate(invalid="ignore"):
+        inside = (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
+        inside &= np.isfinite(line.heading_rad)
+        return np.asarray(inside if optics.tank is None else inside & (line.outer_z_mm < optics.tank.level_mm))
+
+
+def transmittance(optics: Optics, approach: Approach) -> Array:
     """Return the share (...) of unpolarised light that rays keep on their way into the water and out again.
 
     Fresnel's equations at the four interfaces, with ``a_i = n_i cos(theta_i) = sqrt(h_i^2 - (L / r)^2)`` at the radius
     r: ``R_s = ((a_1 - a_2) / (a_1 + a_2))^2`` and ``R_p = ((n_2^2 a_1 - n_1^2 a_2) / (n_2^2 a_1 + n_1^2 a_2))^2``.
     """
-    momentum = w * optics.outer_radius_mm * np.sqrt(1.0 - p_z**2)
-    through = np.ones(np.broadcast(w, p_z).shape)
-    for radius, n_1, n_2 in ((optics.outer_radius_mm, 1.0, optics.n_wall), (optics.inner_radius_mm, optics.n_wall, optics.n_water)):
+    p_z, around = approach.p_z, optics.n_around
+    momentum = approach.b_mm * np.sqrt(around**2 - p_z**2)
+    through = np.ones(np.broadcast(momentum, p_z).shape)
+    for radius, n_1, n_2 in ((optics.outer_radius_mm, around, optics.n_wall), (optics.inner_radius_mm, optics.n_wall, optics.n_water)):
         a_1, a_2 = (np.sqrt(np.maximum(n**2 - p_z**2 - (momentum / radius) ** 2, 1e-12)) for n in (n_1, n_2))
         r_s = ((a_1 - a_2) / (a_1 + a_2)) ** 2
         r_p = ((n_2**2 * a_1 - n_1**2 * a_2) / (n_2**2 * a_1 + n_1**2 * a_2)) ** 2
@@ -219,7 +270,7 @@ def images(
     rank = np.arange(len(row)) - np.searchsorted(row, row, side="left")
     keep = rank < max_images
     line = trace(optics, rho_mm, z_cam_mm, 0.5 * (low + high), p_z)
-    keep &= (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
+    keep &= enters(optics, line)
     found_w[row[keep], rank[keep]] = 0.5 * (low + high)[keep]
     found_p[row[keep], rank[keep]] = p_z[keep]
     order = np.argsort(found_w, axis=1)  # NaN last
@@ -251,7 +302,7 @@ def image(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> t
             break
     line = trace(optics, rho_mm, z_cam_mm, w, p_z)
     found = (np.hypot(points_mm[:, 0], points_mm[:, 1]) < single_mm) & (np.abs(f) < 1e3 * _CLOSE_MM)
-    found &= (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
+    found &= enters(optics, line)
     return np.where(found, w, np.nan), np.where(found, p_z, np.nan)
 
 

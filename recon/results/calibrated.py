@@ -52,6 +52,8 @@ def _of_markers(found: MarkerCalibration) -> Json:
     return {
         "canister_from_strip": None if canister is None else canister.canister_from_strip.tolist(),
         "canister_from_strip_sigma": None if canister is None else canister.sigma.tolist(),
+        "tank_turn_deg": None if canister is None else canister.tank_turn_deg,
+        "tank_turn_sigma_deg": None if canister is None else canister.tank_sigma_deg,
         "canister_edges": None
         if canister is None
         else {

@@ -12,7 +12,7 @@ import trimesh
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import by_plant, result_files
-from rhizotwin.recon.results.result import Result, Solid
+from rhizotwin.recon.results.result import POSES, Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
@@ -104,13 +104,15 @@ def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
 
 def _camera(view: Json) -> Camera:
     """Return the camera of a view of ``result.json``."""
-    pose = view.get("cam_from_canister")
+    given = (view.get(name) for name in POSES)
+    pose, tank = (None if matrix is None else np.array(matrix, np.float64) for matrix in given)
     return Camera(
         file=view["file"],
         ring=view.get("ring", 0),
         used=view["used"],
         reason=view.get("reason"),
-        cam_from_canister=None if pose is None else np.array(pose, np.float64),
+        cam_from_canister=pose,
+        cam_from_tank=tank,
         reprojection_px=view.get("reprojection_px"),
         markers=view.get("markers", 0),
         table_deg=view.get("table_deg"),

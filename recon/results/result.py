@@ -43,8 +43,10 @@ from rhizotwin.scenes.traits import Traits
 
 Triple = tuple[float, float, float]
 
-_OF_VIEW = ("file", "ring", "used", "reason", "cam_from_canister", "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
-"""Fields of a camera in ``result.json``, before those that are told of the table and the silhouette."""
+POSES = ("cam_from_canister", "cam_from_tank")
+"""Poses of a camera in ``result.json`` ..."""
+_OF_VIEW = ("file", "ring", "used", "reason", *POSES, "reprojection_px", "position_sigma_mm", "rotation_sigma_deg", "sha256")
+"""... and its fields, before those that are told of the table and the silhouette."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,8 +230,8 @@ class Result:
     def _view(self, camera: Camera) -> Json:
         """Return what became of one picture as JSON values."""
         plain = {name: getattr(camera, name) for name in (*_OF_VIEW, "markers", "table_deg")}
-        pose = camera.cam_from_canister
-        return plain | {"cam_from_canister": None if pose is None else pose.tolist(), "fill": self.fill.get(camera.file)}
+        poses = {name: None if (pose := plain[name]) is None else pose.tolist() for name in POSES}
+        return plain | poses | {"fill": self.fill.get(camera.file)}
 
     def save(self, folder: Path | str) -> None:
         """Write a result folder; ``result.json`` comes last, so that a folder with one is whole.

@@ -55,6 +55,7 @@ def find(
         floor_z_mm=room.bottom_mm,
         water_z_mm=room.top_mm,
         bottom_z_mm=room.bottom_mm,
+        tank=None,
     )
     low = np.array([-room.radius_mm, -room.radius_mm, room.bottom_mm])
     grid = Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import refraction
-from rhizotwin.recon.optics.cameras import View, camera_directions, in_azimuth
+from rhizotwin.recon.optics.cameras import View, approach, camera_directions
 from rhizotwin.recon.optics.refraction import Optics
 
 Array = NDArray[np.float64]
@@ -65,13 +65,13 @@ def _camera(axis: int) -> Callable[[Sight, float], Sight]:
 
 
 def with_canister_moved(view: View, step: Array) -> View:
-    """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame."""
+    """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
 
 def displaced(view: View, step: Array) -> View:
     """Return a view whose camera moved by a left-hand twist (6,) (rad, mm) of ``cam_from_canister``."""
-    return replace(view, cam_from_canister=twist(step) @ view.cam_from_canister)
+    return view.moved(twist(step))
 
 
 INDEX = Quantity("index of the water", "", 1e-4, _index)
@@ -96,8 +96,7 @@ QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
     """Return F1 and F2 (N, 2) in mm of rays of directions (N, 3), camera's frame, at points (N, 3), canister frame."""
     at = points_mm @ view.azimuth_from_canister[:3, :3].T
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
-    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -optics.w_limit, optics.w_limit), p_z)
+    line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
     beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm
     return np.stack([beside, refraction.height_at(optics, line, at[:, :2]) - at[:, 2]], axis=-1)
 
@@ -107,8 +106,7 @@ def normals(view: View, optics: Optics, directions: Array) -> Array:
 
     The normals are in the canister's frame, the directions in the camera's.
     """
-    w, p_z = refraction.invariants(view.rho_mm, optics.outer_radius_mm, in_azimuth(view, directions))
-    line = refraction.trace(optics, view.rho_mm, float(view.centre_mm[2]), np.clip(w, -optics.w_limit, optics.w_limit), p_z)
+    line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
     flat = np.concatenate([line.nu, np.zeros((len(directions), 1))], axis=-1)
     return np.asarray(flat @ view.azimuth_from_canister[:3, :3])
 

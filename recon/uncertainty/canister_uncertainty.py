@@ -1,4 +1,4 @@
-"""What the canister as bought leaves open: through another wall, radius or index the pictures show another volume.
+"""What canister and tank as bought leave open: through another wall or index the pictures show another volume.
 
 Where pictures of points in the water are taken through one canister and read through another, each point is found
 elsewhere: where it agrees best with all views (one Gauss-Newton step, as the shifts are small). How a small cube about
@@ -15,10 +15,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.optics.cameras import View, project_inner
+from rhizotwin.recon.optics.cameras import View, known_tank, project_inner
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.uncertainty.budget import Term
+from rhizotwin.scenes.frames import from_rotvec, rotation_z
+from rhizotwin.scenes.model import Tank
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,12 @@ EVENLY = 0.9
 """What lies evenly within its limits is within this part of them in nine of ten."""
 EDGES = 0.001
 """Share of the radius to which the canister's edges tell it, where they are seen: 0.323 mm were found for 0.300."""
+TANK_WALL, TANK_FRONT_MM, LIQUID, TURN_DEG, LEAN_DEG = 0.1, 1.0, 0.001, 2.0, 0.3
+"""Of a tank: share of its wall as acrylic sheet is sold, how far off it stands that was placed with a ruler (mm), index
+of its water within ten degrees and a gram of salts, how far it is turned that was set by eye (deg), and how far its
+front leans that was glued at a right angle (half a millimetre over 100) and set with a level."""
+NINE_OF_TEN = 1.645
+"""Standard deviations within which nine of ten of a normal lie."""
 POINTS, VIEWS = 100, 12
 """Of the shape and of the turn that are looked at: the map is smooth."""
 CUBE_MM = 1.0
@@ -36,8 +45,8 @@ STEP_MM = 1e-3
 """Of the differences that give a pixel's gradient: double precision leaves it right to 1e-6."""
 
 
-def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, radius_excess_mm: float | None) -> Term:
-    """Return the term of a canister that is not as drawn.
+def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: float, *, edges: CanisterPose | None) -> Term:
+    """Return the term of a canister, and a tank about it, that are not as drawn.
 
     Parameters
     ----------
@@ -49,10 +58,10 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
         The shape.
     volume_mm3 : float
         Its volume.
-    radius_excess_mm : float or None
-        How much farther out than drawn its edges were found; None where they were not seen.
+    edges : CanisterPose or None
+        What its edges told; None where they were not seen.
     """
-    o = optics
+    o, radius_excess_mm = optics, None if edges is None else edges.radius_excess_mm
     wall_mm = o.outer_radius_mm - o.inner_radius_mm
     off_mm = RADIUS * EVENLY * o.outer_radius_mm if radius_excess_mm is None else abs(radius_excess_mm) + EDGES * o.outer_radius_mm
     sign = -1.0 if radius_excess_mm is not None and radius_excess_mm < 0.0 else 1.0
@@ -61,14 +70,32 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
         "the index of its wall": replace(o, n_wall=o.n_wall + EVENLY * N_WALL),
         "its radius": replace(o, outer_radius_mm=o.outer_radius_mm + sign * off_mm, inner_radius_mm=o.inner_radius_mm + sign * off_mm),
     }
+    others |= {} if o.tank is None else _tanks(o, o.tank)
     points = _points(leaves)
     shares = {name: abs(misread(views, o, other, points)) for name, other in others.items()}
+    if o.tank is not None:
+        sigma_deg = TURN_DEG if edges is None else edges.tank_sigma_deg
+        moved = {"is turned": rotation_z(np.deg2rad(NINE_OF_TEN * sigma_deg))}
+        moved["leans"] = from_rotvec(np.deg2rad([0.0, EVENLY * LEAN_DEG, 0.0]), np.zeros(3))
+        for how, turn in moved.items():
+            others_seen = [replace(view, cam_from_tank=known_tank(view) @ turn) for view in views]
+            shares[f"how its tank {how}"] = abs(misread(views, o, o, points, others_seen))
     half = math.hypot(*shares.values()) * volume_mm3
     worst = max(shares, key=lambda name: shares[name])
     return Term(name="canister", less_mm3=half, more_mm3=half, why=f"the canister may differ from its drawing, most of all in {worst}")
 
 
-def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array) -> float:
+def _tanks(o: Optics, tank: Tank) -> dict[str, Optics]:
+    """Return what a tank may be instead."""
+    changed = {
+        "the walls of its tank": replace(tank, wall_mm=tank.wall_mm * (1.0 + EVENLY * TANK_WALL)),
+        "where its tank stands": replace(tank, front_mm=tank.front_mm + EVENLY * TANK_FRONT_MM),
+        "the liquid of its tank": replace(tank, n_liquid=tank.n_liquid + EVENLY * LIQUID),
+    }
+    return {name: replace(o, tank=other) for name, other in changed.items()}
+
+
+def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array, true_views: Sequence[View] | None = None) -> float:
     """Return by which share a volume is found too large where pictures were taken through another canister.
 
     Parameters
@@ -79,8 +106,11 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
         What the pictures are read with, and what they were taken through.
     points_mm : (N, 3) float64
         Where the volume is, canister frame.
+    true_views : sequence of View, optional
+        How the pictures were taken, where that differs, too.
     """
-    some = views[:: max(1, len(views) // VIEWS)]
+    step = max(1, len(views) // VIEWS)
+    some = list(zip(views, views if true_views is None else true_views, strict=True))[::step]
     corners = np.concatenate([points_mm + 0.5 * side * CUBE_MM * np.eye(3)[axis] for axis in range(3) for side in (-1.0, 1.0)])
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)
@@ -89,12 +119,12 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     return float(stretch[told].mean() - 1.0) if told.any() else 0.0
 
 
-def _shifts(views: Sequence[View], believed: Optics, true: Optics, points_mm: Array) -> Array:
+def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, points_mm: Array) -> Array:
     """Return how far (N, 3) from where they are points are found; NaN where too few views see one."""
     count = len(points_mm)
     normal, side, votes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count, int)
-    for view in views:
-        here, there = project_inner(view, believed, points_mm), project_inner(view, true, points_mm)
+    for view, true_view in views:
+        here, there = project_inner(view, believed, points_mm), project_inner(true_view, true, points_mm)
         gradient = np.stack(
             [(project_inner(view, believed, points_mm + STEP_MM * axis) - here) / STEP_MM for axis in np.eye(3)], axis=-1
         )  # (N, 2, 3)

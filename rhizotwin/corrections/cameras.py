@@ -33,7 +33,14 @@ class Cameras:
         used = [view for view in summary["views"] if view["used"] and view.get("cam_from_canister") is not None and view["file"] in known]
         return cls(
             files=tuple(view["file"] for view in used),
-            views=tuple(View(camera=camera, cam_from_canister=np.array(view["cam_from_canister"], np.float64)) for view in used),
+            views=tuple(
+                View(
+                    camera=camera,
+                    cam_from_canister=np.array(view["cam_from_canister"], np.float64),
+                    cam_from_tank=None if view.get("cam_from_tank") is None else np.array(view["cam_from_tank"], np.float64),
+                )
+                for view in used
+            ),
             table_deg=tuple(view.get("table_deg") for view in used),
             optics=optics,
         )

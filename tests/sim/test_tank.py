@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from rhizotwin.recon.optics import tank
-from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.reconstruct import reconstruct
+from rhizotwin.recon.optics.cameras import View, project_through_tank
+from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_from_dict
 from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene, Tank
@@ -28,6 +26,7 @@ class Case:
     centre_mm: tuple[float, float, float]
     view: int = 0
     liquid: float = 1.333
+    turn_deg: float = 0.0
     wrong: Disturbances = CLEAN
 
 
@@ -35,6 +34,7 @@ CASES = (
     Case("near the axis", (3.0, 2.0, -60.0)),
     Case("beside, where the round canister alone is blind", (0.0, 66.0, -80.0)),
     Case("another liquid", (-30.0, 40.0, -100.0), liquid=1.38),
+    Case("a turned tank", (-20.0, 45.0, -90.0), turn_deg=3.0),
     Case(
         "everything misplaced",
         (20.0, -60.0, -70.0),
@@ -46,12 +46,14 @@ CASES = (
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_ball_is_seen_where_the_closed_form_says(case: Case) -> None:
-    scene = Scene(plan=CapturePlan(rings=(Ring(views=5),)), tank=Tank(n_liquid=case.liquid), disturbances=case.wrong)
-    camera = draw_world(scene, seed=4).cameras[case.view]
-    at = tank.TankView.of(
-        scene, View(camera=scene.camera, cam_from_canister=camera.cam_from_canister), frames.invert(camera.rig_from_canister)
+    scene = Scene(
+        plan=CapturePlan(rings=(Ring(views=5),)), tank=Tank(n_liquid=case.liquid, turn_deg=case.turn_deg), disturbances=case.wrong
     )
-    expected, seen, _ = tank.project(at, np.array([case.centre_mm]))
+    camera = draw_world(scene, seed=4).cameras[case.view]
+    turned = frames.rotation_z(np.deg2rad(case.turn_deg))
+    cam_from_tank = camera.cam_from_canister @ frames.invert(camera.rig_from_canister) @ turned
+    view = View(camera=scene.camera, cam_from_canister=camera.cam_from_canister, cam_from_tank=cam_from_tank)
+    expected, seen, _ = project_through_tank(view, Optics.of(scene), np.array([case.centre_mm]))
     assert seen.all()
     part = magnify(scene, expected[0], 100.0, 160)
     _, coverage = Renderer(part, draw_world(part, seed=4), ball(case.centre_mm, 0.1), samples=4).view(case.view)
@@ -89,19 +91,15 @@ def test_a_tank_that_cannot_be_is_refused(change: dict[str, object], words: str)
 def test_what_cannot_see_through_a_tank_says_so() -> None:
     from rhizotwin.building.measures import Measures
     from rhizotwin.building.rig_parts import parts_of, thesis_rig
-    from rhizotwin.recon.optics.refraction import Optics
     from rhizotwin.scenes.board import CharucoBoard
 
     scene = Scene(tank=Tank())
-    with pytest.raises(UserError, match=r"the reconstruction knows no tank"):
-        reconstruct(_dataset(scene))
-    with pytest.raises(UserError, match="knows no tank"):
-        Optics.of(scene)
     with pytest.raises(UserError, match="parts knows no tank"):
         parts_of(scene, rig=thesis_rig(), measures=Measures(), board=CharucoBoard())
 
 
-def _dataset(scene: Scene) -> Dataset:
-    fields = dict.fromkeys(Dataset.__dataclass_fields__)
-    made: Dataset = Dataset(**(fields | {"scene": scene}))  # type: ignore[arg-type]
-    return made
+def test_a_camera_that_sees_the_strip_through_the_liquid_is_refused() -> None:
+    low = {"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}}
+    with pytest.raises(UserError, match="strip's lower edge is seen through the tank's liquid"):
+        scene_from_dict(low, where="a scene")
+    scene_from_dict(low | {"strip": {"rows": 0}}, where="a scene")

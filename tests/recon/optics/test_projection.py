@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from rhizotwin.recon.optics import cameras, projection, refraction
+from rhizotwin.recon.optics import cameras, projection, refraction, start_tables
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Canister, Scene, Water
 
@@ -73,9 +73,9 @@ def test_clear_distance_reaches_no_blind_point() -> None:
     rng = np.random.default_rng(2)
     angle = rng.uniform(-np.pi, np.pi, len(points))
     near = points.copy()
-    near[:, :2] += ((clear - projection._CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack(
+    near[:, :2] += ((clear - start_tables.CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack(
         [np.cos(angle), np.sin(angle)], 1
     )
-    inside = (np.hypot(near[:, 0], near[:, 1]) < optics.inner_radius_mm) & (clear > 2 * projection._CELL_MM)
+    inside = (np.hypot(near[:, 0], near[:, 1]) < optics.inner_radius_mm) & (clear > 2 * start_tables.CELL_MM)
     _, count = cameras.project(view, optics, near[inside])
     assert (count == 1).all()

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import tank
+from rhizotwin.recon.optics import cameras, projection, tank
 from rhizotwin.recon.optics.cameras import View, camera_directions
+from rhizotwin.recon.optics.refraction import Optics, WaterLine
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Canister, Scene, Tank
 
@@ -16,15 +19,26 @@ SCENE = Scene(tank=Tank())
 LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 
 
-def seen_from(rng: np.random.Generator, scene: Scene = SCENE) -> tank.TankView:
+Seen = tuple[View, Optics]
+
+
+def seen_from(rng: np.random.Generator, scene: Scene = SCENE) -> Seen:
     """Return a camera at a random height, tilt and side, and a canister that is turned, leans and stands aside."""
     tilt = rng.uniform(-8.0, 15.0)
     level = frames.level_camera(distance_mm=rng.uniform(350, 450), height_mm=-60.0 + 6.5 * tilt, tilt_deg=tilt)
     cam_from_rig = frames.from_rotvec(rng.normal(0.0, 0.02, 3), rng.normal(0.0, 5.0, 3)) @ level
     seat = frames.from_rotvec(rng.normal(0.0, 0.01, 3) * [1, 1, 0], rng.normal(0.0, 1.0, 3) * [1, 1, 0])
     canister_from_rig = frames.invert(frames.rotation_z(rng.uniform(-np.pi, np.pi)) @ seat)
-    view = View(camera=LENS, cam_from_canister=cam_from_rig @ frames.invert(canister_from_rig))
-    return tank.TankView.of(scene, view, canister_from_rig)
+    view = View(camera=LENS, cam_from_canister=cam_from_rig @ frames.invert(canister_from_rig), cam_from_tank=cam_from_rig)
+    return view, Optics.of(scene)
+
+
+def lines_in_canister(at: Seen, px: Array) -> tuple[WaterLine, Array]:
+    """Return the lines of sight of pixels in the canister's frame, and which enter the water."""
+    view, optics = at
+    line, enters = cameras.water_lines(view, optics, px)
+    x, y, _ = view.centre_mm
+    return replace(line, heading_rad=line.heading_rad + np.arctan2(y, x)), enters
 
 
 def snell(direction: Array, normal: Array, n_from: float, n_to: float) -> Array:
@@ -34,18 +48,21 @@ def snell(direction: Array, normal: Array, n_from: float, n_to: float) -> Array:
     return np.asarray(ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal)
 
 
-def brute(at: tank.TankView, px: Array) -> tuple[Array, Array]:
+def brute(at: Seen, px: Array) -> tuple[Array, Array]:
     """Follow pixels surface by surface: where each enters the water (N, 3) and its unit direction there, canister frame."""
-    rig_from_cam = np.linalg.inv(at.view.cam_from_canister @ at.canister_from_rig)
-    d = camera_directions(at.view.camera, px) @ rig_from_cam[:3, :3].T
+    view, o = at
+    rig_from_cam = np.linalg.inv(np.asarray(view.cam_from_tank))
+    canister_from_rig = np.linalg.inv(view.cam_from_canister) @ view.cam_from_tank
+    d = camera_directions(view.camera, px) @ rig_from_cam[:3, :3].T
     p = np.broadcast_to(rig_from_cam[:3, 3], d.shape)
-    box, can, o = at.tank, at.optics, at.optics
+    box = o.tank
+    assert box is not None
     facing = np.broadcast_to([1.0, 0.0, 0.0], d.shape)
     for x, n_from, n_to in ((box.front_mm, 1.0, box.n_wall), (box.front_mm - box.wall_mm, box.n_wall, box.n_liquid)):
         p = p + ((x - p[:, 0]) / d[:, 0])[:, None] * d
         d = snell(d, facing, n_from, n_to)
-    p, d = frames.apply(at.canister_from_rig, p), d @ at.canister_from_rig[:3, :3].T
-    for radius, n_from, n_to in ((can.outer_radius_mm, box.n_liquid, o.n_wall), (can.inner_radius_mm, o.n_wall, o.n_water)):
+    p, d = frames.apply(canister_from_rig, p), d @ canister_from_rig[:3, :3].T
+    for radius, n_from, n_to in ((o.outer_radius_mm, box.n_liquid, o.n_wall), (o.inner_radius_mm, o.n_wall, o.n_water)):
         a, b, c = np.sum(d[:, :2] ** 2, axis=1), np.sum(p[:, :2] * d[:, :2], axis=1), np.sum(p[:, :2] ** 2, axis=1) - radius**2
         with np.errstate(invalid="ignore"):
             p = p + ((-b - np.sqrt(b * b - a * c)) / a)[:, None] * d
@@ -53,15 +70,15 @@ def brute(at: tank.TankView, px: Array) -> tuple[Array, Array]:
     return p, d
 
 
-def points_on_rays(at: tank.TankView, rng: np.random.Generator, count: int, *, most: float = 0.99) -> tuple[Array, Array]:
+def points_on_rays(at: Seen, rng: np.random.Generator, count: int, *, most: float = 0.99) -> tuple[Array, Array]:
     """Return pixels that see water, and on each one's brute-force ray a random point of it."""
-    width, height = at.view.camera.image_wh
+    width, height = at[0].camera.image_wh
     px = rng.uniform([0, 0], [width, height], (count, 2))
-    px = px[tank.water_lines(at, px)[1]]
+    px = px[lines_in_canister(at, px)[1]]
     entry, d = brute(at, px)
     leave = -2.0 * np.sum(entry[:, :2] * d[:, :2], axis=1) / np.sum(d[:, :2] ** 2, axis=1)
     points = entry + d * (rng.uniform(0.01, 0.99, len(entry)) * leave)[:, None]
-    inside = np.hypot(points[:, 0], points[:, 1]) < most * at.optics.inner_radius_mm
+    inside = np.hypot(points[:, 0], points[:, 1]) < most * at[1].inner_radius_mm
     return px[inside], points[inside]
 
 
@@ -70,8 +87,8 @@ def test_lines_are_those_of_brute_force(liquid: float) -> None:
     rng = np.random.default_rng(1)
     for _ in range(3):
         at = seen_from(rng, replace(SCENE, tank=replace(Tank(), n_liquid=liquid)))
-        px = rng.uniform([0, 0], at.view.camera.image_wh, (2000, 2))
-        line, enters = tank.water_lines(at, px)
+        px = rng.uniform([0, 0], at[0].camera.image_wh, (2000, 2))
+        line, enters = lines_in_canister(at, px)
         entry, d = brute(at, px)
         assert enters.sum() > 200
         assert np.abs(entry[enters, 2] - line.entry_z_mm[enters]).max() < 1e-9
@@ -87,8 +104,8 @@ def test_points_come_back_to_their_pixels() -> None:
     for _ in range(4):
         at = seen_from(rng)
         px, points = points_on_rays(at, rng, 3000)
-        found, seen, _ = tank.project(at, points)
-        radius = np.hypot(points[:, 0], points[:, 1]) / at.optics.inner_radius_mm
+        found, seen, _ = cameras.project_through_tank(*at, points)
+        radius = np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm
         assert seen[radius < 0.95].all()
         assert seen.mean() > 0.99
         assert np.abs(found - px)[seen & (radius < 0.95)].max() < 1e-5
@@ -98,11 +115,11 @@ def test_jacobian_is_that_of_differences() -> None:
     rng = np.random.default_rng(3)
     at = seen_from(rng)
     _, points = points_on_rays(at, rng, 600, most=0.9)
-    _, seen, jacobian = tank.project(at, points)
+    _, seen, jacobian = cameras.project_through_tank(*at, points)
     step = 1e-3
     for axis in range(3):
         shift = step * np.eye(3)[axis]
-        up, down = tank.project(at, points + shift), tank.project(at, points - shift)
+        up, down = cameras.project_through_tank(*at, points + shift), cameras.project_through_tank(*at, points - shift)
         both = seen & up[1] & down[1]
         slope = (up[0] - down[0]) / (2.0 * step)
         assert both.sum() > 100
@@ -118,9 +135,9 @@ def test_without_any_bending_it_is_the_plain_camera() -> None:
     )
     at = seen_from(np.random.default_rng(4), air)
     points = np.random.default_rng(5).uniform([-40, -40, -120], [40, 40, -20], (200, 3))
-    found, seen, _ = tank.project(at, points)
-    in_cam = frames.apply(at.view.cam_from_canister, points)
-    directions = camera_directions(at.view.camera, found[seen])
+    found, seen, _ = cameras.project_through_tank(*at, points)
+    in_cam = frames.apply(at[0].cam_from_canister, points)
+    directions = camera_directions(at[0].camera, found[seen])
     assert seen.sum() > 100
     assert np.abs(directions - in_cam[seen] / np.linalg.norm(in_cam[seen], axis=1, keepdims=True)).max() < 1e-8
 
@@ -128,7 +145,7 @@ def test_without_any_bending_it_is_the_plain_camera() -> None:
 def test_a_view_through_the_tank_sees_what_the_round_canister_hides() -> None:
     """T5.3: through the round wall nothing beyond R_o / n_water is seen from the side; through the tank nearly all is."""
     level = frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0)
-    at = tank.TankView.of(SCENE, View(camera=Camera(), cam_from_canister=level), np.eye(4))
+    at = cameras.through_tank(View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), Optics.of(SCENE))
     inner = at.optics.inner_radius_mm
     beside = np.array([[0.0, y, -60.0] for y in np.linspace(-0.97, 0.97, 41) * inner])
     assert (tank.images_at_height(at, beside) == 1).all()
@@ -136,8 +153,53 @@ def test_a_view_through_the_tank_sees_what_the_round_canister_hides() -> None:
 
 def test_what_is_above_the_liquid_is_not_seen() -> None:
     level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
-    at = tank.TankView.of(SCENE, View(camera=Camera(), cam_from_canister=level), np.eye(4))
-    low = replace(at, tank=replace(at.tank, level_mm=-60.0))
+    at = View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), Optics.of(SCENE)
+    low = at[0], replace(at[1], tank=Tank(level_mm=-60.0))
     points = np.array([[0.0, 0.0, -20.0], [0.0, 0.0, -100.0]])
-    assert tank.project(at, points)[1].tolist() == [True, True]
-    assert tank.project(low, points)[1].tolist() == [False, True]
+    assert cameras.project_through_tank(*at, points)[1].tolist() == [True, True]
+    assert cameras.project_through_tank(*low, points)[1].tolist() == [False, True]
+
+
+def in_kernel(at: Seen, points: Array) -> projection.Projected:
+    """Project points in the fast kernel, as the second of two views."""
+    other, _ = seen_from(np.random.default_rng(9))
+    bank = projection.ViewBank.of([other, at[0]], at[1])
+    view = dr.full(mi.UInt32, 1, len(points))
+    return projection.project(bank, view, mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
+
+
+@pytest.mark.parametrize("liquid", [1.333, 1.3, 1.38])
+def test_the_kernel_agrees_with_the_reference(liquid: float) -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(3):
+        at = seen_from(rng, replace(SCENE, tank=replace(Tank(), n_liquid=liquid)))
+        _, points = points_on_rays(at, rng, 6000, most=1.0)
+        points = points.astype(np.float32).astype(np.float64)
+        expected, seen, jacobian = cameras.project_through_tank(*at, points)
+        found = in_kernel(at, points)
+        both = np.array(found.seen) & seen
+        radius = np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm
+        assert both[radius < 0.95].all()
+        off = np.abs(np.array(found.px).T - expected)
+        assert off[both & (radius < 0.95)].max() < 1e-3
+        assert off[both].max() < 5e-3  # next to total reflection single precision moves a ray by more
+        slope = np.stack([np.array(found.du).T, np.array(found.dv).T], axis=1)
+        assert np.abs(slope - jacobian)[both & (radius < 0.95)].max() < 2e-3
+
+
+def test_the_kernel_sees_none_that_cannot_be_seen() -> None:
+    rng = np.random.default_rng(7)
+    at = seen_from(rng)
+    angle, radius = rng.uniform(-np.pi, np.pi, 4000), 73.0 * np.sqrt(rng.uniform(0.0, 1.0, 4000))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-149.0, -8.0, 4000)], axis=1)
+    found, (expected, seen, _) = in_kernel(at, points), cameras.project_through_tank(*at, points)
+    kernel = np.array(found.seen)
+    assert not (kernel & ~seen).any()
+    assert np.abs(np.array(found.px).T - expected)[kernel].max() < 1e-3
+    assert (seen & ~kernel).mean() < 0.02, "only what is next to the wall beside the line of sight is given away"
+
+
+def test_a_view_of_which_nobody_knows_the_tank_is_no_view() -> None:
+    view, optics = seen_from(np.random.default_rng(8))
+    with pytest.raises(ValueError, match="expected a pose"):
+        cameras.approach(replace(view, cam_from_tank=None), optics, np.zeros((1, 3)))
