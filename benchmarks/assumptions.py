@@ -46,8 +46,8 @@ class Assumptions:
     """What the reconstruction takes for granted; the defaults are the thesis's."""
 
     poses: Poses = "picture"
-    """picture: a pose a picture from both rows of the strip; one row: from the upper row alone; scan: of all pictures
-    together, the canister's own pose with it."""
+    """picture: a pose a picture from both rows of the strip; one row: the same below a strip that has one; scan: of all
+    pictures together, the canister's own pose with it."""
     outlines: Outlines = "edges"
     """edges: Otsu's threshold joined with Sobel edges, then opened (T3.4.2); dark: Otsu's threshold alone; coverage:
     how much of each pixel is covered."""
@@ -94,8 +94,8 @@ def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Co
             found.append(Counted(**{**json.loads(path.read_text(encoding="utf-8")), "assumed": assumed}))
             say(f"{head}: kept")
         elif not only_kept:
-            scan = scan or _Scan(load_dataset(datasets.make(pictures)))
-            mm3, true_mm3 = scan.volumes(assumed), load_truth(scan.dataset.folder).volume_mm3
+            scan = scan or _Scan(pictures)
+            mm3, true_mm3 = scan.volumes(assumed), load_truth(scan.dataset().folder).volume_mm3
             counted = Counted(assumed=assumed, **{name: value / true_mm3 - 1.0 for name, value in mm3.items()})
             atomic.write_json(path, asdict(counted))
             found.append(counted)
@@ -120,35 +120,51 @@ class _Keep:
 
 
 class _Scan:
-    """A dataset, with the cameras by each assumption and the coverage by the last."""
+    """Some pictures, with the cameras by each assumption and the coverage by the last."""
 
-    def __init__(self, dataset: Dataset) -> None:
-        self.dataset = dataset
+    def __init__(self, pictures: Pictures) -> None:
+        self._pictures = pictures
+        self._datasets: dict[bool, Dataset] = {}
         self._cameras: dict[Poses, Cameras] = {}
         self._coverage: dict[tuple[Poses, Outlines], Coverage] = {}
 
+    def dataset(self, *, one_row: bool = False) -> Dataset:
+        """Return the pictures, or those of the same specimen below a strip that has the upper row alone."""
+        if one_row not in self._datasets:
+            self._datasets[one_row] = _below_one_row(self._pictures) if one_row else load_dataset(datasets.make(self._pictures))
+        return self._datasets[one_row]
+
     def volumes(self, assumed: Assumptions, finest_mm: float = DEFAULT_VOXEL_MM) -> dict[str, float]:
         """Return the hull's volume (mm3), counted three ways."""
-        key = (assumed.poses, assumed.outlines)
+        key, dataset = (assumed.poses, assumed.outlines), self.dataset(one_row=assumed.poses == "one row")
         if assumed.poses not in self._cameras:
-            self._cameras[assumed.poses] = _cameras(self.dataset, assumed.poses)
+            self._cameras[assumed.poses] = _cameras(dataset, joint=assumed.poses == "scan")
         cameras = self._cameras[assumed.poses]
         if key not in self._coverage:
-            self._coverage = {key: _coverage(self.dataset, cameras, assumed.outlines)}  # one at a time in memory
-        return _volumes(self.dataset, cameras, self._coverage[key], assumed, finest_mm)
+            self._coverage = {key: _coverage(dataset, cameras, assumed.outlines)}  # one at a time in memory
+        return _volumes(dataset, cameras, self._coverage[key], assumed, finest_mm)
 
 
 def _words(assumed: Assumptions) -> str:
     return f"poses {assumed.poses}, outlines {assumed.outlines}, blind views {'carve' if assumed.blind_carves else 'say nothing'}"
 
 
-def _cameras(dataset: Dataset, poses: Poses) -> Cameras:
-    """Find the cameras by an assumption."""
-    if poses == "one row":  # the upper row, by its numbers and its height
-        strip = dataset.scene.strip
-        upper = replace(strip, rows=1, bottom_mm=strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm)
-        dataset = replace(dataset, scene=replace(dataset.scene, strip=upper))
-    pictures, joint = read_pictures(dataset, monitor=Monitor()), poses == "scan"
+def _below_one_row(pictures: Pictures) -> Dataset:
+    """Render pictures with the upper row of the strip alone, once (resuming where it was cut off)."""
+    from rhizotwin.sim.simulate import simulate
+
+    scene = pictures.scene_to_render()
+    strip = scene.strip
+    upper = replace(strip, rows=1, bottom_mm=strip.bottom_mm + (strip.rows - 1) * strip.row_pitch_mm)
+    folder = cache.folder() / "assumptions" / f"one-row-{datasets.place(pictures).name}"
+    if not (folder / "dataset.json").is_file():
+        simulate(replace(scene, strip=upper), folder, profile_name=pictures.profile, seed=pictures.seed)
+    return load_dataset(folder)
+
+
+def _cameras(dataset: Dataset, *, joint: bool) -> Cameras:
+    """Find the cameras of all pictures together, or each by itself as the thesis does."""
+    pictures = read_pictures(dataset, monitor=Monitor())
     return find_cameras(pictures, monitor=Monitor(), measure=joint, single_view=not joint)
 
 
@@ -213,7 +229,7 @@ def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Lev
         return [Level(**one) for one in json.loads(path.read_text(encoding="utf-8"))]
     if only_kept:
         return []
-    scan = _Scan(load_dataset(datasets.make(pictures)))
+    scan = _Scan(pictures)
     voxels = [DEFAULT_VOXEL_MM * 2 ** (LEVELS - 1 - number) for number in range(LEVELS)]
     told: list[list[tuple[dict[str, float], float]]] = []
     for assumed in (Assumptions(), Assumptions(poses="scan", outlines="coverage", blind_carves=False)):
