@@ -22,9 +22,10 @@ import numpy as np
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import KIND_NAMES, draw_faults, kind_of
-from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image, sha256_of
 from rhizotwin.scenes.files import load_profile, load_scene
@@ -95,7 +96,7 @@ def run_one(seed: int, kinds: Sequence[str]) -> FaultRun:
     rng = np.random.default_rng([seed, 77])
     faults = draw_faults(rng, tuple(kinds), messages=120, duration_s=60.0, shots=12)
     protocol = kind_of(kinds[0]).protocol or kind_of(kinds[-1]).protocol or ("lx", "lsc")[seed % 2]
-    twin = Twin(small_scene(), seed=seed, profile_name="bench", faults=faults, pictures="sketch", protocol=protocol)
+    twin = Twin(small_scene(), seed=seed, profile_name="bench", faults=faults, pictures="sketch", rig=default_rig(protocol))
     began = time.monotonic()
     before = signal.signal(signal.SIGALRM, _hangs)
     signal.alarm(int(MOST_WALL_S))
@@ -158,7 +159,7 @@ def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:
-        return scan(devices, scene, folder, resume=resume, seed=twin.seed, say=lambda _: None)
+        return scan(devices, scene, folder, resume=resume, seed=twin.seed, audience=Audience(say=lambda _: None))
     finally:
         devices.close()
 

@@ -78,6 +78,28 @@ def import_pictures(
         For an unreadable, damaged or differently sized picture, one without a checksum whose rows are like no other
         picture's, silhouettes without cameras or with greys, or cameras that do not fit.
     """
+    _refuse_options(scene, cameras, masks=masks, no_strip=no_strip)
+    scene = replace(scene, strip=replace(scene.strip, rows=0)) if no_strip else scene
+    paths, raw = _pictures_in(folder, masks=masks)
+    notes: list[str] = []
+    given: GivenCameras | None = None
+    if cameras is not None:
+        scene, given = _given(scene, cameras)
+        paths = _with_cameras(paths, given, cameras, notes)
+    table = _table_angles(scene, len(paths), given, notes)
+    white = _white_level(paths, scene) if masks else None
+    notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
+    origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
+    with new_folder(out) as building:
+        copying = _Copying(scene, building, raw=raw, white=white, given=given)
+        frames = copying.copied(paths, table, monitor or Monitor())
+        origin |= {"clipped": copying.clipped, "versions": versions()}
+        dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
+    return Imported(dataset=replace(dataset, folder=out), notes=(*notes, *copying.notes()))
+
+
+def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
+    """Refuse what does not go together."""
     if scene.tank is not None and (cameras is not None or no_strip):
         raise UserError(
             f"how the [tank] of scene {scene.name} stands to the cameras is found from the strip's markers, so that pictures with given "
@@ -85,81 +107,106 @@ def import_pictures(
         )
     if masks and cameras is None:
         raise UserError("silhouettes (--masks) show no markers to find the cameras by; give the cameras too, with --cameras JSON")
-    if no_strip:
-        if cameras is not None:
-            raise UserError("--no-strip finds the cameras in the pictures, and --cameras gives them; leave one of the two out")
-        scene = replace(scene, strip=replace(scene.strip, rows=0))
+    if no_strip and cameras is not None:
+        raise UserError("--no-strip finds the cameras in the pictures, and --cameras gives them; leave one of the two out")
+
+
+def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
+    """Return a folder's pictures, and whether they are raw."""
     paths = list_pictures(folder, suffixes=SUFFIXES if masks else (*SUFFIXES, *raw_pictures.SUFFIXES))
     raw = [path for path in paths if raw_pictures.is_raw(path)]
     if raw and len(raw) < len(paths):
         other = next(path for path in paths if path not in raw)
         raise UserError(f"{folder} holds raw pictures ({raw[0].name}) beside others ({other.name}); put one kind into a folder of its own")
-    given = None if cameras is None else read_cameras(cameras, scene.camera)
-    notes: list[str] = []
-    if given is not None and cameras is not None:
-        changed = replace(scene, camera=given.camera)
-        scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
-        _check_cameras(given, scene, cameras)
-        paths = _with_cameras(paths, given, cameras, notes)
-    table = _table_angles(scene, len(paths), given, notes)
-    white = _white_level(paths, scene) if masks else None
-    if raw:
-        notes.append("raw pictures: blocks of their pixels became one grey pixel each, with the first one's white balance; they are light")
-    elif white is None:
-        notes.append(_curve_note(paths, scene))
-    gains: tuple[float, float] | None = None
-    clipped: dict[str, float] = {}
-    turns = _Turns()
-    monitor = monitor or Monitor()
-    with new_folder(out) as building, monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
+    return paths, bool(raw)
+
+
+class _Copying:
+    """Pictures on their way into a dataset.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its camera has the pictures' size.
+    folder : Path
+        The dataset's.
+    raw : bool
+        Whether they are raw pictures.
+    white : int or None
+        The number that means white in silhouettes; None: they are pictures.
+    given : GivenCameras or None
+        Where their cameras stand, where that is known.
+    """
+
+    def __init__(self, scene: Scene, folder: Path, *, raw: bool, white: int | None, given: GivenCameras | None) -> None:
+        self._scene, self._folder = scene, folder
+        self._raw, self._white, self._given = raw, white, given
+        self._gains: tuple[float, float] | None = None
+        self._turns = _Turns()
+        self._count = 0
+        self.clipped: dict[str, float] = {}
+        """Share of full pixels of the pictures that are too bright."""
+
+    def copied(self, paths: list[Path], table: list[tuple[int, float | None]], monitor: Monitor) -> tuple[Frame, ...]:
+        """Copy all pictures, with ring and table angle of each; refuse damaged ones."""
         found = []
-        for path, (ring, table_deg) in zip(paths, table, strict=True):
-            if raw:
-                light, gains = raw_pictures.read_raw(path, image_wh=scene.camera.image_wh, gains=gains)
-                data = encode_light_png(light)
-            else:
-                data = _data_of(path, scene, white=white)
-            name = f"images/{path.stem}{'.png' if raw or white is not None else path.suffix.lower()}"
-            write_bytes(building / name, data)
-            if white is None:
-                grey = decode_grey(data, where=str(path))
-                turns.add(path, ring, grey, sealed=bool(raw) or is_sealed(data))
-                if (share := _clipped(grey)) > MOST_CLIPPED:
-                    clipped[name] = round(share, 4)
-            pose = None if given is None else _pose_of(path, given)
-            found.append(
-                Frame(
-                    file=name,
-                    sha256=sha256_of(building / name),
-                    kind=scene.plan.rings[ring].kind,
-                    ring=ring,
-                    table_deg=table_deg,
-                    cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
-                )
-            )
-            step()
-        turns.refuse_damaged()
-        notes.extend(turns.notes())
-        origin: dict[str, Any] = {
-            "program": "rhizotwin import",
-            "pictures": str(folder),
-            "cameras": None if cameras is None else str(cameras),
-        }
-        if clipped:
-            worst = max(clipped, key=lambda name: clipped[name])
-            notes.append(
-                f"warning: {len(clipped)} of {len(found)} pictures are overexposed, {worst} worst with {100.0 * clipped[worst]:.0f} % of "
-                "its pixels at full scale: what roots absorb of that light cannot be measured; expose less, the panel at 0.8 of it"
-            )
-        origin |= {"clipped": clipped, "versions": versions()}
-        dataset = Dataset(folder=building, scene=scene, frames=tuple(found), masks=masks, origin=origin)
-        dataset = save_dataset(dataset)
-    return Imported(dataset=replace(dataset, folder=out), notes=tuple(notes))
+        with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
+            for path, (ring, table_deg) in zip(paths, table, strict=True):
+                found.append(self._copy(path, ring, table_deg))
+                step()
+        self._turns.refuse_damaged()
+        self._count = len(found)
+        return tuple(found)
+
+    def _copy(self, path: Path, ring: int, table_deg: float | None) -> Frame:
+        """Write a picture into the dataset, and look at it."""
+        if self._raw:
+            light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
+            data = encode_light_png(light)
+        else:
+            data = _data_of(path, self._scene, white=self._white)
+        name = f"images/{path.stem}{'.png' if self._raw or self._white is not None else path.suffix.lower()}"
+        write_bytes(self._folder / name, data)
+        if self._white is None:
+            grey = decode_grey(data, where=str(path))
+            self._turns.add(path, ring, grey, sealed=self._raw or is_sealed(data))
+            if (share := _clipped(grey)) > MOST_CLIPPED:
+                self.clipped[name] = round(share, 4)
+        pose = None if self._given is None else _pose_of(path, self._given)
+        return Frame(
+            file=name,
+            sha256=sha256_of(self._folder / name),
+            kind=self._scene.plan.rings[ring].kind,
+            ring=ring,
+            table_deg=table_deg,
+            cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
+        )
+
+    def notes(self) -> list[str]:
+        """Say what was not checked, and warn of pictures that are too bright."""
+        if not self.clipped:
+            return self._turns.notes()
+        worst = max(self.clipped, key=lambda name: self.clipped[name])
+        return [
+            *self._turns.notes(),
+            f"warning: {len(self.clipped)} of {self._count} pictures are overexposed, {worst} worst with "
+            f"{100.0 * self.clipped[worst]:.0f} % of its pixels at full scale: what roots absorb of that light cannot be measured; "
+            "expose less, the panel at 0.8 of it",
+        ]
 
 
 def _pose_of(path: Path, given: GivenCameras) -> frames.Array | None:
     """Return the pose given for a picture, by its name or (as some programs write it) by its name without a suffix."""
     return given.cam_from_canister.get(path.name, given.cam_from_canister.get(path.stem))
+
+
+def _given(scene: Scene, cameras: Path) -> tuple[Scene, GivenCameras]:
+    """Return the cameras of a file, and the scene with their lens."""
+    given = read_cameras(cameras, scene.camera)
+    changed = replace(scene, camera=given.camera)
+    scene = files.scene_from_dict(files.scene_to_dict(changed), where=f"scene {scene.name} with the lens of {cameras}")
+    _check_cameras(given, scene, cameras)
+    return scene, given
 
 
 def _with_cameras(paths: list[Path], given: GivenCameras, cameras: Path, notes: list[str]) -> list[Path]:
@@ -203,8 +250,10 @@ def _table_angles(scene: Scene, count: int, given: GivenCameras | None, notes: l
     return [(0, None)] * count
 
 
-def _curve_note(paths: list[Path], scene: Scene) -> str:
+def _curve_note(paths: list[Path], scene: Scene, *, raw: bool) -> str:
     """Say by what curve the pictures' numbers will be read."""
+    if raw:
+        return "raw pictures: blocks of their pixels became one grey pixel each, with the first one's white balance; they are light"
     stated = transfer.of_camera(scene.camera)
     words = {word.name for path in paths if (word := transfer.stated_in(path)) is not None}
     if not words:

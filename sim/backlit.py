@@ -85,8 +85,6 @@ class Backlit:
     @dr.syntax  # type: ignore[untyped-decorator]
     def follow(self, ray_: Any, active: Any = True) -> Way:
         """Return what rays meet."""
-        context = mi.BSDFContext()
-
         ray = mi.Ray3f(dr.detach(ray_))  # current segment
         beta = mi.Spectrum(1.0)  # share of the light ahead that reaches the camera
         radiance = mi.Spectrum(0.0)
@@ -121,15 +119,9 @@ class Backlit:
 
             if dr.hint(self.media, mode="scalar"):
                 inside = active & (medium != dr.zeros(mi.MediumPtr))
-                mei = dr.zeros(mi.MediumInteraction3f)
-                mei.p, mei.t = si.p, si.t
-                _, _, sigma_t = medium.get_scattering_coefficients(mei, inside)
-                beta[inside] *= dr.exp(-sigma_t * (si.t + STEP_MM))
+                beta[inside] *= self.let_through(medium, si, inside)
 
-            # ---- the transmitted branch: a first sample of almost 1 is above every reflectance but that of total
-            # reflection
-            bs, weight = si.bsdf().sample(context, si, 1.0 - 1e-6, mi.Point2f(0.5), active)
-            smooth = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+            bs, weight, smooth = self.cross(si, active)
 
             # ---- something opaque: direct light, unshadowed, or the stray light of the canister's inside
             opaque = active & ~smooth
@@ -150,6 +142,21 @@ class Backlit:
             active &= (depth < MAX_DEPTH) & (dr.max(beta) > 1e-6)
 
         return Way(radiance[0], coverage, course, end, spans, start, heading)
+
+    def let_through(self, medium: Any, si: Any, active: Any) -> Any:
+        """Return the share of light that a medium lets through on the way to where it ends."""
+        mei = dr.zeros(mi.MediumInteraction3f)
+        mei.p, mei.t = si.p, si.t
+        _, _, sigma_t = medium.get_scattering_coefficients(mei, active)
+        return dr.exp(-sigma_t * (si.t + STEP_MM))
+
+    def cross(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return the transmitted branch of a surface, its weight, and where the surface is smooth.
+
+        A first sample of almost 1 is above every reflectance but that of total reflection.
+        """
+        bs, weight = si.bsdf().sample(mi.BSDFContext(), si, 1.0 - 1e-6, mi.Point2f(0.5), active)
+        return bs, weight, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
 
     def shade(self, si: Any, outside: Any, active: Any) -> Any:
         """Return the radiance of a matt surface."""

@@ -8,6 +8,7 @@ there are.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,16 @@ HEADING_FAN_SD_DEG = 40.0
 BASAL_KIND = 1_000_000
 """Child numbers of a kind of basal roots begin at this times the kind's number, counted from 1: beyond those of all
 laterals."""
+
+
+class _Grown(NamedTuple):
+    """What became of a bud."""
+
+    root: Root | None
+    """None: too short to exist."""
+    length_mm: float
+    max_length_mm: float
+    elongation_mm_per_day: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +104,14 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
         together: list[tuple[list[_Bud], RootOrder]] = [(buds, order)]
         while together:
             kin, own = together.pop(0)
-            for bud, (root, length_mm, max_length_mm, rate) in zip(kin, _grow_order(kin, own, specimen, limits, down), strict=True):
+            for bud, grown in zip(kin, _grow_order(kin, own, specimen, limits, down), strict=True):
+                root = grown.root
                 if root is None:
                     continue
                 if bud.parent < 0:
                     together += [(_basal(bud, root, kind, specimen), specimen.basal[kind]) for kind in range(len(specimen.basal))]
                 if following is not None:
-                    children += _laterals(bud, root, len(roots), length_mm, max_length_mm, rate, own, following, specimen)
+                    children += _laterals(bud, grown, len(roots), own, following, specimen)
                 roots.append(root)
             if len(roots) + len(children) > MOST_ROOTS:
                 raise UserError(
@@ -143,13 +155,8 @@ def _factor(rng: np.random.Generator, sd: float) -> float:
     return float(rng.gamma(1.0 / sd**2, sd**2)) if sd > 0.0 else 1.0
 
 
-def _grow_order(
-    buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array
-) -> list[tuple[Root | None, float, float, float]]:
-    """Grow all buds of an order.
-
-    Each comes with its length, greatest length and elongation rate; None: too short to exist.
-    """
+def _grow_order(buds: list[_Bud], order: RootOrder, specimen: GrownSpecimen, limits: Bounds, down: Array) -> list[_Grown]:
+    """Grow all buds of an order."""
     if not buds:
         return []
     traits = np.empty((len(buds), 3))
@@ -162,7 +169,7 @@ def _grow_order(
     thickest = np.minimum(traits[:, 2], [bud.limit_diameter_mm for bud in buds])
     room_mm = np.maximum(traits[:, 2], specimen.hypocotyl_diameter_mm if buds[0].parent < 0 else 0.0) / 2.0
     points_mm = _centrelines(buds, order, lengths_mm, room_mm, specimen.seed, limits, down)
-    grown: list[tuple[Root | None, float, float, float]] = []
+    grown: list[_Grown] = []
     for i, bud in enumerate(buds):
         root = None
         if lengths_mm[i] > max(0.3, thickest[i]):  # shorter ones have not left their parent yet
@@ -172,7 +179,7 @@ def _grow_order(
                 diameters_mm = np.maximum(diameters_mm, _swollen(diameters_mm, along_mm, specimen))
             label = ".".join(str(child + 1) for child in (0, *bud.path))
             root = Root(points_mm=line_mm, diameters_mm=diameters_mm, order=bud.order, parent=bud.parent, label=label)
-        grown.append((root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
+        grown.append(_Grown(root, float(lengths_mm[i]), float(traits[i, 0]), float(traits[i, 1])))
     return grown
 
 
@@ -242,18 +249,11 @@ def _basal(bud: _Bud, taproot: Root, kind: int, specimen: GrownSpecimen) -> list
     return children
 
 
-def _laterals(
-    bud: _Bud,
-    root: Root,
-    index: int,
-    length_mm: float,
-    max_length_mm: float,
-    elongation_mm_per_day: float,
-    order: RootOrder,
-    following: RootOrder,
-    specimen: GrownSpecimen,
-) -> list[_Bud]:
+def _laterals(bud: _Bud, grown: _Grown, index: int, order: RootOrder, following: RootOrder, specimen: GrownSpecimen) -> list[_Bud]:
     """Place the laterals of a root whose zones behind the tip have been passed."""
+    root, length_mm, max_length_mm, elongation_mm_per_day = grown
+    if root is None:
+        return []
     rng = _generators(specimen.seed, bud.path)[2]
     azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
     at_mm = order.base_mm

@@ -98,6 +98,33 @@ def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any,
     return x, y
 
 
+def _parallel(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Return origin and direction of a telecentric camera's ray through a place beside the principal point."""
+    right, down, forward = sensor.rotation
+    origin = sensor.centre + right * (x_px * sensor.mm_per_px) + down * (y_px * sensor.mm_per_px)
+    if sensor.aperture_radius == 0.0:
+        return origin, mi.Vector3f(forward)
+    # a cone about the parallel chief ray, its tip in the plane in focus
+    on_lens = sensor.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
+    beside = right * on_lens.x + down * on_lens.y
+    return origin + beside, dr.normalize(forward * sensor.focus - beside)
+
+
+def _from_centre(sensor: Any, x_px: mi.Float, y_px: mi.Float, sample3: Any) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Return origin and direction of a ray through a lens, from a place beside the principal point."""
+    lens = sensor.lens
+    right, down, forward = sensor.rotation
+    x, y = x_px / lens["fx"], y_px / lens["fy"]
+    if sensor.distorted:
+        x, y = undistort(x, y, (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"]))
+    if sensor.aperture_radius == 0.0:
+        return mi.Point3f(sensor.centre), dr.normalize(right * x + down * y + forward)
+    on_lens = sensor.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
+    origin = sensor.centre + right * on_lens.x + down * on_lens.y
+    aimed = right * (x * sensor.focus - on_lens.x) + down * (y * sensor.focus - on_lens.y) + forward * sensor.focus
+    return origin, dr.normalize(aimed)
+
+
 @cache
 def _register_for(variant: str) -> None:
     class OpenCVSensor(mi.Sensor):
@@ -129,31 +156,11 @@ def _register_for(variant: str) -> None:
         def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> tuple[mi.Ray3f, mi.Spectrum]:
             del sample1, active
             width, height = self.film().size()
-            lens = self.lens
-            right, down, forward = self.rotation
+            beside = sample2.x * width - 0.5 - self.lens["cx"], sample2.y * height - 0.5 - self.lens["cy"]
             ray = dr.zeros(mi.Ray3f)
             ray.maxt = dr.largest(mi.Float)
             ray.time = time
-            if self.telecentric:
-                x = (sample2.x * width - 0.5 - lens["cx"]) * self.mm_per_px
-                y = (sample2.y * height - 0.5 - lens["cy"]) * self.mm_per_px
-                ray.o, ray.d = self.centre + right * x + down * y, mi.Vector3f(forward)
-                if self.aperture_radius > 0.0:  # a cone about the parallel chief ray, its tip in the plane in focus
-                    on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
-                    beside = right * on_lens.x + down * on_lens.y
-                    ray.o, ray.d = ray.o + beside, dr.normalize(forward * self.focus - beside)
-                return ray, mi.Spectrum(1.0)
-            x = (sample2.x * width - 0.5 - lens["cx"]) / lens["fx"]
-            y = (sample2.y * height - 0.5 - lens["cy"]) / lens["fy"]
-            if self.distorted:
-                x, y = undistort(x, y, (lens["k1"], lens["k2"], lens["p1"], lens["p2"], lens["k3"]))
-            if self.aperture_radius > 0.0:
-                on_lens = self.aperture_radius * mi.warp.square_to_uniform_disk_concentric(sample3)
-                ray.o = self.centre + right * on_lens.x + down * on_lens.y
-                ray.d = dr.normalize(right * (x * self.focus - on_lens.x) + down * (y * self.focus - on_lens.y) + forward * self.focus)
-            else:
-                ray.o = mi.Point3f(self.centre)
-                ray.d = dr.normalize(right * x + down * y + forward)
+            ray.o, ray.d = (_parallel if self.telecentric else _from_centre)(self, *beside, sample3)
             return ray, mi.Spectrum(1.0)
 
         def sample_ray_differential(

@@ -94,6 +94,12 @@ class CanisterPose:
     after_mm: float
 
 
+def _sigmas(covariance: Array, by_cameras: Array, errors: PoseErrors | None) -> Array:
+    """Return the standard deviations (N,) of what was found, those by the cameras' own errors included."""
+    shared = np.zeros((1, 1)) if errors is None else errors.shared
+    return np.asarray(np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T)))
+
+
 def find_canister(
     views: Sequence[View],
     images: Callable[[int], Grey],
@@ -123,8 +129,7 @@ def find_canister(
         None where the pictures do not show enough of the canister's edges (a backlight no wider than the canister, dark
         surroundings).
     """
-    px = [_edge_pixels(view, images(k), scene) for k, view in enumerate(views)]
-    edges = _Edges.through(px, views, Optics.of(scene))
+    edges = _Edges.through([_edge_pixels(view, images(k), scene) for k, view in enumerate(views)], views, Optics.of(scene))
     prior, scale = (part[: _OPEN if scene.tank is None else None] for part in (PRIOR, _SCALE))
     if len(edges.view) < LEAST_EDGES:
         return None
@@ -139,8 +144,7 @@ def find_canister(
     if near.sum() < LEAST_EDGES:
         return None
     covariance, by_cameras = _doubt(edges.only(near), fit.x, errors, settings)
-    shared = np.zeros((1, 1)) if errors is None else errors.shared
-    sigma = np.sqrt(np.diag(covariance + by_cameras @ shared @ by_cameras.T))
+    sigma = _sigmas(covariance, by_cameras, errors)
     straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
         canister_from_strip=frames.from_rotvec(np.array([fit.x[0], fit.x[1], 0.0]), np.array([fit.x[2], fit.x[3], 0.0])),

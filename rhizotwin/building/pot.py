@@ -34,6 +34,22 @@ def strip_seat_radius_mm(scene: Scene, measures: Measures) -> float:
     return scene.net_pot.outer_radius_mm - measures.paper_mm
 
 
+def _refuse_pot(scene: Scene, measures: Measures, *, skirt_mm: float, funnel_mm: float) -> None:
+    """Refuse a net pot whose walls would be too thin or too short."""
+    pot = scene.net_pot
+    if skirt_mm < LEAST_WALL_MM:
+        least_mm = scene.canister.outer_radius_mm + measures.fit_mm + measures.paper_mm + LEAST_WALL_MM
+        raise UserError(
+            f"the net pot's skirt would be {max(skirt_mm, 0.0):.2f} mm thick, but needs {LEAST_WALL_MM:g}: "
+            f"net_pot.outer_radius_mm must be at least {least_mm:.2f} with this canister and these measures"
+        )
+    if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel_mm + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
+        raise UserError(
+            f"the net pot cannot be printed: net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, top_mm above {funnel_mm + NOTCH_MM:.1f}, "
+            "and skirt_bottom_mm below 0"
+        )
+
+
 def net_pot(scene: Scene, measures: Measures) -> Part:
     """Return the net pot without its grid.
 
@@ -46,17 +62,8 @@ def net_pot(scene: Scene, measures: Measures) -> Part:
     seat = strip_seat_radius_mm(scene, measures)
     over, into = can.outer_radius_mm + fit, can.inner_radius_mm - fit
     inside = into - measures.wall_mm
-    if seat - over < LEAST_WALL_MM:
-        raise UserError(
-            f"the net pot's skirt would be {max(seat - over, 0.0):.2f} mm thick, but needs {LEAST_WALL_MM:g}: "
-            f"net_pot.outer_radius_mm must be at least {over + measures.paper_mm + LEAST_WALL_MM:.2f} with this canister and these measures"
-        )
     funnel = over - inside
-    if pot.grid_z_mm > -SEAT_MM or pot.top_mm < funnel + NOTCH_MM or pot.skirt_bottom_mm >= 0.0:
-        raise UserError(
-            f"the net pot cannot be printed: net_pot.grid_z_mm must be {-SEAT_MM:g} or lower, top_mm above {funnel + NOTCH_MM:.1f}, and "
-            "skirt_bottom_mm below 0"
-        )
+    _refuse_pot(scene, measures, skirt_mm=seat - over, funnel_mm=funnel)
     # a circle's corners lie outside it, so that the strip's seat has the circumference of the paper
     corner = seat * np.pi / SIDES / np.sin(np.pi / SIDES)
     body = turned(

@@ -83,10 +83,7 @@ def write_parts(
         and for a folder that is not empty.
     """
     parts = parts_of(scene, rig=rig, measures=measures, board=board)
-    unknown = [name for name in names if name not in {part.name for part in parts}]
-    if unknown:
-        raise UserError(f"no part of this rig is called {unknown[0]!r}; there are {', '.join(part.name for part in parts)}")
-    wanted = [part for part in parts if part.name in names or not names]
+    wanted = _wanted(parts, names)
     for part in wanted:
         check_bed(part, bed_mm)
     bought = bought_of(scene, rig=rig, measures=measures)
@@ -101,6 +98,14 @@ def write_parts(
         if not names:
             _write_whole(inside, parts, bought, title=scene.name)
     return wanted
+
+
+def _wanted(parts: Sequence[Part], names: Sequence[str]) -> list[Part]:
+    """Return the parts of some names, all where none is given."""
+    unknown = [name for name in names if name not in {part.name for part in parts}]
+    if unknown:
+        raise UserError(f"no part of this rig is called {unknown[0]!r}; there are {', '.join(part.name for part in parts)}")
+    return [part for part in parts if part.name in names or not names]
 
 
 def _write_whole(folder: Path, parts: Sequence[Part], bought: Sequence[Bought], *, title: str) -> None:

@@ -1,7 +1,10 @@
 """Reconstruct many scans, here or on a cluster."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from rhizotwin.arguments import Device, SceneChanges, SceneName, Seed, VoxelMm, between, list_of, named, option, output, read_day, whole
 from rhizotwin.scenes.errors import UserError
@@ -22,6 +25,19 @@ def read_treatment(text: str) -> tuple[str, float]:
     return name.strip(), between(growth, (0.1, 10.0), "times the scene's growth", "times")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Workforce:
+    """Who does the work."""
+
+    workers: Workers | None = None
+    """Most scans at once; default: one a processor, as many as memory allows."""
+    cluster: Cluster | None = None
+    """A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders."""
+    device: Device = "auto"
+    """What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one)."""
+
+
 def batch(
     scans: Annotated[list[str], named("SCANS")],
     /,
@@ -29,9 +45,7 @@ def batch(
     output: Outputs,
     voxel_mm: VoxelMm | None = None,
     settings: Annotated[Path | None, named("FILE")] = None,
-    workers: Workers | None = None,
-    cluster: Cluster | None = None,
-    device: Device = "auto",
+    work: Workforce = Workforce(),
 ) -> None:
     """Reconstruct many scans, here or on a cluster.
 
@@ -49,12 +63,8 @@ def batch(
         Edge of the smallest voxels, as of 'reconstruct'.
     settings : Path, optional
         TOML file of what may be set, as of 'reconstruct'.
-    workers : int, optional
-        Most scans at once; default: one a processor, as many as memory allows.
-    cluster : str, optional
-        A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders.
-    device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    work : Workforce
+        Who does the work.
 
     Examples
     --------
@@ -66,8 +76,8 @@ def batch(
     from rhizotwin.batch import collect, places
     from rhizotwin.batch.run import run
 
-    jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=device)
-    made = run(jobs, output, cluster=cluster, workers=workers)
+    jobs = collect.reconstructions(scans, output, voxel_mm=voxel_mm, settings=settings, device=work.device)
+    made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     if not places.is_address(output):
         from rhizotwin.batch import overview
 
@@ -86,9 +96,7 @@ def simulate(
     days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
     treatments: Annotated[tuple[tuple[str, float], ...] | None, option(list_of(read_treatment), "NAME:GROWTH,...")] = None,
     seed: Seed = 0,
-    workers: Workers | None = None,
-    cluster: Cluster | None = None,
-    device: Device = "auto",
+    work: Workforce = Workforce(),
 ) -> None:
     """Render many scenes: plants, days, treatments, profiles and seeds.
 
@@ -112,12 +120,8 @@ def simulate(
         Names, each with the factor of growth, such as control:1,low N:0.85.
     seed : int
         Of every error and noise that is drawn.
-    workers : int, optional
-        Most renderings at once; default: one a processor, as many as memory allows.
-    cluster : str, optional
-        A Dask scheduler's address (tcp://host:8786), or slurm; workers need this program and the same folders.
-    device : str
-        What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
+    work : Workforce
+        Who does the work.
 
     Examples
     --------
@@ -133,8 +137,8 @@ def simulate(
     varied = {name: scene for one in loaded for name, scene in vary(one, plants=plants, days=days, treatments=treatments).items()}
     if len(varied) < len(loaded):
         raise UserError("two scenes have one name; give each a name of its own in its file")
-    jobs = collect.renderings(varied, output, profile=changes.profile or "scene", seed=seed, device=device)
-    made = run(jobs, output, cluster=cluster, workers=workers)
+    jobs = collect.renderings(varied, output, profile=changes.profile or "scene", seed=seed, device=work.device)
+    made = run(jobs, output, cluster=work.cluster, workers=work.workers)
     _tell(made, "rendered")
 
 

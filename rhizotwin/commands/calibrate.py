@@ -10,9 +10,11 @@ rhizotwin calibrate camera my_board_pictures --board board.toml -o my_lens
 rhizotwin calibrate simulate printed_8ml -o my_board_pictures --profile bench
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
 
 from rhizotwin import steps
 from rhizotwin.arguments import Device, ImageWh, OutputFile, OutputFolder, Profile, Progress, SceneName, Seed, named, option, output, whole
@@ -23,6 +25,9 @@ from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Scene
 
+if TYPE_CHECKING:
+    from rhizotwin.rig.lens.calibration import Calibration
+
 PICTURES_LIMITS = (3, 1000)
 OutputPictures: TypeAlias = Annotated[Path, output("PICTURES")]
 
@@ -31,6 +36,21 @@ def read_pictures(text: str) -> int:
     """Read a number of pictures."""
     low, high = PICTURES_LIMITS
     return whole(text, low, high, f"give {low} to {high}")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class BoardPictures:
+    """How the pictures are taken."""
+
+    profile: Profile | None = None
+    """Distortion, blur and noise of the camera, or a file; default: the scene's own."""
+    pictures: Annotated[int, option(read_pictures, "N")] = 20
+    """How many."""
+    image_wh: ImageWh | None = None
+    """Picture size in pixels, such as 800x600; default: the scene's."""
+    seed: Seed = 0
+    """Of poses and noise: 0, 1, 2, ..."""
 
 
 def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: BoardOptions = BoardOptions()) -> None:
@@ -108,18 +128,15 @@ def camera(
     """
     from rhizotwin.picture_files import list_pictures
     from rhizotwin.rig.lens.calibration import calibrate as fit
-    from rhizotwin.rig.lens.calibration import model_text, write_calibration
+    from rhizotwin.rig.lens.calibration import write_calibration
     from rhizotwin.rig.lens.calibration_report import write_report
     from rhizotwin.scenes.folders import new_folder
 
     paths = list_pictures(pictures)
     given = None if scene is None else files.load_scene(scene)
-    beside = pictures / "board.toml"
-    if board is None and not drawn.given() and beside.is_file():
-        print(f"the board is as {beside} says")
-        board = beside
+    shown = drawn.board_of(board or _board_beside(pictures, drawn))
     with progress.bar(boards=1.0) as bar:
-        made = fit(paths, drawn.board_of(board), monitor=bar)
+        made = fit(paths, shown, monitor=bar)
     calibrated = None if given is None else _with_camera(given, made.camera)
     with new_folder(output) as building:
         written = [*write_calibration(made, building), write_report(made, building)]
@@ -127,18 +144,34 @@ def camera(
             files.save_scene(calibrated, building / "scene.toml")
             written.append(building / "scene.toml")
         names = [path.name for path in written]
+    _tell(made, of=len(paths))
+    for name in names:
+        print(f"  {output / name}")
+
+
+def _board_beside(pictures: Path, drawn: BoardOptions) -> Path | None:
+    """Return the board's file among the pictures, where no board is given."""
+    beside = pictures / "board.toml"
+    if drawn.given() or not beside.is_file():
+        return None
+    print(f"the board is as {beside} says")
+    return beside
+
+
+def _tell(made: "Calibration", *, of: int) -> None:
+    """Print the lens that so many pictures told."""
     for name, reason in made.rejected.items():
         print(f"left out {name}: {reason}")
     for warning in made.warnings:
         print(f"warning: {warning}")
+    from rhizotwin.rig.lens.calibration import model_text
+
     lens, found = made.camera, made.fit
     std_x, std_y = found.principal_std_px
     print(f"focal length {lens.focal_px[0]:.2f}, {lens.focal_px[1]:.2f} px (standard deviation {found.focal_std_px[0]:.2f} px)")
     print(f"principal point {lens.principal_px[0]:.2f}, {lens.principal_px[1]:.2f} px (standard deviations {std_x:.2f}, {std_y:.2f} px)")
     print(f"fitted: {model_text(found)}")
-    print(f"residual {found.rms_px:.3f} px rms of {found.corners} corners in {len(found.views)} of {len(paths)} pictures")
-    for name in names:
-        print(f"  {output / name}")
+    print(f"residual {found.rms_px:.3f} px rms of {found.corners} corners in {len(found.views)} of {of} pictures")
 
 
 def transfer(
@@ -185,10 +218,7 @@ def simulate(
     /,
     *,
     output: OutputPictures,
-    profile: Profile | None = None,
-    pictures: Annotated[int, option(read_pictures, "N")] = 20,
-    image_wh: ImageWh | None = None,
-    seed: Seed = 0,
+    taken: BoardPictures = BoardPictures(),
     drawn: BoardOptions = BoardOptions(),
     device: Device = "auto",
     progress: Progress = Progress(),
@@ -204,14 +234,8 @@ def simulate(
         A name from 'rhizotwin scenes', or a scene file (TOML).
     output : Path
         Folder to write to: new or empty.
-    profile : str, optional
-        Distortion, blur and noise of the camera, or a file; default: the scene's own.
-    pictures : int
-        How many.
-    image_wh : tuple of int, optional
-        Picture size in pixels, such as 800x600; default: the scene's.
-    seed : int
-        Of poses and noise: 0, 1, 2, ...
+    taken : BoardPictures
+        How the pictures are taken.
     drawn : BoardOptions
         The board.
     device : str
@@ -224,14 +248,14 @@ def simulate(
     rhizotwin calibrate simulate printed_8ml -o my_board_pictures --profile bench
     rhizotwin calibrate camera my_board_pictures -o my_lens
     """
-    changed = change_scene(files.load_scene(scene), image_wh=image_wh, profile=profile)
+    changed = change_scene(files.load_scene(scene), image_wh=taken.image_wh, profile=taken.profile)
     made = drawn.board()
     steps.start_engine(device, quiet=progress.quiet)
     from rhizotwin.sim.board import simulate_board
 
     with progress.bar(render=1.0) as bar:
-        simulate_board(changed, made, output, pictures=pictures, seed=seed, monitor=bar)
-    print(f"{pictures} pictures of the board in {output}, the true lens in {output / 'truth' / 'camera.json'}")
+        simulate_board(changed, made, output, pictures=taken.pictures, seed=taken.seed, monitor=bar)
+    print(f"{taken.pictures} pictures of the board in {output}, the true lens in {output / 'truth' / 'camera.json'}")
     print(f"next: rhizotwin calibrate camera {output} -o my_lens")
 
 

@@ -29,15 +29,14 @@ def parts(
 ) -> None:
     """Write the parts of a scene's rig for a 3D printer.
 
-    Net pot with grid, canister ring, turntable with ring gear and pinion, feet, camera bracket, arm mount, clips and
-    holders of the panel, and the calibration board's stand, all from the scene's own numbers, so that they fit its
-    canister and strip.
+    Net pot, canister ring, turntable with its gears, feet, camera bracket, arm mount, clips and holders of the panel,
+    the calibration board's stand: all from the scene's own numbers, so that they fit its canister and strip.
 
       NAME.stl                       watertight, mm, as it lies on the printer's bed
       drawings/NAME.svg              three views with dimensions; also rig.svg, exploded.svg and wiring_*.svg
       parameters.csv, .json          every number, and where it comes from
 
-    Nothing has been printed from these files yet: print the net pot and the canister ring first, and try them.
+    Nothing has been printed yet: print the net pot and the canister ring first, and try them.
 
     Parameters
     ----------
@@ -67,15 +66,9 @@ def parts(
     from rhizotwin.scenes.board import CharucoBoard
     from rhizotwin.scenes.files import load_scene
 
-    made = write_parts(
-        load_scene(scene),
-        output,
-        rig=thesis_rig() if rig is None else load_rig(rig),
-        measures=Measures() if measures is None else load_measures(measures),
-        board=CharucoBoard(),
-        bed_mm=bed_mm,
-        names=part,
-    )
+    stands = thesis_rig() if rig is None else load_rig(rig)
+    bought = Measures() if measures is None else load_measures(measures)
+    made = write_parts(load_scene(scene), output, rig=stands, measures=bought, board=CharucoBoard(), bed_mm=bed_mm, names=part)
     for one in made:
         wide, deep, high = one.size_mm
         print(f"{one.name:<16} {wide:6.1f} x {deep:6.1f} x {high:5.1f} mm   {one.about}")

@@ -1,7 +1,7 @@
 """`rhizotwin plan`."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -23,6 +23,10 @@ from rhizotwin.arguments import (
 )
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
+from rhizotwin.scenes.model import Scene
+
+if TYPE_CHECKING:
+    from rhizotwin import plans
 
 HEIGHT_LIMITS_MM = (-2000.0, 2000.0)
 TILT_LIMITS_DEG = (-89.0, 89.0)
@@ -103,24 +107,35 @@ def plan(
     how many pixels, for a rig of your own with three draws of its errors:
       rhizotwin plan my_scene.toml -o my_plan --views 40 --image-wh 800x600,1600x1200 --profile bench --seeds 3
     """
-    from rhizotwin import planning, plans
+    from rhizotwin import planning
 
     changed = change_scene(files.load_scene(scene), profile=profile)
-    first_mm = changed.plan.rings[0].height_mm
-    own = plans.Height(first_mm)
-    asked = [tuple(plans.Height(mm, tilt_deg) for mm, tilt_deg in rings) for rings in grid.heights]
-    variants = [
-        plans.Variant(heights=rings, views=count, image_wh=size)
-        for size in grid.image_wh or (changed.camera.image_wh,)
-        for rings in dict.fromkeys(asked or [(own,), (own, plans.Height(first_mm + planning.SECOND_RING_MM))])
-        for count in grid.views
-    ]
+    variants = _variants(grid, changed)
     steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(**planning.shares(variants, seeds)) as bar:
         rows = planning.run_plans(changed, variants, output, profile_name=profile, seeds=seeds, say=bar.say, monitor=bar)
-    chosen = planning.best(rows, within=within / 100.0)
+    _tell(planning.best(rows, within=within / 100.0), within)
+    print(f"picture: {output / 'plan.png'}; numbers: {output / 'plan.csv'}")
+
+
+def _tell(chosen: "plans.Row | None", within: float) -> None:
+    """Print the cheapest plan that stays within so many per cent."""
     if chosen is None:
         print(f"no plan stays within {within:g} % of the volume; try more views, pixels or rings")
     else:
         print(f"cheapest plan within {within:g} %: {chosen.variant.name}, {chosen.pictures} pictures")
-    print(f"picture: {output / 'plan.png'}; numbers: {output / 'plan.csv'}")
+
+
+def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
+    """Return every combination of what is varied."""
+    from rhizotwin import planning, plans
+
+    first_mm = scene.plan.rings[0].height_mm
+    own = plans.Height(first_mm)
+    asked = [tuple(plans.Height(mm, tilt_deg) for mm, tilt_deg in rings) for rings in grid.heights]
+    return [
+        plans.Variant(heights=rings, views=count, image_wh=size)
+        for size in grid.image_wh or (scene.camera.image_wh,)
+        for rings in dict.fromkeys(asked or [(own,), (own, plans.Height(first_mm + planning.SECOND_RING_MM))])
+        for count in grid.views
+    ]

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -63,13 +63,26 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     steps.start_engine(device, quiet=progress.quiet)
-    from rhizotwin.recon.results import calibrated
-    from rhizotwin.report import words
-
     written = steps.reconstruct_whole(
         dataset, output, voxel_mm=voxel_mm, settings=study.settings, mass_g=mass_g, keep_stages=study.keep_stages, progress=progress
     )
-    summary = json.loads((output / "result.json").read_text(encoding="utf-8"))
+    _tell(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
+    if progress.quiet:
+        return
+    if progress.verbose:
+        for path in written:
+            print(f"  {path}")
+    print(f"look at it: {output / 'report.html'}")
+    print(f"next: rhizotwin view {output}")
+    if (dataset / "truth").is_dir():
+        print(f"or:   rhizotwin score {output} {dataset}")
+
+
+def _tell(summary: dict[str, Any], progress: Progress) -> None:
+    """Print what was found."""
+    from rhizotwin.recon.results import calibrated
+    from rhizotwin.report import words
+
     for warning in summary["warnings"]:
         print(f"warning: {warning}")
     if progress.verbose:
@@ -88,10 +101,3 @@ def reconstruct(
     if summary["volume_trusted"]:
         for sentence in words.budget(summary)[:1]:
             print(sentence)
-    if progress.verbose:
-        for path in written:
-            print(f"  {path}")
-    print(f"look at it: {output / 'report.html'}")
-    print(f"next: rhizotwin view {output}")
-    if (dataset / "truth").is_dir():
-        print(f"or:   rhizotwin score {output} {dataset}")

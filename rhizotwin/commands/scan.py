@@ -5,7 +5,7 @@ import json
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -17,6 +17,7 @@ from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:
     from rhizotwin.rig.scanning.onlooker import Onlooker
+    from rhizotwin.scenes.dataset import Dataset
 
 ANGLE_LIMITS_DEG = (-360.0, 360.0)
 SHOTS_FILE = "truth/shots.jsonl"
@@ -98,49 +99,66 @@ def scan(
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml -o my_scan --resume
     rhizotwin scan --rig my_rig.toml --scene my_scene.toml --plan two_rings.toml -o my_scan --record my_scan.jsonl
     """
-    from rhizotwin.rig.scanning.scan import scan as take
-
-    emulated = rig == rigs.TWIN
-    if not emulated and scene is None:
+    emulated = twin if rig == rigs.TWIN else None
+    if emulated is None and scene is None:
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
     bench = rigs.open_bench(rig, scene, errors=twin, plan=course.plan)
     told = subject.told(bench.scene)
-    settings: dict[str, Any] = {"twin": None}
-    if emulated:
-        settings = {"twin": {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": _hash(bench.twin.scene)}}
+    made = _take(bench, told, output, course=course, twin=emulated, watching=watching, progress=progress)
+    print(f"{len(made.frames)} pictures in {output / 'images'}")
+    if emulated is None or emulated.fidelity == "render":
+        print(f"next: rhizotwin reconstruct {output} -o my_result")
+
+
+def _take(
+    bench: rigs.Bench,
+    scene: Scene,
+    output: Path,
+    *,
+    course: Course,
+    twin: rigs.TwinPictures | None,
+    watching: Watching,
+    progress: Progress,
+) -> "Dataset":
+    """Take the pictures, and write their truth where the twin renders them."""
+    from rhizotwin.rig.scanning.audience import Audience
+    from rhizotwin.rig.scanning.scan import scan as take
+
     # what the twin's pictures show, for the truth: a scan that is killed and taken up needs it of the pictures before,
     # too
-    rendered = emulated and twin.fidelity == "render"
+    rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
         onlooker = _onlooker(bench.scene, watching, stack)
         devices = bench.open_devices(rigs.recorder(course.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
             devices,
-            told,
+            scene,
             output,
             resume=course.resume,
-            settings=settings,
-            seed=twin.seed if emulated else None,
+            settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
+            seed=None if twin is None else twin.seed,
             table_angle_deg=course.table_angle_deg,
-            ask=rigs.asker(),
-            say=bar.say,
-            onlooker=onlooker,
-            monitor=bar,
-            begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
+            audience=Audience(
+                ask=rigs.asker(),
+                say=bar.say,
+                onlooker=onlooker,
+                monitor=bar,
+                begun=(lambda: bench.twin.record.keep_in(output / SHOTS_FILE)) if rendered else (lambda: None),
+            ),
         )
     if rendered:
         bench.twin.write_truth(output, made.frames)
         bench.twin.record.end()
-    print(f"{len(made.frames)} pictures in {output / 'images'}")
-    if not emulated or rendered:
-        print(f"next: rhizotwin reconstruct {output} -o my_result")
+    return made
 
 
-def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker | None":
-    """Serve the live page, where it is asked for."""
+def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker":
+    """Return who looks on: the live page, where it is asked for."""
     if not watching.watch:
-        return None
+        from rhizotwin.rig.scanning.onlooker import Onlooker
+
+        return Onlooker()
     from rhizotwin.viewer import live_page
     from rhizotwin.viewer.live import Live
 
@@ -152,5 +170,7 @@ def _onlooker(scene: Scene, watching: Watching, stack: ExitStack) -> "Onlooker |
     return live
 
 
-def _hash(scene: Scene) -> str:
-    return hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
+def _pictures(twin: rigs.TwinPictures, scene: Scene) -> dict[str, str]:
+    """Return what the twin's pictures are made of."""
+    digest = hashlib.sha256(json.dumps(to_plain(scene), sort_keys=True).encode()).hexdigest()
+    return {"profile": twin.profile, "fidelity": twin.fidelity, "scene_sha256": digest}

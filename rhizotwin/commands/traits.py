@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rhizotwin.arguments import list_of, named, option, output, read_mass_g
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.said import between_ml
+
+if TYPE_CHECKING:
+    from rhizotwin.scenes.traits import Traits
 
 
 def traits(
@@ -46,7 +49,7 @@ def traits(
     if table is not None and table.exists():
         raise UserError(f"{table} exists already; choose another name")
     from rhizotwin.recon.results import result_files, result_traits
-    from rhizotwin.scenes import atomic, subject, trait_table
+    from rhizotwin.scenes import atomic
 
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
@@ -54,15 +57,7 @@ def traits(
     found = [result_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
     if table is None:
         for folder, summary, one in zip(results, summaries, found, strict=True):
-            whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
-            print(f"{folder} ({whose}), volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence")
-            print("\n".join(f"  {line}" for line in trait_table.lines(one)))
-            plants = result_traits.each(str(folder), summary, one)
-            for who, own, interval in plants if len(plants) > 1 else ():
-                print(f"{folder} ({who}), volume {between_ml(*interval)} with 90 % confidence")
-                print("\n".join(f"  {line}" for line in trait_table.lines(own)))
-            if one.total_length_mm is None:
-                print("  no roots were found as centre lines: what needs them is a dash")
+            _print(folder, summary, one)
         return
     if table.suffix.lower() == ".csv":
         rows = [(_name(folder), summary, one) for folder, summary, one in zip(results, summaries, found, strict=True)]
@@ -74,6 +69,22 @@ def traits(
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
     print(f"wrote the traits of {len(found)} result{'s' if len(found) > 1 else ''} to {table}")
+
+
+def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
+    """Print a result's traits, and those of its plants where there are several."""
+    from rhizotwin.recon.results import result_traits
+    from rhizotwin.scenes import subject, trait_table
+
+    whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
+    print(f"{folder} ({whose}), volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence")
+    print("\n".join(f"  {line}" for line in trait_table.lines(one)))
+    plants = result_traits.each(str(folder), summary, one)
+    for who, own, interval in plants if len(plants) > 1 else ():
+        print(f"{folder} ({who}), volume {between_ml(*interval)} with 90 % confidence")
+        print("\n".join(f"  {line}" for line in trait_table.lines(own)))
+    if one.total_length_mm is None:
+        print("  no roots were found as centre lines: what needs them is a dash")
 
 
 def _name(folder: Path) -> str:

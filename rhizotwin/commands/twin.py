@@ -63,22 +63,21 @@ def twin(
     rhizotwin twin --scene sphere_20mm --profile bench --seed 3 -o my_twin_rig.toml
     rhizotwin rig check my_twin_rig.toml
     """
+    from rhizotwin.rig.twin.faults import parse_fault
     from rhizotwin.rig.twin.server import run_twin
+    from rhizotwin.rig.twin.twin import Twin, default_rig
 
     emulated = replace(files.load_scene(scene), disturbances=files.load_profile(ports.profile))
     if rig_file is not None and rig_file.exists():
         raise UserError(f"{rig_file} exists already; choose another name for the rig file")
     if ports.fidelity == "render":
         steps.start_engine(ports.device)
-    run_twin(
+    made = Twin(
         emulated,
         seed=ports.seed,
         profile_name=ports.profile,
+        faults=[parse_fault(text) for text in ports.fault],
         pictures=ports.fidelity,
-        protocol=ports.protocol,
-        speed=ports.speed,
-        write_rig=rig_file,
-        say=print,
-        faults=ports.fault,
-        camera_port=ports.camera_port or 0,
+        rig=default_rig(ports.protocol),
     )
+    run_twin(made, speed=ports.speed, write_rig=rig_file, say=print, camera_port=ports.camera_port or 0)

@@ -121,28 +121,9 @@ def _correct(viewer: Viewer) -> None:
     mode = gui.add_dropdown("A click means", CLICKS)
     chosen = gui.add_html("")
     root = gui.add_html("", visible=False)
-    buttons = [
-        ("Delete", viewer.delete, "take away what is chosen", "red"),
-        ("Delete with laterals", lambda: viewer.delete(laterals=True), "take the chosen roots away with all that hangs on them", "red"),
-        ("Bring the last one back", viewer.restore, "bring the root back that was taken away last", None),
-        ("Join two", lambda: viewer.pair("join"), "let the first chosen root go on in the second", None),
-        ("Hang on the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
-        ("Fit again", viewer.fit_again, "fit centre lines and diameters to the pictures again", None),
-        ("Choose nothing", viewer.choose_nothing, "", None),
-    ]
     undo = gui.add_button_group("History", ("Undo", "Redo", "Save"))
-    for label, act, hint, colour in buttons:
-        button = gui.add_button(label, hint=hint or None, color=colour)  # type: ignore[arg-type]
-
-        def press(_: object, act: object = act) -> None:
-            act()  # type: ignore[operator]
-
-        button.on_click(press)
-    with gui.add_folder("A box", expand_by_default=False):
-        low = gui.add_vector3("From (mm)", initial_value=(-10.0, -10.0, -60.0), step=0.1)
-        high = gui.add_vector3("To (mm)", initial_value=(10.0, 10.0, -50.0), step=0.1)
-        choose = gui.add_button("Choose its voxels")
-        clear = gui.add_button("Delete what lies in it", color="red")
+    _edit_buttons(viewer)
+    _box(viewer)
     log = gui.add_html("")
 
     @mode.on_update
@@ -152,14 +133,6 @@ def _correct(viewer: Viewer) -> None:
     @undo.on_click
     def _(_: object) -> None:
         {"Undo": viewer.undo, "Redo": viewer.redo, "Save": viewer.save}[str(undo.value)]()
-
-    @choose.on_click
-    def _(_: object) -> None:
-        viewer.choose_box(low.value, high.value)
-
-    @clear.on_click
-    def _(_: object) -> None:
-        viewer.do("delete box", box_mm=(tuple(low.value), tuple(high.value)))
 
     gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: viewer.undo())
     gui.add_command("Redo", hotkey="Y", modifier="cmd/ctrl").on_trigger(lambda _: viewer.redo())
@@ -186,6 +159,45 @@ def _correct(viewer: Viewer) -> None:
         log.content = words.note(done if count else "No edits yet.")
 
     viewer.on_change.append(follow)
+
+
+def _edit_buttons(viewer: Viewer) -> None:
+    """Make a button for each edit of what is chosen."""
+    gui = viewer.served.server.gui
+    buttons = [
+        ("Delete", viewer.delete, "take away what is chosen", "red"),
+        ("Delete with laterals", lambda: viewer.delete(laterals=True), "take the chosen roots away with all that hangs on them", "red"),
+        ("Bring the last one back", viewer.restore, "bring the root back that was taken away last", None),
+        ("Join two", lambda: viewer.pair("join"), "let the first chosen root go on in the second", None),
+        ("Hang on the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
+        ("Fit again", viewer.fit_again, "fit centre lines and diameters to the pictures again", None),
+        ("Choose nothing", viewer.choose_nothing, "", None),
+    ]
+    for label, act, hint, colour in buttons:
+        button = gui.add_button(label, hint=hint or None, color=colour)  # type: ignore[arg-type]
+
+        def press(_: object, act: object = act) -> None:
+            act()  # type: ignore[operator]
+
+        button.on_click(press)
+
+
+def _box(viewer: Viewer) -> None:
+    """Make what chooses or deletes all in a box."""
+    gui = viewer.served.server.gui
+    with gui.add_folder("A box", expand_by_default=False):
+        low = gui.add_vector3("From (mm)", initial_value=(-10.0, -10.0, -60.0), step=0.1)
+        high = gui.add_vector3("To (mm)", initial_value=(10.0, 10.0, -50.0), step=0.1)
+        choose = gui.add_button("Choose its voxels")
+        clear = gui.add_button("Delete what lies in it", color="red")
+
+    @choose.on_click
+    def _(_: object) -> None:
+        viewer.choose_box(low.value, high.value)
+
+    @clear.on_click
+    def _(_: object) -> None:
+        viewer.do("delete box", box_mm=(tuple(low.value), tuple(high.value)))
 
 
 def _pictures(viewer: Viewer) -> None:

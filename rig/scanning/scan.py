@@ -11,18 +11,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, Shot
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
 from rhizotwin.rig.scanning.arm_stand import ArmStand
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.eye import Eye
-from rhizotwin.rig.scanning.homing import Ask
-from rhizotwin.rig.scanning.onlooker import Onlooker
 from rhizotwin.rig.scanning.resting import choose
-from rhizotwin.rig.scanning.safety import Say, make_safe
+from rhizotwin.rig.scanning.safety import make_safe
 from rhizotwin.rig.scanning.session import Session, file_of, take_up
 from rhizotwin.rig.scanning.stand import Stand, Tripod
 from rhizotwin.rig.scanning.turning import BoardFaultError, Taken, Turning
@@ -32,7 +29,6 @@ from rhizotwin.scenes.dataset import Dataset, Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import held
 from rhizotwin.scenes.model import Scene
-from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.plan import View
 
@@ -53,11 +49,7 @@ def scan(
     settings: Mapping[str, Any] | None = None,
     seed: int | None = None,
     table_angle_deg: float | None = None,
-    ask: Ask | None = None,
-    say: Say = tqdm.write,
-    onlooker: Onlooker | None = None,
-    monitor: Monitor | None = None,
-    begun: Callable[[], object] = lambda: None,
+    audience: Audience | None = None,
 ) -> Dataset:
     """Take every view of a scene's plan that the folder does not have yet.
 
@@ -78,16 +70,8 @@ def scan(
         Of the twin's errors.
     table_angle_deg : float or None
         The table's present angle as a person says, for a strip that cannot be read at the start.
-    ask : Ask or None
-        Puts a question to a person; None when nobody is there.
-    say : Say
-        Takes lines for people.
-    onlooker : Onlooker or None
-        Hears what every picture shows, and may hold the scan.
-    monitor : Monitor or None
-        Hears how far the scan is.
-    begun : callable
-        Called once it is known that the folder can be used, before anything moves.
+    audience : Audience or None
+        Who hears of it, and can be asked.
 
     Returns
     -------
@@ -101,24 +85,14 @@ def scan(
     UserError
         For a folder, plan or scene that does not fit, or a full disk.
     """
-    folder = Path(folder)
+    folder, audience = Path(folder), audience or Audience()
     planned = plan.views(scene)
     _refuse_plan(scene, planned)
     with held(folder):
         session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
         try:
-            begun()
-            run = _Scan(
-                devices,
-                scene,
-                session,
-                table_angle_deg=table_angle_deg,
-                ask=ask,
-                say=say,
-                onlooker=onlooker or Onlooker(),
-                monitor=monitor or Monitor(),
-            )
-            return run.run(planned)
+            audience.begun()
+            return _Scan(devices, scene, session, audience, table_angle_deg=table_angle_deg).run(planned)
         finally:
             session.close()
 
@@ -126,29 +100,18 @@ def scan(
 class _Scan:
     """One run of a scan."""
 
-    def __init__(
-        self,
-        devices: Devices,
-        scene: Scene,
-        session: Session,
-        *,
-        table_angle_deg: float | None,
-        ask: Ask | None,
-        say: Say,
-        onlooker: Onlooker,
-        monitor: Monitor,
-    ) -> None:
+    def __init__(self, devices: Devices, scene: Scene, session: Session, audience: Audience, *, table_angle_deg: float | None) -> None:
         self._devices = devices
         self._scene = scene
         self._session = session
-        self._to_person = say
-        self._onlooker = onlooker
-        self._monitor = monitor
+        self._to_person = audience.say
+        self._onlooker = audience.onlooker
+        self._monitor = audience.monitor
         self._begun_s = devices.clock.now_s()
         self._eye = Eye(devices.camera, devices.clock, scene, note=self._note)
-        self._turning = Turning(devices, scene, self._eye, ask=ask, given_deg=table_angle_deg, note=self._note)
-        self._watch = Watch(self._turning, scene, onlooker)
-        self._stand: Stand = Tripod(scene, self._eye, ask=ask, note=self._note)
+        self._turning = Turning(devices, scene, self._eye, ask=audience.ask, given_deg=table_angle_deg, note=self._note)
+        self._watch = Watch(self._turning, scene, audience.onlooker)
+        self._stand: Stand = Tripod(scene, self._eye, ask=audience.ask, note=self._note)
         if devices.arm is not None and devices.rig.arm is not None:
             self._stand = ArmStand(devices, devices.arm, devices.rig.arm, scene, self._eye, note=self._note)
         self._board_used = self._arm_used = self._homed = False

@@ -7,7 +7,7 @@ import os
 import select
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,11 @@ from rhizotwin.rig.devices import Camera
 from rhizotwin.rig.rig_file import CameraPart, RigFile
 from rhizotwin.rig.twin.faults import MENU, Fault, parse_fault
 from rhizotwin.rig.twin.pty_ports import PtyPorts
-from rhizotwin.rig.twin.twin import ArmProtocol, PictureKind, Twin
+from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import toml_text
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import save_scene
-from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.schema import to_plain
 
@@ -112,26 +111,13 @@ def rig_text(rig: RigFile) -> str:
     return toml_text.dumps(_without_none(to_plain(rig)))
 
 
-def run_twin(
-    scene: Scene,
-    *,
-    seed: int,
-    profile_name: str,
-    pictures: PictureKind,
-    protocol: ArmProtocol,
-    speed: float,
-    write_rig: Path | None,
-    say: Say,
-    faults: Iterable[str] = (),
-    camera_port: int = 0,
-    commands: int | None = None,
-) -> None:
+def run_twin(twin: Twin, *, speed: float, write_rig: Path | None, say: Say, camera_port: int = 0, commands: int | None = None) -> None:
     """Run a twin until Ctrl-C (an exception) or the command quit.
 
     Parameters
     ----------
-    scene, seed, profile_name, pictures, protocol : Scene, int, str, PictureKind, ArmProtocol
-        As for `rig.twin.twin.Twin`.
+    twin : Twin
+        Nothing else may use it meanwhile.
     speed : float
         How much faster than real its time passes.
     write_rig : path or None
@@ -139,8 +125,6 @@ def run_twin(
         written.
     say : Say
         Gets lines for people.
-    faults : iterable of str
-        As on the console, see `rig.twin.faults.parse_fault`.
     camera_port : int
         Of the camera's HTTP server on this computer; 0 takes a free one.
     commands : int or None
@@ -149,12 +133,10 @@ def run_twin(
     Raises
     ------
     UserError
-        When a fault cannot be understood, a file cannot be written, or the scene cannot be used.
+        When a file cannot be written.
     """
     if speed <= 0.0:
         raise UserError(f"speed {speed:g} must be positive; 1 is real time")
-    first = [parse_fault(text) for text in faults]
-    twin = Twin(scene, seed=seed, profile_name=profile_name, faults=first, pictures=pictures, protocol=protocol)
     with tempfile.TemporaryDirectory(prefix="rhizotwin-") as folder:
         server = TwinServer(twin, Path(folder), speed=speed, camera_port=camera_port, say=say)
         try:

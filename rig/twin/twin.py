@@ -59,9 +59,7 @@ class Twin:
     pictures : {"render", "sketch"}
         Rendered by `sim` (Mitsuba's variant has been chosen), or drawn in milliseconds.
     rig : RigFile or None
-        What the devices are; its ports are replaced by those of the twin. None: the default rig with an arm.
-    protocol : {"lx", "lsc"}
-        Of the arm, where ``rig`` is None.
+        What the devices are; its ports are replaced by those of the twin. None: `default_rig`.
     resets_on_open : bool
         Whether opening the table's port resets the board, as on boards with a USB serial chip.
     samples : int or None
@@ -77,7 +75,6 @@ class Twin:
         faults: Iterable[Fault] = (),
         pictures: PictureKind = "render",
         rig: RigFile | None = None,
-        protocol: ArmProtocol = "lx",
         resets_on_open: bool = False,
         samples: int | None = None,
     ) -> None:
@@ -87,7 +84,7 @@ class Twin:
             serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
         self.scene = scene
         self.seed = seed
-        self.rig = _with_ports(rig or default_rig(protocol), f"twin://{next(_NUMBERS)}")
+        self.rig = _with_ports(rig or default_rig(), f"twin://{next(_NUMBERS)}")
         self.clock = VirtualClock()
         self.pending = Pending(tuple(faults))
         self.record = Record()

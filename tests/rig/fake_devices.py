@@ -12,6 +12,9 @@ from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.homing import Ask
+from rhizotwin.rig.scanning.onlooker import Onlooker
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
@@ -250,8 +253,9 @@ def devices(world: World) -> Devices:
     )
 
 
-def run(world: World, folder: Path, *, said: list[str] | None = None, **options) -> Dataset:
-    return scan(devices(world), world.scene, folder, say=(said if said is not None else []).append, **options)
+def run(world: World, folder: Path, *, said: list[str] | None = None, ask: Ask | None = None, onlooker=None, **options) -> Dataset:
+    audience = Audience(say=(said if said is not None else []).append, ask=ask, onlooker=onlooker or Onlooker())
+    return scan(devices(world), world.scene, folder, audience=audience, **options)
 
 
 def angles(dataset: Dataset) -> list[float]:

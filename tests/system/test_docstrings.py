@@ -3,15 +3,11 @@
 import ast
 import re
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("benchmarks", "recon", "rhizotwin", "rig", "scenes", "sim")
-ALL = (str(path.relative_to(ROOT)) for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-LINKS = tuple(f"rhizotwin/{folder}/" for folder in FOLDERS)
-FILES = sorted(file for file in ALL if not file.startswith(LINKS))
+from tests.system.sources import FILES, ROOT
+
 NAME = re.compile(r"\*{0,2}\w+(, \*{0,2}\w+)*")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.onlooker import Look
 from rhizotwin.rig.scanning.preflight import Exposure
 from rhizotwin.rig.scanning.scan import scan
@@ -94,7 +95,8 @@ def test_a_person_watches_a_scan_of_the_twin(tmp_path: Path):
     served = live_page.serve(live, port=8290)
     devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     scanned = threading.Thread(
-        target=lambda: scan(devices, twin.calibrated_scene(), tmp_path / "d", say=lambda _: None, onlooker=live), daemon=True
+        target=lambda: scan(devices, twin.calibrated_scene(), tmp_path / "d", audience=Audience(say=lambda _: None, onlooker=live)),
+        daemon=True,
     )
     try:
         with chromium() as browser:

@@ -10,6 +10,7 @@ from rhizotwin.rig.arm.tangency import azimuth_rad
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import load_dataset, read_image
@@ -117,7 +118,7 @@ def test_picture_of_another_size_is_refused(tmp_path: Path) -> None:
     world = World()
     other = replace(SCENE, camera=SCENE.camera.resized((800, 600)))
     with pytest.raises(RigError, match="400x300 pixels, but the scene's camera has image_wh 800x600"):
-        scan(devices(world), other, tmp_path / "d", say=lambda _: None)
+        scan(devices(world), other, tmp_path / "d", audience=Audience(say=lambda _: None))
     assert (world.panel, world.front) == (0.0, 0.0)
 
 
@@ -130,7 +131,7 @@ def test_dark_and_saturated_pictures_are_refused(tmp_path: Path) -> None:
         if part.panel_level == 1.0:
             opened.camera.capture = lambda: Shot(image=np.full((300, 400), 65520, np.uint16), exposure_s=1.0, gain=1.0)
         with pytest.raises(RigError, match=named):
-            scan(opened, SCENE, tmp_path / named, say=lambda _: None)
+            scan(opened, SCENE, tmp_path / named, audience=Audience(say=lambda _: None))
 
 
 def test_tripod_is_moved_by_a_person_for_further_rings(tmp_path: Path) -> None:

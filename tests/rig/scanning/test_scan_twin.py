@@ -7,10 +7,11 @@ import pytest
 
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices, open_devices
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.twin.faults import FOR_GOOD, MENU, Fault, FaultKind
 from rhizotwin.rig.twin.imperfections import BENCH
-from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.files import load_profile
@@ -37,7 +38,7 @@ def opened(twin: Twin) -> Devices:
 def run(twin: Twin, folder: Path, **options) -> Dataset:
     devices = opened(twin)
     try:
-        return scan(devices, twin.calibrated_scene(), folder, say=lambda _: None, **options)
+        return scan(devices, twin.calibrated_scene(), folder, audience=Audience(say=lambda _: None), **options)
     finally:
         devices.close()
         twin.clock.sleep(1.0)  # the lamps fade
@@ -62,7 +63,7 @@ def is_safe(twin: Twin) -> bool:
 
 @pytest.mark.parametrize("protocol", ["lx", "lsc"])
 def test_complete_scan_is_the_plan(protocol: str, tmp_path: Path) -> None:
-    twin = twin_of(protocol=protocol)
+    twin = twin_of(rig=default_rig(protocol))
     made = run(twin, tmp_path / "d")
     assert made == load_dataset(tmp_path / "d")
     assert [(frame.ring, frame.kind, frame.table_deg) for frame in made.frames] == [
@@ -92,7 +93,7 @@ def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path
         return move(angle_deg)
 
     devices.table.move_to = move_and_reset
-    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", say=lambda _: None)
+    made = scan(devices, twin.calibrated_scene(), tmp_path / "d", audience=Audience(say=lambda _: None))
     offsets = off_deg(twin, made)
     before = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 0]
     after = [off for off, frame in zip(offsets, made.frames, strict=True) if frame.placement == 1]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile, TurntablePart
+from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.scan import scan
 from rhizotwin.rig.scanning.settling import settling, watch
 from rhizotwin.rig.table.ramp import move_s
@@ -108,7 +109,7 @@ def test_a_scan_turns_and_rests_as_it_saw_the_water_move(case: Case, tmp_path: P
 
     opened.table.move_to, opened.camera.capture = moving, sloshing  # type: ignore[method-assign]
     said: list[str] = []
-    dataset = scan(opened, world.scene, tmp_path / "scan", say=said.append)
+    dataset = scan(opened, world.scene, tmp_path / "scan", audience=Audience(say=said.append))
     assert world.acceleration_deg_per_s2 == case.chosen_deg_per_s2
     (line,) = [text for text in said if "each picture waits" in text]
     assert case.rest_s[0] - 1e-6 <= min(rests[-len(dataset.frames) :]) <= case.rest_s[1] + 1e-6
@@ -127,7 +128,7 @@ def test_on_the_emulated_rig_pictures_are_at_rest(
     opened = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
     said: list[str] = []
     try:
-        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", say=said.append)
+        dataset = scan(opened, twin.calibrated_scene(), tmp_path / "scan", audience=Audience(say=said.append))
     finally:
         opened.close()
     shots = [twin.record.shot_of(read_image(dataset, frame)) for frame in dataset.frames]

@@ -11,8 +11,9 @@ import serial
 from rhizotwin.rig.cameras import open_camera
 from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.rig_file import load_rig
+from rhizotwin.rig.twin.faults import parse_fault
 from rhizotwin.rig.twin.server import TwinServer, rig_text, run_twin
-from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Disturbances, Scene
 
@@ -51,18 +52,8 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
     os.write(write, b"where\nrest\nreset\nfau")
     os.write(write, b"lts\nquit\n")
     said: list[str] = []
-    run_twin(
-        SCENE,
-        seed=0,
-        profile_name="bench",
-        pictures="sketch",
-        protocol="lsc",
-        speed=10.0,
-        write_rig=tmp_path / "rig.toml",
-        say=said.append,
-        faults=["reply_late arm amount=2"],
-        commands=read,
-    )
+    twin = Twin(SCENE, faults=[parse_fault("reply_late arm amount=2")], pictures="sketch", rig=default_rig("lsc"))
+    run_twin(twin, speed=10.0, write_rig=tmp_path / "rig.toml", say=said.append, commands=read)
     os.close(read)
     os.close(write)
     text = "\n".join(said)
