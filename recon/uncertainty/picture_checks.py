@@ -44,7 +44,7 @@ def of_exposure(found: Exposures | None, trust: TrustSettings = TrustSettings())
         said = "no bare panel is seen beside the canister, so that the pictures' exposure cannot be told"
         return untold("exposure", said, "use a panel wider than the canister, or fix the exposure")
     clipped, level, wander = float(found.clipped.max()), float(np.nanmin(found.level)), found.wander
-    full = f"{100.0 * clipped:.2g} % of the panel are at full scale in the worst picture"
+    full = f"{100.0 * clipped:.3g} % of the panel are at full scale in the worst picture"
     dim = f"the panel reaches only {100.0 * level:.2g} % of full scale"
     said = f"the exposure wanders by {100.0 * wander:.2g} % from picture to picture, which was divided out"
     uneven, bands = float(found.uneven.max(initial=0.0)), found.bands

@@ -91,9 +91,9 @@ def _tell(summary: dict[str, Any], progress: Progress) -> None:
     if progress.verbose and summary["root_mu_per_mm"] is not None:
         sigma = summary["root_mu_sigma_per_mm"]
         print(f"translucent roots: attenuation {summary['root_mu_per_mm']:.3g}{'' if sigma is None else f' +- {sigma:.2g}'} per mm")
-    found, interval = words.volume(summary)
+    headline, beside = words.headline(summary)
     used = sum(view["used"] for view in summary["views"])
-    print(f"volume {found}, 90 % interval {interval}; {used} of {len(summary['views'])} views used")
+    print(f"{headline}, {beside}; {used} of {len(summary['views'])} views used")
     if progress.quiet:
         return
     for line in words.roots_told(summary):

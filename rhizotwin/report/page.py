@@ -154,12 +154,12 @@ def _head(read: _Read) -> str:
     described = "" if read.dataset is None else f"<p class=soft>{html.escape(read.dataset.scene.description)}</p>"
     whose = str(read.subject)
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
-    found, interval = words.volume(read.summary)
+    headline, beside = words.headline(read.summary)
     state, meaning, told = words.light(read.summary)
     edits = corrected.in_words(read.summary)
     hand = f"<p class=soft>Corrected by hand: {html.escape(edits)}.</p>" if edits else ""
     return (
-        f"<h1>{html.escape(read.name)}</h1>{described}<p class=volume>{found}</p><p>90 % interval: {interval}</p>{hand}"
+        f"<h1>{html.escape(read.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{hand}"
         f'<div class="light {state}"><b role="img" aria-label="{state}"></b><div><p><strong>{html.escape(meaning)}</strong></p>'
         f"{_list(told)}</div></div>"
     )

@@ -52,6 +52,14 @@ def volume(summary: dict[str, Any]) -> tuple[str, str]:
     return f"{ml(found, half_mm3=half)} ml", f"{ml(low, half_mm3=half)} to {ml(high, half_mm3=half)} ml"
 
 
+def headline(summary: dict[str, Any]) -> tuple[str, str]:
+    """Return what stands first, and what goes with it; a scan that cannot give a volume has none there."""
+    found, interval = volume(summary)
+    if summary["volume_trusted"]:
+        return f"volume {found}", f"90 % interval {interval}"
+    return "no volume can be told", f"the shape found has {found} ({interval}), which is not to be trusted"
+
+
 def light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:
     """Return the traffic light, what it means, and what to do."""
     checks = [check for check in summary.get("checks") or [] if isinstance(check, dict)]

@@ -211,3 +211,12 @@ def test_the_rig_is_drawn_with_its_dimensions():
     ET.fromstring(drawn)
     for text in ("152.4 mm", "160 mm", "n = 1.333", "camera", "canister frame"):
         assert text in drawn
+
+
+def test_a_scan_that_cannot_give_a_volume_has_none_at_the_head() -> None:
+    trusted, _ = words.headline(SUMMARY)
+    assert trusted == f"volume {words.volume(SUMMARY)[0]}"
+    headline, beside = words.headline(SUMMARY | {"volume_trusted": False})
+    assert headline == "no volume can be told"
+    assert words.volume(SUMMARY)[0] in beside
+    assert "not to be trusted" in beside
