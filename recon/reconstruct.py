@@ -164,7 +164,7 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
             picture_checks.of_curve(pictures.curve),
             picture_checks.of_sharpness(found.blur_px, found.refocus_px, trust),
             picture_checks.of_markers(found.inset_px, found.after_px, trust),
-            picture_checks.of_canister(found.canister, dataset.scene.canister, trust),
+            picture_checks.of_canister(found.canister, dataset.scene, trust),
         ]
     return tuple(made)
 

@@ -123,7 +123,7 @@ class Tank:
     """z of its surface, below the marker strip; so high are its walls."""
     turn_deg: float = bounded(0.0, -10.0, 10.0)
     """How it is turned from square to the rig, counter-clockwise from above; the canister's edges tell it better than
-    an eye does."""
+    an eye does, where they are seen."""
 
 
 FAR_MM = 1.5e5

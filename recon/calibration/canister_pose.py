@@ -8,9 +8,11 @@ edges of all views in one least-squares problem give the axis's offset and tilt;
 (blur, a canister of another size) is common to all and found with it, and so is how far the wall is from
 round: the support of an oval with radii R + e and R - e is R + e cos 2(azimuth - its own) to first order in e / R.
 
-In a tank the same holds of the lines in its liquid: inside of the edge light goes into the wall and past the water, far
-aside. A tank that is turned moves both edges of all views the same way, by its front's bending (a quarter of a degree
-for each degree, in water); how far it is turned is found with the rest.
+In a tank the same holds of the lines in its liquid: inside of the edge what enters the wall is bent far aside. But what
+the wall reflects there goes on nearly straight: before a wide panel the edge is as bright as the panel, and not found
+(the twin's fast pictures, without reflections, show it dark). A tank that is turned moves both edges of all views the
+same way, by its front's bending (a quarter of a degree for each degree, in water); how far it is turned is found with
+the rest.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from rhizotwin.recon.pictures import CurveFound
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.checks import Check, State, foremost, judged, stated, untold
 from rhizotwin.scenes.dataset import Frame
-from rhizotwin.scenes.model import Canister
+from rhizotwin.scenes.model import Scene
 
 
 def of_scan(origin: dict[str, Any], frames: Sequence[Frame]) -> Check:
@@ -108,8 +108,14 @@ def of_markers(inset_px: float | None, corners_px: float | None, trust: TrustSet
     )
 
 
-def of_canister(pose: CanisterPose | None, canister: Canister, trust: TrustSettings = TrustSettings()) -> Check:
-    """Check that the canister's edges fit its drawing."""
+def of_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that the canister's edges fit its drawing; in a tank they must be seen, as nothing else tells its turn."""
+    canister = scene.canister
+    if pose is None and scene.tank is not None:
+        said = "the canister's edges are not seen in the tank, and nothing else tells how it is turned: a degree moves outlines by 0.4 mm"
+        return stated(
+            "canister", "bad", None, "mm", trust.edge_mm, said, "scan without the tank, or with a panel that leaves the edges dark"
+        )
     if pose is None:
         said = "the canister's edges are not seen before the panel, so that its radius and place are those of the drawing"
         return untold("canister", said, "use a panel wider than the canister", unit="mm", limits=trust.edge_mm)

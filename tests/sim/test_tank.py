@@ -103,3 +103,17 @@ def test_a_camera_that_sees_the_strip_through_the_liquid_is_refused() -> None:
     with pytest.raises(UserError, match="strip's lower edge is seen through the tank's liquid"):
         scene_from_dict(low, where="a scene")
     scene_from_dict(low | {"strip": {"rows": 0}}, where="a scene")
+
+
+def test_both_fidelities_agree_in_the_water_and_not_at_the_wall() -> None:
+    """Fast pictures leave reflections out, by which a wide panel lights the wall's edges: `docs/decisions/tank.md`."""
+    scene = replace(Scene(tank=Tank(turn_deg=2.0), plan=CapturePlan(rings=(Ring(views=1),))), camera=Scene().camera.resized((80, 60)))
+    world, solid = draw_world(scene, seed=0), ball((5.0, 55.0, -70.0), 12.0)
+    fast, mask = Renderer(scene, world, solid).view(0)
+    full, same_mask = Renderer(scene, world, solid, fidelity="path", samples=64).view(0)
+    np.testing.assert_array_equal(mask, same_mask)
+    middle = np.s_[25:55, 25:50]
+    assert full[middle].mean() == pytest.approx(fast[middle].mean(), rel=0.01)
+    assert full[mask == 1.0].mean() < 0.1 * scene.lights.backlight_level
+    assert fast[25:55, 10:20].min() < 0.5 * fast[middle].mean()
+    assert full[25:55, 10:20].mean(axis=0).min() > 0.9 * full[middle].mean()

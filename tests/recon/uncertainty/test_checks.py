@@ -9,6 +9,7 @@ from rhizotwin.recon.uncertainty import checks, picture_checks, shape_checks
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Frame
+from rhizotwin.scenes.model import Scene, Tank
 from rhizotwin.scenes.transfer import LINEAR, SRGB
 
 FRAMES = [Frame(file=f"images/{k}.png", sha256="") for k in range(3)]
@@ -123,3 +124,10 @@ def test_a_failed_check_takes_the_trust_away_and_says_why() -> None:
     again = distrusted.distrusted(["another reason"])
     assert again.verdict.count(checks.NO_VOLUME) == 1
     assert again.verdict.endswith("another reason")
+
+
+def test_a_tank_without_the_canisters_edges_takes_the_trust_away() -> None:
+    unseen = picture_checks.of_canister(None, Scene(tank=Tank()))
+    assert unseen.state == "bad"
+    assert "how it is turned" in checks.failed((unseen,))[0]
+    assert picture_checks.of_canister(None, Scene()).state == "untold"
