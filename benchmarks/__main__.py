@@ -73,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _thesis(given)
         if given.what == "mixtures":
             return _mixtures(given)
+        if given.what == "view":
+            return _view(given)
         if given.what == "damages":
             return _damages(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
@@ -160,6 +162,19 @@ def _scaling(given: argparse.Namespace) -> int:
     if given.output is not None:
         atomic.write_json(given.output, scaling.as_json(found))
     return 0
+
+
+def _view(given: argparse.Namespace) -> int:
+    """Measure the viewer; 1 where that failed."""
+    from benchmarks import viewer
+
+    if given.repeats < 1:
+        raise UserError(f"--repeats {given.repeats}: give at least one")
+    run = viewer.measure(given.results, given.dataset, repeats=given.repeats, say=say)
+    say("\n" + results_table(run.metrics))
+    if given.output is not None:
+        atomic.write_json(given.output, {metric.key: {"value": metric.value, "unit": metric.unit} for metric in run.metrics})
+    return 1 if run.crashed else 0
 
 
 def _scatter_path() -> Path:

@@ -49,6 +49,7 @@ def parser() -> argparse.ArgumentParser:
     mixed.add_argument("--first", type=int, default=0, metavar="K", help="begin with this one (default: %(default)s)")
     mixed.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     mixed.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON, and a table beside it (.md)")
+    _add_view(what.add_parser("view", help=_VIEW, description=_VIEW))
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
@@ -73,6 +74,16 @@ def _add_thesis(one: argparse.ArgumentParser) -> None:
 
 
 _SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"
+
+
+_VIEW = "the viewer and the report in a real browser (Chromium): first picture, answers to clicks, memory, volume after corrections, size"
+
+
+def _add_view(one: argparse.ArgumentParser) -> None:
+    one.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders that `rhizotwin reconstruct` wrote")
+    one.add_argument("--dataset", type=Path, metavar="DATASET", help="where the pictures are, if they have moved")
+    one.add_argument("--repeats", type=int, default=3, metavar="N", help="starts whose median is told (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every number as JSON, too")
 
 
 def _add_scaling(one: argparse.ArgumentParser) -> None:

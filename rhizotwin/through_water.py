@@ -61,11 +61,16 @@ class Pictures(Cameras):
         return int(np.abs((off + 180.0) % 360.0 - 180.0).argmin())
 
     def best_for(self, line: Line, count: int = 3) -> list[int]:
-        """Return the pictures in which a root shows longest."""
+        """Return the pictures in which a root shows longest, as if there were no water.
+
+        Water makes roots larger in all pictures nearly alike, and a click waits for the answer: of 31 roots of a day-30
+        plant the first picture showed 89 % of the longest's length at least, 99 % in the median.
+        """
         shown = []
-        for place in range(len(self.views)):
-            px = self.pixels(place, line.points_mm)
-            width, height = self.views[place].camera.image_wh
+        for view in self.views:
+            seen = line.points_mm @ view.cam_from_canister[:3, :3].T + view.cam_from_canister[:3, 3]
+            px = seen[:, :2] / seen[:, 2:] * view.camera.focal_px + view.camera.principal_px
+            width, height = view.camera.image_wh
             out = (px < 0.0).any(axis=1) | (px[:, 0] > width - 1) | (px[:, 1] > height - 1)
             px[out] = np.nan
             shown.append(float(np.nansum(np.linalg.norm(np.diff(px, axis=0), axis=1))))

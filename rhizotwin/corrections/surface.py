@@ -42,6 +42,14 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
 def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
     """Tell the faces (F,) that stay: those whose voxel kept its volume, or that lie in none."""
     middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
+    kept = np.ones(len(middle), bool)
+    lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
+    if not len(lost):
+        return kept
+    centre, edge = solid.centre_mm[lost], solid.size[lost, None] * solid.voxel_mm
+    reach = 0.5 * edge + solid.voxel_mm
+    near = np.flatnonzero(((middle >= (centre - reach).min(axis=0)) & (middle <= (centre + reach).max(axis=0))).all(axis=1))
+    middle = middle[near]  # elsewhere nothing changed
     away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
     before, after = np.zeros(len(middle)), np.zeros(len(middle))
     for step in away:  # a face may lie in the empty voxel beside the one it bounds
@@ -49,7 +57,8 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
         there = row >= 0
         before[there] += solid.measured_mm3[row[there]]
         after[there] += np.minimum(volumes_mm3[row[there]], solid.measured_mm3[row[there]])
-    return np.asarray((before <= 0.0) | (after > (1.0 - _LOST) * before))
+    kept[near] = (before <= 0.0) | (after > (1.0 - _LOST) * before)
+    return kept
 
 
 def _closed(vertices: Array, faces: Faces) -> tuple[Array, Faces]:

@@ -1,38 +1,25 @@
-"""A real Chromium without a screen, its pictures drawn by software; tests that need it are skipped with a word where there is none."""
+"""A real Chromium without a screen; tests that need it are skipped with a word where there is none."""
 
 import os
-import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
 
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-dev-shm-usage",
-)
-PATIENCE_MS = 300_000
-"""Software draws slowly while other tests run."""
+from benchmarks import browser
+from benchmarks.browser import PATIENCE_MS as PATIENCE_MS
+from rhizotwin.scenes.errors import UserError
 
 
 @contextmanager
 def chromium() -> Iterator[Any]:
     """Return a browser; where there is none, skip the test, or fail it in CI (RHIZOTWIN_CI=1)."""
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if path is None:
-        if os.environ.get("RHIZOTWIN_CI"):
-            pytest.fail("CI has no Chromium: apt-get install chromium")
-        pytest.skip("no Chromium here; apt-get install chromium")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
-        yield browser
-        browser.close()
+    with ExitStack() as stack:
+        try:
+            started = stack.enter_context(browser.chromium())
+        except UserError as error:
+            if os.environ.get("RHIZOTWIN_CI"):
+                pytest.fail(f"in CI {error}")
+            pytest.skip(str(error))
+        yield started

@@ -1,0 +1,388 @@
+"""How soon `rhizotwin view` shows a result and answers a person, in a real browser whose pictures software draws.
+
+The command runs as a person starts it, and everything is told by what its page says: the time from the command to the
+first whole picture, from a click or a drag to the answer on the page, the memory it took in the end, the volume after
+corrections against that of the corrected result measured afresh, and the size and the complaints of the report.
+
+What the server alone needs is told in processor time besides, in a process of its own without a browser: it holds on a
+busy machine, where the browser's times do not.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import browser as browsers
+from benchmarks.browser import PATIENCE_MS
+from benchmarks.metric import Metric
+from benchmarks.run import Run, Say
+from rhizotwin.scenes.errors import UserError
+
+WINDOW = {"width": 1000, "height": 700}
+QUIET_S = 3.0
+"""A picture is whole when so long nothing more came to it."""
+PHONE_PX = 400
+ANSWER_MS = 60_000
+"""What takes longer is none."""
+VOXELS = 1000
+"""Deleted at once."""
+PICKS = 5
+"""Clicks whose median is told."""
+_VIVID = 90
+"""Between the strongest and the weakest of a pixel's three colours: roots are vivid, canister and panels are not."""
+_WATCH = """(() => {
+  const frames = []; let parts = new Set(), last = null, most = 0;
+  const count = (name, at) => {
+    const was = WebGL2RenderingContext.prototype[name];
+    WebGL2RenderingContext.prototype[name] = function (...a) { parts.add(a[at]); last = this; return was.apply(this, a); };
+  };
+  count("drawElements", 1); count("drawArrays", 2);
+  const after = () => {
+    const drawn = [...parts].reduce((a, b) => a + b, 0);  // parts of one size count once, however often a frame is drawn
+    if (drawn > 1.02 * most) {
+      most = drawn;
+      last.readPixels(0, 0, 1, 1, last.RGBA, last.UNSIGNED_BYTE, new Uint8Array(4));  // returns when all of it is drawn
+      frames.push([performance.timeOrigin + performance.now(), drawn]);
+    }
+    parts = new Set();
+    requestAnimationFrame(after);
+  };
+  requestAnimationFrame(after);
+  window.bench = { frames, begun: 0, answered: 0, pattern: null, before: "" };
+  const said = () => (document.body.textContent.match(window.bench.pattern) || [""])[0];
+  window.bench.ask = (pattern) => Object.assign(window.bench, { pattern: new RegExp(pattern), answered: 0 }, { before: "" })
+    && (window.bench.before = said());
+  addEventListener("pointerup", () => { window.bench.begun = performance.now(); }, true);
+  document.addEventListener("DOMContentLoaded", () => new MutationObserver(() => {
+    const b = window.bench;
+    if (b.pattern && !b.answered && said() !== b.before) b.answered = performance.now();
+  }).observe(document.body, { subtree: true, childList: true, characterData: true }));
+})()"""
+"""Notes in the page when frames had more in them than any before, and when what it says changed after a click."""
+_CHOSEN = r"Nothing is chosen|Chosen: \d+ (root|voxel)s?, [\d.]+ mm"
+_CORRECTED = r"as corrected: .*?\d+ mm in \d+ roots|\d+ mm in \d+ roots"
+
+
+class Page:
+    """`rhizotwin view` in a process of its own, and its page in a browser."""
+
+    def __init__(self, browser: Any, result: Path, dataset: Path | None) -> None:
+        self.begun_s = time.time()
+        words = [str(result), *([str(dataset)] if dataset else [])]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "rhizotwin", "view", *words, "--no-browser"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        address = self._process.stdout.readline().strip()
+        self.served_s = time.time() - self.begun_s
+        if not address.startswith("http"):
+            raise UserError(f"`rhizotwin view` served nothing: {self._process.stderr.read().strip()}")
+        self.complaints: list[str] = []
+        self.page = browser.new_page(viewport=WINDOW)
+        self.page.set_default_timeout(PATIENCE_MS)
+        self.page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
+        self.page.add_init_script(_WATCH)
+        self.page.goto(address)
+
+    def first_picture_s(self) -> float:
+        """Return the time from the command until the picture was whole, and wait that long."""
+        until = time.monotonic() + PATIENCE_MS / 1000.0
+        while time.monotonic() < until:
+            frames = self.page.evaluate("bench.frames")
+            if frames and time.time() - frames[-1][0] / 1000.0 > QUIET_S:
+                return float(frames[-1][0] / 1000.0 - self.begun_s)
+            time.sleep(0.2)
+        raise UserError("the page drew no picture")
+
+    def asked(self, pattern: str, act: Any) -> float:
+        """Return the seconds from the end of a click until the page says something else where a pattern fits."""
+        self.page.evaluate("pattern => bench.ask(pattern)", pattern)
+        act()
+        self.page.wait_for_function("bench.answered > 0", timeout=ANSWER_MS)
+        return float(self.page.evaluate("bench.answered - bench.begun")) / 1000.0
+
+    def press(self, name: str) -> None:
+        """Press a button."""
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def layer(self, name: str) -> None:
+        """Switch what is drawn on or off."""
+        self.page.get_by_role("tab", name="Look").click()
+        self.page.get_by_label(name).click()
+
+    def says(self, pattern: str) -> str:
+        """Return what the page says where a pattern fits; empty where nothing does."""
+        found = re.search(pattern, self.page.evaluate("document.body.textContent"))
+        return "" if found is None else found[0]
+
+    def end(self) -> tuple[float, float]:
+        """End the command; return its peak memory (MiB) and its processor time (s)."""
+        self.page.close()
+        self._process.send_signal(signal.SIGINT)
+        _, _, used = os.wait4(self._process.pid, 0)
+        self._process.returncode = 0
+        return used.ru_maxrss / 1024.0, used.ru_utime + used.ru_stime
+
+
+def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say: Say) -> Run:
+    """Measure the viewer and the report of results; what fails is recorded and the rest go on."""
+    run = Run()
+    with browsers.chromium() as browser:
+        browser.new_page().close()  # a person's browser runs already
+        for result in results:
+            try:
+                found = _of_result(browser, result, dataset, repeats=repeats, say=say)
+            except UserError as error:
+                run.crashed[result.name] = str(error)
+                say(f"{result.name}: FAILED\n{error}")
+                continue
+            for name, (value, unit) in found.items():
+                run.metrics.append(Metric(key=f"view/{result.name}/{name}", value=value, unit=unit, direction="down"))
+    return run
+
+
+def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int, say: Say) -> dict[str, tuple[float, str]]:
+    """Return the numbers of one result, with their units."""
+    found: dict[str, tuple[float, str]] = {}
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-benchmark-") as working:
+        copy = Path(working) / result.name
+        shutil.copytree(result, copy)  # corrections are saved beside the copy
+        dataset = dataset or _dataset(result)
+        times, served = [], []
+        for number in range(repeats):
+            page = Page(browser, copy, dataset)
+            times.append(page.first_picture_s())
+            served.append(page.served_s)
+            say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {os.getloadavg()[0]:.1f}")
+            if number + 1 < repeats:
+                page.end()
+        found["first_picture"] = statistics.median(times), "s"
+        found["address"] = statistics.median(served), "s"
+        found |= _alone(copy, dataset)
+        say(f"{result.name}: " + _said(found))
+        found |= _touched(page)
+        if page.says(_CORRECTED).startswith("as corrected"):
+            page.press("Save")
+            page.page.get_by_text("edits.json").first.wait_for()
+            found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
+        complaints = len(page.complaints)
+        memory, cpu = page.end()
+        found |= {"peak_memory": (memory, "MiB"), "processor_time": (cpu, "s"), "console_errors": (complaints, "1")}
+        found |= _report(browser, copy, dataset)
+    say(f"{result.name}: " + _said(found))
+    return found
+
+
+def _said(found: dict[str, tuple[float, str]]) -> str:
+    return ", ".join(f"{name} {value:.3g} {unit}".removesuffix(" 1") for name, (value, unit) in found.items())
+
+
+def _alone(result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
+    """Let a process without a browser answer; return its processor times and its peak memory."""
+    words = [sys.executable, "-P", "-m", "benchmarks.viewer", str(result), *([str(dataset)] if dataset else [])]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    told = process.stdout.read()
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise UserError(f"the viewer of {result} failed")
+    return {f"server/{name}": (value, "s") for name, value in json.loads(told).items()} | {
+        "server/peak_memory": (used.ru_maxrss / 1024.0, "MiB")
+    }
+
+
+def answers(result: Path, dataset: Path | None) -> dict[str, float]:
+    """Serve a result to nobody, and return the processor time (s) of the start and until each answer."""
+    from rhizotwin.viewer import app
+    from rhizotwin.viewer.picking import Ray
+
+    found: dict[str, float] = {}
+    answered: list[float] = []
+
+    def timed(name: str, act: Callable[[], object]) -> None:
+        answered.clear()
+        begun_s = time.process_time()
+        act()
+        found[name] = (answered[0] if answered else time.process_time()) - begun_s
+
+    viewer = app.start([result], dataset)
+    viewer.on_change.append(lambda: answered.append(time.process_time()))
+    found["start"] = time.process_time()  # of the whole process so far
+    timed("divide", viewer.prepare)
+    session = viewer.shown.session
+    lines = session.state.lines
+    if lines:
+        longest = max(lines, key=lambda number: lines[number].length_mm)
+        point = lines[longest].points_mm[len(lines[longest].points_mm) // 2]
+        way = np.array([-1.0, 0.3, -0.1]) / np.linalg.norm([-1.0, 0.3, -0.1])
+        timed("pick", lambda: viewer.clicked(Ray(point - 400.0 * way, way)))
+        timed("delete_root", viewer.delete)
+        timed("undo", viewer.undo)
+    measured = session.measure()
+    rows = np.flatnonzero(measured.volumes_mm3 > 0.0)
+    middle = np.linalg.norm(measured.solid.centre_mm[rows] - measured.solid.centre_mm[rows].mean(axis=0), axis=1)
+    viewer.choose_nothing()
+    viewer.look.layers -= {"surface"}  # it follows the number
+    viewer.voxels = {int(row) for row in rows[np.argsort(middle)[:VOXELS]]}
+    timed("delete_1000_voxels", viewer.delete)
+    viewer.look.layers |= {"voxels"}
+    timed("voxels_shown", viewer.refresh)
+    viewer.served.stop()
+    return found
+
+
+def _touched(page: Page) -> dict[str, tuple[float, str]]:
+    """Pick and delete as a person does; return how long the page took to answer."""
+    found: dict[str, tuple[float, str]] = {}
+    if page.page.get_by_label("Cameras (click one to stand in it)").count():
+        page.layer("Cameras (click one to stand in it)")
+    if page.says(r"\d+ mm in [1-9]\d* roots"):
+        page.page.get_by_role("tab", name="Correct").click()
+        page.page.get_by_text("Nothing is chosen").wait_for()
+        spots = _vivid(page)
+        times = []
+        for x, y in spots[:PICKS]:
+            times.append(page.asked(_CHOSEN, lambda x=x, y=y: page.page.mouse.click(x, y)))
+            if len(times) < PICKS:
+                page.asked(_CHOSEN, lambda: page.press("Choose nothing"))
+        found["pick"] = statistics.median(times), "s"
+        found["pick_worst"] = max(times), "s"
+        found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
+        found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo")), "s"
+        page.asked(_CORRECTED, lambda: page.press("Redo"))
+    page.layer("Surface")
+    page.layer("Voxels")
+    page.page.get_by_role("tab", name="Correct").click()
+    found["voxels"], found["choose_voxels"] = _drag(page)
+    if found["voxels"][0]:
+        found["delete_voxels"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
+    return found
+
+
+def _shot(page: Page) -> NDArray[np.int64]:
+    """Return what the page shows (H, W, 3)."""
+    shot = page.page.screenshot(timeout=PATIENCE_MS)
+    return np.asarray(cv2.imdecode(np.frombuffer(shot, np.uint8), cv2.IMREAD_COLOR), np.int64)
+
+
+def _vivid(page: Page) -> list[tuple[int, int]]:
+    """Return places (x, y) of the scene where roots show, far from each other."""
+    page.page.wait_for_timeout(1000)
+    image = _shot(page)
+    vivid = np.asarray(np.ptp(image, axis=2) > _VIVID, np.uint8)
+    vivid[:, int(0.6 * image.shape[1]) :] = 0  # the panel
+    vivid[: int(0.3 * image.shape[0])] = 0  # what the browser has to say of software
+    inside = cv2.erode(vivid, np.ones((3, 3), np.uint8))
+    y, x = np.nonzero(inside if inside.any() else vivid)
+    if not len(x):
+        raise UserError("the page shows no roots to click")
+    places = np.unique(np.linspace(0, len(x) - 1, PICKS).astype(int))
+    return [(int(x[k]), int(y[k])) for k in places]
+
+
+def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Draw rectangles, each larger, until one holds 1,000 voxels or all.
+
+    Returns
+    -------
+    count, answer : tuple of float and str
+        How many voxels, and how long the answer took, with their units.
+    """
+    count, taken, held = 0, 0.0, ""
+    for half in (15, 30, 60, 120, 240):
+        x, y = 0.35 * WINDOW["width"], 0.55 * WINDOW["height"]
+
+        def drag(x: float = x, y: float = y, half: int = half) -> None:
+            mouse, keys = page.page.mouse, page.page.keyboard
+            keys.down("Shift")
+            mouse.move(x - half, y - half)
+            mouse.down()
+            mouse.move(x, y)
+            mouse.move(x + half, min(y + half, WINDOW["height"] - 5))
+            mouse.up()
+            keys.up("Shift")
+
+        page.page.evaluate("pattern => bench.ask(pattern)", _CHOSEN)
+        drag()
+        try:
+            page.page.wait_for_function("bench.answered > 0", timeout=10_000)
+        except Exception as error:  # Playwright's own, imported only where it is installed
+            if "Timeout" not in type(error).__name__:
+                raise
+            continue  # nothing shows there
+        taken = float(page.page.evaluate("bench.answered - bench.begun")) / 1000.0
+        held = page.says(r"\d+ voxels?")
+        count = int(held.split()[0]) if held else 0
+        if count >= VOXELS:
+            break
+    return (float(count), "1"), (taken, "s")
+
+
+def _afresh(result: Path, corrected: Path) -> float:
+    """Return how far the volume after the saved corrections is from that of the corrected result, measured afresh."""
+    from rhizotwin.corrections import corrected as folders
+    from rhizotwin.corrections import log
+    from rhizotwin.corrections.session import Session
+    from rhizotwin.recon.results import result_files
+
+    session = Session(result)
+    session.replay(log.read(result / log.LOG_NAME, result))
+    before = session.measure().volume_mm3
+    folders.write(session, corrected)
+    leaves = result_files.read_leaves(corrected)
+    stored = float((leaves.occupancy.astype(np.float64) * (leaves.size * leaves.voxel_mm) ** 3).sum())
+    return max(abs(stored / before - 1.0), abs(Session(corrected).measure().volume_mm3 / before - 1.0))
+
+
+def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
+    """Return size, width and complaints of the page that is sent on, read from disk without a network."""
+    from rhizotwin.report import page
+
+    path = page.write(result, dataset=dataset)
+    complaints: list[str] = []
+    context = browser.new_context(viewport={"width": PHONE_PX, "height": 800}, offline=True)
+    shown = context.new_page()
+    shown.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
+    shown.on("pageerror", lambda error: complaints.append(str(error)))
+    shown.goto(path.as_uri())
+    shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 0", timeout=PATIENCE_MS)
+    wide = float(shown.evaluate("document.documentElement.scrollWidth"))
+    context.close()
+    return {
+        "report_size": (path.stat().st_size / 1e6, "MB"),
+        "report_width_on_phone": (wide, "px"),
+        "report_complaints": (float(len(complaints)), "1"),
+    }
+
+
+def _dataset(result: Path) -> Path | None:
+    """Return where a result says that its pictures are, if they are there."""
+    from rhizotwin.recon.results import result_files
+
+    folder = Path(str(result_files.read_summary(result)["dataset"]))
+    return folder if (folder / "dataset.json").is_file() else None
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(answers(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)))

@@ -1,0 +1,28 @@
+"""The viewer's benchmark: what a process without a browser answers, and the volume measured afresh."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import viewer
+from benchmarks.__main__ import main
+from rhizotwin.corrections import log
+from rhizotwin.corrections.session import Session
+from tests.rhizotwin import plant as plants
+
+
+def test_answers_are_timed_and_the_volume_is_measured_afresh(tmp_path: Path) -> None:
+    made = plants.make(tmp_path, fibre=True)
+    told = viewer.answers(made.result, made.dataset)
+    assert {"start", "divide", "pick", "delete_root", "undo", "delete_1000_voxels"} <= set(told)
+    assert all(seconds >= 0.0 for seconds in told.values())
+    assert not (made.result / log.LOG_NAME).exists()
+    session = Session(made.result)
+    session.do(log.edit("delete roots", roots=[4]))
+    session.save()
+    assert viewer._afresh(made.result, tmp_path / "corrected") < 1e-3
+
+
+def test_no_start_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", "nowhere", "--repeats", "0"]) == 2
+    assert "at least one" in capsys.readouterr().err
