@@ -22,7 +22,8 @@ import mitsuba as mi
 import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from rhizotwin.recon.device import Float, Int32, UInt32, Vector2f, numbers, vectors, wholes
+from rhizotwin.recon.device import Bool, Float, Int32, UInt32, Vector2f, numbers, vectors, wholes
+from rhizotwin.recon.optics.projection import Projected
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -31,6 +32,8 @@ PIXEL_SIGMA = 12.0**-0.5
 """Standard deviation of the square pixel."""
 _NARROWEST_PX = 0.1
 """An edge along the rows sees a pixel of no width without blur: a box this wide stands for it."""
+_LEAST_PX = 1e-3
+"""Segments that are shorter in a picture have no direction there."""
 _NOTHING, _ENDS = 1e-4, 4.0
 """Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of
 it."""
@@ -58,11 +61,13 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
-    # covered are the pixels with |d| < side_px and -end_px < s < length + end_px
-    side_px, end_px = dr.maximum(*strips.half_px) + outer, _ENDS * sigma
+    # covered are the pixels with |d| < side_px and -end_px < s < length + end_px: an oblique cut reaches farther
+    side_px = dr.maximum(*strips.half_px) + outer
+    end_px = _ENDS * sigma + side_px * dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
+    (begin_x, begin_y), (end_x, end_y) = strips.cuts
     per_x, per_y = (dr.copysign(1.0 / dr.maximum(dr.abs(t), _STEEPEST), t) for t in (t_x, t_y))
-    beyond = end_px * dr.abs(t_y) + side_px * dr.abs(t_x)
-    first, last = (y + dr.minimum(0.0, strips.length * t_y) - beyond, y + dr.maximum(0.0, strips.length * t_y) + beyond)
+    reach = end_px * dr.abs(t_y) + side_px * dr.abs(t_x)
+    first, last = (y + dr.minimum(0.0, strips.length * t_y) - reach, y + dr.maximum(0.0, strips.length * t_y) + reach)
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
     def side(x: Float) -> Float:
@@ -87,7 +92,8 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         for a, b in zip(*strips.layers, strict=True):
             w = a.half_px + (b.half_px - a.half_px) * part
             c += (side(d + w) - side(d - w)) * (a.height + (b.height - a.height) * part)
-        gate = 0.5 * (dr.erf(s * scale) - dr.erf((s - strips.length) * scale))
+        before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
+        gate = dr.maximum(0.5 * (dr.erf(before * scale) - dr.erf(beyond * scale)), 0.0)
         value = -gate * dr.log(1 - dr.minimum(c, FULLEST))
         place = strips.start + mi.UInt32(v * width + u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end))
@@ -111,6 +117,11 @@ class _Strips:
     """mi.Vector2f, unit direction."""
     length: Float
     """mi.Float, px."""
+    cuts: tuple[Vector2f, Vector2f]
+    """mi.Vector2f, unit normals of the lines that cut it off at both ends.
+
+    Two segments share the line that halves the angle between them, unless that is sharper than a right angle: cut off
+    square, bends had notches outside, into which fits pushed the nodes of wide tubes to and fro."""
     half_px: tuple[Float, Float]
     """mi.Float, half-widths at both ends."""
     layers: tuple[list[Layer], list[Layer]]
@@ -132,13 +143,15 @@ class _Strips:
         _, _, both = ends(dr.arange(mi.UInt32, views * len(segments)))
         seen = [dr.gather(mi.Bool, p.seen, end) for end in both]
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
-        drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > 1e-3))
+        drawn = dr.compress(seen[0] & seen[1] & (dr.norm(there - here) > _LEAST_PX))
         if not dr.width(drawn):
             return None
         view, segment, both = ends(drawn)
         here, there = (dr.gather(mi.Vector2f, p.px, end) for end in both)
         length = dr.norm(there - here)
         way = (there - here) / length
+        beside = [view * nodes + dr.gather(mi.UInt32, wholes(node), segment) for node in tubes.segment_neighbours.T]
+        cuts = _cuts(p, beside, here, there, way)
         along = vectors(tubes.centre_mm[segments[:, 1]] - tubes.centre_mm[segments[:, 0]])
         along = dr.normalize(dr.gather(mi.Vector3f, along, segment))
         layers, half_px = [], []
@@ -148,7 +161,30 @@ class _Strips:
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
             layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return _Strips(start, here, way, length, (half_px[0], half_px[1]), (layers[0], layers[1]))
+        return _Strips(start, here, way, length, cuts, (half_px[0], half_px[1]), (layers[0], layers[1]))
+
+
+def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, way: Vector2f) -> tuple[Vector2f, Vector2f]:
+    """Return the unit normals of the lines that cut segments off at both ends.
+
+    Parameters
+    ----------
+    beside : list of UInt32
+        Places of the nodes before and after the segments.
+    here, there, way : Vector2f
+        Pixels of both ends, and the unit direction from one to the other.
+    """
+    before, after = (dr.gather(mi.Vector2f, p.px, node) for node in beside)
+    onto, onward = here - before, after - there
+    joined = [dr.gather(mi.Bool, p.seen, node) & (dr.dot(w, way) > _LEAST_PX) for node, w in zip(beside, (onto, onward), strict=True)]
+    onto, onward = (w / dr.maximum(dr.norm(w), _LEAST_PX) for w in (onto, onward))
+
+    def cut(mine: Vector2f, is_joined: Bool, other: Vector2f, has_other: Bool) -> Vector2f:
+        # a free end is cut off as the segment before it goes: cut square it would turn with its node and push it aside
+        free = dr.select(has_other & (dr.dot(other, way) > 0.5**0.5), other, way)
+        return dr.select(is_joined, dr.normalize(mine + way), free)
+
+    return cut(onto, joined[0], onward, joined[1]), cut(onward, joined[1], onto, joined[0])
 
 
 def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Float]:

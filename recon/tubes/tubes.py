@@ -48,6 +48,13 @@ class Tubes:
         return np.stack([line[follows - 1], line[follows]], axis=1)
 
     @property
+    def segment_neighbours(self) -> Index:
+        """Return the nodes (S, 2) of a branch before each segment and after it; its own begin or end where none is."""
+        line, first, last = self.strung
+        place = np.flatnonzero(first < np.arange(len(line)))
+        return np.stack([line[np.maximum(place - 2, first[place])], line[np.minimum(place + 1, last[place])]], axis=1)
+
+    @property
     def segment_radii(self) -> tuple[Array, Array]:
         """Return the radii (S,) with which each segment begins and ends.
 
