@@ -52,7 +52,7 @@ def test_defaults_and_forms_of_the_options() -> None:
     assert PageOptions(page=(520.0, 210.0)).paper().turn == "as given"
     assert parsed("calibrate board -o f.svg --printed-ruler-mm 99.6x100.2")["page"].printed_ruler_mm == (99.6, 100.2)
     options = parsed("calibrate simulate s -o p --squares 9x6 --pictures 12")
-    assert (options["drawn"].squares, options["pictures"], options["seed"], options["drawn"].square_mm) == ((9, 6), 12, 0, None)
+    assert (options["drawn"].squares, options["taken"].pictures, options["taken"].seed, options["drawn"].square_mm) == ((9, 6), 12, 0, None)
 
 
 @dataclass(frozen=True)

@@ -42,9 +42,11 @@ def test_a_larger_canister_is_seen_wider_by_as_much() -> None:
 def test_what_hangs_sways_in_proportion_to_its_depth() -> None:
     solid = build_specimen(SMALL)
     hanging = Hanging.of("specimen", solid.vertices, solid)
-    moved = hanging.at((0.6, -0.2)) - solid.vertices
+    moved = hanging.at((0.6, -0.2), 0.0) - solid.vertices
     top, middle, tip = (np.argmin(np.abs(solid.vertices[:, 2] - z)) for z in (-50.0, -60.0, -70.0))
     np.testing.assert_allclose(moved[[top, middle, tip]], np.outer([0.0, 0.5, 1.0], [0.6, -0.2, 0.0]), atol=1e-9)
+    turned = hanging.at((0.0, 0.0), 30.0)
+    assert np.arctan2(*turned[middle, 1::-1]) - np.arctan2(*solid.vertices[middle, 1::-1]) == pytest.approx(np.deg2rad(15.0))
 
 
 def test_a_swaying_ball_is_seen_where_it_hangs() -> None:

@@ -21,7 +21,7 @@ import rhizotwin.sim.simulate
 from rhizotwin import cli
 from rhizotwin.recon import pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
-from rhizotwin.recon.coverage import background
+from rhizotwin.recon.coverage import background, silhouettes
 from rhizotwin.recon.results import report, result
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -168,7 +168,7 @@ EARLY = [
     Moment(markers, "detect_markers", 2),
     Moment(poses, "find_poses"),
     Moment(background, "estimate"),
-    Moment(shaping.silhouettes, "signed_distance", 4),
+    Moment(silhouettes.Silhouette, "cut", 4),
     Moment(shaping.carve, "carve"),
     Moment(shaping.surface, "surface"),
 ]
