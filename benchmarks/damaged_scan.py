@@ -163,7 +163,10 @@ def srgb_jpeg(quality: int, *, subsampled: bool = False) -> Stored:
 
 def gamma_png(exponent: float) -> Stored:
     """Return PNGs of 8 bits bent by a gamma, of which the scene says that they are linear."""
-    encode = lambda light: encode_png(_steps(np.clip(light, 0.0, 1.0) ** (1.0 / exponent), 255, np.uint8))  # noqa: E731
+
+    def encode(light: Light) -> bytes:
+        return encode_png(_steps(np.clip(light, 0.0, 1.0) ** (1.0 / exponent), 255, np.uint8))
+
     return Stored(suffix=".png", transfer="linear", bits=8, encode=encode)
 
 

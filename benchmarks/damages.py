@@ -89,13 +89,13 @@ def _judged(found: Result, true_mm3: float) -> Record:
 
 
 def fails(record: Record) -> bool:
-    """Tell whether a wrong volume whose interval misses is called trusted."""
+    """Tell whether it crashed, or a wrong volume whose interval misses, or none (NaN), is called trusted."""
     if record["crashed"] is not None:
         return True
     if record["refused"] is not None or not record["trusted"]:
         return False
     low, high = record["interval"]
-    return abs(record["volume_error"]) > WRONG and not low <= 0.0 <= high
+    return not abs(record["volume_error"]) <= WRONG and not low <= 0.0 <= high
 
 
 def line(record: Record) -> str:

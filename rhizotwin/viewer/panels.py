@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Literal
+
 import viser
 
 from rhizotwin.viewer import colours, words
@@ -164,20 +167,20 @@ def _correct(viewer: Viewer) -> None:
 def _edit_buttons(viewer: Viewer) -> None:
     """Make a button for each edit of what is chosen."""
     gui = viewer.served.server.gui
-    buttons = [
+    buttons: list[tuple[str, Callable[[], object], str | None, Literal["red"] | None]] = [
         ("Delete", viewer.delete, "take away what is chosen", "red"),
         ("Delete with laterals", lambda: viewer.delete(laterals=True), "take the chosen roots away with all that hangs on them", "red"),
         ("Bring the last one back", viewer.restore, "bring the root back that was taken away last", None),
         ("Join two", lambda: viewer.pair("join"), "let the first chosen root go on in the second", None),
         ("Hang on the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
         ("Fit again", viewer.fit_again, "fit centre lines and diameters to the pictures again", None),
-        ("Choose nothing", viewer.choose_nothing, "", None),
+        ("Choose nothing", viewer.choose_nothing, None, None),
     ]
     for label, act, hint, colour in buttons:
-        button = gui.add_button(label, hint=hint or None, color=colour)  # type: ignore[arg-type]
+        button = gui.add_button(label, hint=hint, color=colour)
 
-        def press(_: object, act: object = act) -> None:
-            act()  # type: ignore[operator]
+        def press(_: object, act: Callable[[], object] = act) -> None:
+            act()
 
         button.on_click(press)
 

@@ -1,5 +1,6 @@
 """The doubter's trials spoil what they say, and only a wrong volume that is called trusted fails."""
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import trimesh
 from benchmarks import __main__ as command
 from benchmarks import damages
 from benchmarks.damaged_scan import EVERY, Damage, Light, Scan
+from rhizotwin import engine
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -103,8 +105,25 @@ def test_what_fails() -> None:
     assert not damages.fails(record(0.1, (0.05, 0.15), trusted=False))
     assert not damages.fails(record(0.1, (-0.05, 0.15), trusted=True))
     assert not damages.fails(record(0.03, (0.01, 0.05), trusted=True))
+    assert damages.fails(record(math.nan, (math.nan, math.nan), trusted=True))
     assert not damages.fails({"refused": "no marker", "crashed": None})
     assert damages.fails({"refused": None, "crashed": "KeyError"})
+
+
+def test_a_crash_ends_with_1_and_keeps_none_of_the_others_from_being_tried(
+    scan: Scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def crash(_: Dataset) -> None:
+        raise ZeroDivisionError("a crash")
+
+    monkeypatch.setattr(damages, "clean_scan", lambda _: scan.dataset.folder)
+    monkeypatch.setattr(damages, "reconstruct", crash)
+    monkeypatch.setattr(engine, "start", lambda _: "cpu")
+    assert command.main(["damages", "--names", "none,black-level", "-o", str(tmp_path / "found.json")]) == 1
+    records = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["records"]
+    assert [record["name"] for record in records] == ["none", "black-level"]
+    assert all("ZeroDivisionError: a crash" in record["crashed"] for record in records)
+    assert "[2/2] black-level: CRASHED" in capsys.readouterr().out
 
 
 def test_lines_and_table() -> None:
