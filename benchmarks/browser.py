@@ -17,6 +17,8 @@ FLAGS = (
     "--disable-component-update",
     "--disable-dev-shm-usage",
 )
+_PROGRAMS = "chromium", "chromium-browser", "google-chrome", "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
+"""Names on the path, and where macOS has it."""
 PATIENCE_MS = 300_000
 """Software draws slowly while others compute."""
 
@@ -30,9 +32,9 @@ def chromium() -> Iterator[Any]:
     UserError
         Where there is none.
     """
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    path = next(filter(None, map(shutil.which, _PROGRAMS)), None)
     if path is None:
-        raise UserError("there is no Chromium here; apt-get install chromium")
+        raise UserError("there is no Chromium here; install it: `apt-get install chromium`, on macOS `brew install --cask google-chrome`")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
