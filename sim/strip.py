@@ -2,31 +2,16 @@
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.markers import marker_cells
 from rhizotwin.scenes.model import MarkerStrip, NetPot
 
-PAPER = 0.85
-INK = 0.04
+PAPER, INK = 0.85, 0.04
+"""Diffuse reflectance of white office paper and of toner on it."""
 MM_PER_TEXEL = 1.0 / 16.0
-
-
-def marker_cells(strip: MarkerStrip, marker_id: int) -> NDArray[np.bool_]:
-    """Return a marker's cells (n, n), True where white, row 0 at the top, its black border included."""
-    name = f"DICT_{strip.dictionary}"
-    if not hasattr(cv2.aruco, name):
-        raise UserError(f"strip.dictionary: {strip.dictionary!r} is not one of OpenCV's ArUco dictionaries, use for example APRILTAG_36h11")
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    if marker_id >= len(dictionary.bytesList):
-        raise UserError(
-            f"strip: marker {marker_id} is asked for, but {strip.dictionary} has {len(dictionary.bytesList)} markers: "
-            "use fewer columns or rows, or a lower first_id"
-        )
-    side = dictionary.markerSize + 2
-    return np.asarray(dictionary.generateImageMarker(marker_id, side)) > 127
+"""A quarter of a bench's pixel (0.23 mm), and what edges cut through is painted by its share."""
 
 
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
@@ -48,7 +33,7 @@ def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = 
     for row in range(strip.rows):
         top_mm = strip.bottom_mm + (strip.rows - 1 - row) * strip.row_pitch_mm + strip.marker_mm
         for column in range(strip.columns):
-            cells = marker_cells(strip, strip.first_id + row * strip.columns + column)
+            cells = marker_cells(strip.dictionary, strip.first_id + row * strip.columns + column)
             cell_mm = strip.marker_mm / len(cells)
             left_mm = (column + 0.5) * around_mm / strip.columns - strip.marker_mm / 2.0
             across = _share(s_edges_mm, left_mm + cell_mm * np.arange(len(cells) + 1))

@@ -218,8 +218,7 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
         return "the picture is mirrored: its markers are only found in its mirror image"
     for name in OTHER_DICTIONARIES:
         if name != strip.dictionary:
-            dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
-            ids = _detector(dictionary).detectMarkers(picture)[1]
+            ids = _detector(dictionary_named(name)).detectMarkers(picture)[1]
             if ids is not None and len(ids) >= 3:
                 return f"markers of another strip: they are of {name}, the scene's strip is {strip.dictionary}"
     return others if foreign else "no markers were found"  # one or two may be a chance of small dictionaries
