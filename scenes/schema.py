@@ -12,12 +12,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.near import nearest
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
     if not isinstance(mapping, Mapping):
         raise place.error(f"must be a table of keys, not {_type_name(mapping)}", mapping)
     hints = get_type_hints(kind)
-    known = {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
+    known = {f.name: f for f in fields(kind) if f.init}
     for key in mapping:
         if key not in known:
             raise place.at(str(key)).error(f"unknown key{suggestion(str(key), list(known))}; known keys are {', '.join(known)}")
@@ -103,8 +106,8 @@ def _value(hint: Any, value: Any, f: Field[Any], place: Place) -> Any:
         if not isinstance(value, Mapping):
             raise place.error(f"must be a table of keys, not {_type_name(value)}", value)
         return {str(key): _value(arguments[1], item, f, place.at(str(key))) for key, item in value.items()}
-    if is_dataclass(hint):
-        return from_plain(hint, value, place)  # type: ignore[arg-type]
+    if isinstance(hint, type) and is_dataclass(hint):
+        return from_plain(hint, value, place)
     return _scalar(hint, value, f, place)
 
 

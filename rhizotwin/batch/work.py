@@ -13,7 +13,7 @@ from typing import Any
 from rhizotwin import engine
 from rhizotwin.arguments import Progress
 from rhizotwin.batch import places
-from rhizotwin.batch.jobs import HEADS, Job, Outcome, note
+from rhizotwin.batch.jobs import HEADS, Job, Outcome, State, note
 from rhizotwin.scenes import said
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.provenance import peak_memory_mib
@@ -34,6 +34,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
     """
     job = Job(**plain)
     begin = time.perf_counter()
+    state: State
     try:
         engine.ensure(job.options.get("device", "auto"))
         if threads is not None:
@@ -50,7 +51,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
     except Exception as error:  # one scan's fault must not end the others
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
         state, sentence = "failed", said.failure(error)
-    outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=peak_memory_mib())  # type: ignore[arg-type]
+    outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=peak_memory_mib())
     try:
         note(job, outcome)
     except (OSError, UserError) as error:

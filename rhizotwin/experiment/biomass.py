@@ -58,9 +58,9 @@ class Relation:
 
     def predict(self, value: float, sigma: float) -> tuple[float, float, float]:
         """Return grams with the ends of the 90 % interval for a trait and the standard deviation of its logarithm."""
-        middle, spread = self.line.at(np.array([np.log(value)]), x_sigma=sigma)
-        reach = self.line.reach(SHARE) * float(spread[0])
-        return tuple(float(np.exp(middle[0] + side * reach)) for side in (0.0, -1.0, 1.0))  # type: ignore[return-value]
+        (middle,), (spread,) = self.line.at(np.array([np.log(value)]), x_sigma=sigma)
+        reach = self.line.reach(SHARE) * spread
+        return float(np.exp(middle)), float(np.exp(middle - reach)), float(np.exp(middle + reach))
 
 
 @dataclass(frozen=True, kw_only=True)

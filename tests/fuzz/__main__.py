@@ -95,7 +95,7 @@ def run(words: list[str], work: Path, *, only_read: bool) -> Ended:
         try:
             if only_read:
                 bind = command_line.bind
-                command_line.bind = lambda given: (bind(given) and (lambda: None), _Nothing())  # type: ignore[assignment,return-value]
+                command_line.bind = lambda given: (bind(given) and (lambda: None), _Nothing())
             code = cli.main(words)
         except SystemExit as leaving:
             code = leaving.code if isinstance(leaving.code, int) else 70
@@ -189,7 +189,7 @@ def _load() -> None:
     import rhizotwin.rig.bench  # noqa: F401
 
     os.environ.pop(cli.DEBUG_VARIABLE, None)
-    engine.start = lambda *_: "no engine"  # type: ignore[assignment] # its threads do not survive a fork, and files need none
+    engine.start = lambda *_: "no engine"  # its threads do not survive a fork, and files need none
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

@@ -36,7 +36,7 @@ def test_what_a_result_records_gives_the_same_settings() -> None:
 def limits_of(group: object, before: str = "") -> dict[str, tuple[object, tuple[float, float]]]:
     """Return default and limits of every number, by its key."""
     found: dict[str, tuple[object, tuple[float, float]]] = {}
-    for each in fields(group):  # type: ignore[arg-type]
+    for each in fields(group):
         value = getattr(group, each.name)
         found |= (
             limits_of(value, f"{before}{each.name}.") if is_dataclass(value) else {before + each.name: (value, each.metadata["limits"])}

@@ -30,7 +30,7 @@ def walked(folder: Path, *, scene: Scene | None = None, mirrored: bool = False, 
     camera = twin.open_camera()
     if mirrored:
         capture = camera.capture
-        camera.capture = lambda: replace(shot := capture(), image=np.ascontiguousarray(shot.image[:, ::-1]))  # type: ignore[method-assign]
+        camera.capture = lambda: replace(shot := capture(), image=np.ascontiguousarray(shot.image[:, ::-1]))
     devices = open_devices(twin.rig, known, clock=twin.clock, camera=camera)
 
     def answer(question: str) -> str:

@@ -28,7 +28,7 @@ def box(thickness_mm: float) -> SpecimenSolid:
 
 def centre_light(wrong: Disturbances, solid: SpecimenSolid | None = None, **changed: object) -> tuple[float, Image]:
     scene = scene_with(wrong)
-    world: World = replace(draw_world(scene, seed=0), **changed)  # type: ignore[arg-type]
+    world: World = replace(draw_world(scene, seed=0), **changed)
     image, coverage = Renderer(scene, world, solid).view(0)
     return float(image[CENTRE].mean()), coverage
 

@@ -222,6 +222,6 @@ def test_white_paper_facing_the_camera_reaches_its_level() -> None:
     scene = Scene(plan=CapturePlan(rings=(Ring(views=1),)))
     scene = small(replace(scene, net_pot=replace(NetPot(), skirt_bottom_mm=-5.0)), 200, 150)
     for fidelity, samples in (("backlit", 4), ("path", 64)):
-        image, _ = Renderer(scene, draw_world(scene, seed=0), None, fidelity=fidelity, samples=samples).view(0)  # type: ignore[arg-type]
+        image, _ = Renderer(scene, draw_world(scene, seed=0), None, fidelity=fidelity, samples=samples).view(0)
         paper = np.quantile(image[5:38, 85:115], 0.9)
         assert paper == pytest.approx(scene.lights.front_level, rel=0.15)

@@ -84,7 +84,7 @@ def test_what_a_refusal_advises_is_accepted(tmp_path: Path, size: float) -> None
     assert shift is not None
     assert (scale < 1.0) == (size == 300.0)
     for told in ({"place": "auto"}, {"shift_mm": tuple(map(float, shift.groups()))}):
-        placed = build(RsmlSpecimen(file=file, scale=scale, **told))  # type: ignore[arg-type]
+        placed = build(RsmlSpecimen(file=file, scale=scale, **told))
         assert placed.extents_max_mm[2] == pytest.approx(GRID_MM, abs=0.1)
 
 

@@ -14,7 +14,7 @@ from rhizotwin.sim.shoot import ShootSolid, build_shoot
 
 
 def build(**changes: object) -> ShootSolid:
-    solid = build_shoot(Scene(shoot=replace(Shoot(), **changes)))  # type: ignore[arg-type]
+    solid = build_shoot(Scene(shoot=replace(Shoot(), **changes)))
     assert solid is not None
     return solid
 

@@ -70,7 +70,7 @@ def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
     notes = truth.drawn["notes"]
     assert len(notes) == 2
     assert "inside out" in notes[0]
-    assert truth.drawn["specimen"]["file"] == scene.specimen.file  # type: ignore[union-attr]
+    assert truth.drawn["specimen"]["file"] == scene.specimen.file
     text = (tmp_path / "set" / "dataset.json").read_text()
     for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "inside out"):
         assert secret not in text
@@ -82,10 +82,10 @@ def test_a_frame_alone_equals_the_frame_in_a_set() -> None:
     scene = tiny()
     world, solid = draw_world(scene, seed=5), build_specimen(scene)
     for fidelity in ("backlit", "path"):
-        in_a_set = Renderer(scene, world, solid, fidelity=fidelity, samples=4)  # type: ignore[arg-type]
+        in_a_set = Renderer(scene, world, solid, fidelity=fidelity, samples=4)
         for k in range(len(plan.views(scene))):
             image, mask = in_a_set.view(k)
-        alone = Renderer(scene, draw_world(scene, seed=5), solid, fidelity=fidelity, samples=4).view(k)  # type: ignore[arg-type]
+        alone = Renderer(scene, draw_world(scene, seed=5), solid, fidelity=fidelity, samples=4).view(k)
         np.testing.assert_array_equal(image, alone[0])
         np.testing.assert_array_equal(mask, alone[1])
 

@@ -75,7 +75,7 @@ def test_errors_have_the_size_that_the_profile_names() -> None:
     seat = world_of(9).table_from_canister
     assert np.linalg.norm(seat[:3, 3]) == pytest.approx(1.0)
     assert np.rad2deg(np.linalg.norm(frames.to_rotvec(seat))) == pytest.approx(0.5)
-    assert np.ptp(world_of(9).backlight) == pytest.approx(0.3)  # type: ignore[arg-type]
+    assert np.ptp(world_of(9).backlight) == pytest.approx(0.3)
 
 
 def test_dirt_stays_in_the_water() -> None:

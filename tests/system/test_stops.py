@@ -324,7 +324,7 @@ def test_real_signal_in_reconstruct(number: signal.Signals, made: Path, tmp_path
     process = subprocess.Popen([sys.executable, "-m", "rhizotwin", *words], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr is not None
     said = b""
-    while b"outlines" not in said and (more := process.stderr.read1()):  # type: ignore[attr-defined]
+    while b"outlines" not in said and (more := process.stderr.read1()):
         said += more
     process.send_signal(number)
     said += process.communicate(timeout=60.0)[1]

@@ -45,7 +45,7 @@ def test_the_interval_never_reaches_below_nothing() -> None:
     ids=["views", "unexplained", "fill", "interval", "side"],
 )
 def test_what_is_no_measurement_is_said_with_its_cause(changes: dict[str, object], says: str) -> None:
-    budget = Budget(**({"volume_mm3": 100.0, "terms": (term(3.0, 3.0),), "views": 40} | changes))  # type: ignore[arg-type]
+    budget = Budget(**({"volume_mm3": 100.0, "terms": (term(3.0, 3.0),), "views": 40} | changes))
     assert budget.verdict.startswith("this scan cannot give a volume: ")
     assert says in budget.verdict
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,7 +32,7 @@ def dataset(folder: Path, *, name: str = "scene") -> Path:
 def job(name: str, folder: Path, **changes: object) -> Job:
     options = {"voxel_mm": None, "settings": None, "device": "cpu"}
     plain = Job(name=name, kind="reconstruct", source=str(folder / "none"), output=str(folder / name), key="k", pixels=1e6, options=options)
-    return replace(plain, **changes)  # type: ignore[arg-type]
+    return replace(plain, **changes)
 
 
 def test_datasets_are_found_in_folders_and_patterns_each_once(tmp_path: Path) -> None:
@@ -70,21 +71,21 @@ def test_what_is_finished_is_known_by_dataset_settings_and_code(
     ball_result("ball")
     jobs.note(first, Outcome(name="ball", state="done"))
     assert jobs.is_done(listed())
-    again = listed
+    options: dict[str, Any] = {}
     if changed == "dataset":
         dataset(tmp_path / "scans" / "ball", name="another")
     elif changed == "settings":
         (tmp_path / "s.toml").write_text("voxel_mm = 0.3\n", encoding="utf-8")
-        again = lambda: listed(settings=tmp_path / "s.toml")  # noqa: E731
+        options = {"settings": tmp_path / "s.toml"}
     elif changed == "voxels":
-        again = lambda: listed(voxel_mm=0.5)  # noqa: E731
+        options = {"voxel_mm": 0.5}
     elif changed == "code":
         monkeypatch.setattr(collect.sources, "digest", lambda _: "other")
     elif changed == "record":
         Path(first.record).write_text("{", encoding="utf-8")
     else:
         (tmp_path / "ball" / "result.json").unlink()
-    assert not jobs.is_done(again())
+    assert not jobs.is_done(listed(**options))
 
 
 def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,7 +95,7 @@ def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: p
         def send(self, plain: dict[str, object]) -> None:
             given.append(str(plain["name"]))
 
-    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, Line()))  # type: ignore[arg-type]
+    monkeypatch.setattr(local, "_hire", lambda _: local._Worker(None, Line()))
     waiting = [job("large", tmp_path, pixels=40e6), job("huge", tmp_path, pixels=90e6), job("small", tmp_path, pixels=2e6)]
     crew: list[local._Worker] = []
     local._hand_out(waiting, crew, 8, waiting[0].memory_mib + waiting[2].memory_mib)
@@ -205,7 +206,7 @@ def test_series_name_plants_days_and_treatments() -> None:
     assert (one.subject.treatment, one.subject.day, one.subject.replicate) == ("low N", 3.0, 2)
     assert len({other.subject.plant for other in varied.values()}) == 4
     same = series.vary(scene, days=(5.0,))["radish_day05a_day05"]
-    assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)  # type: ignore[union-attr]
+    assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)
     with pytest.raises(UserError, match="has no grown plant"):
         series.vary(files.load_scene("sphere_20mm"), plants=2)
 

@@ -66,7 +66,7 @@ def test_what_the_page_says():
     with pytest.raises(KeyboardInterrupt):
         live.holds()
     dark = Look(
-        frame=None,  # type: ignore[arg-type]
+        frame=None,
         image=np.zeros((3, 4), np.uint8),
         exposure=Exposure(bright=0.1, saturated=0.0),
         sighting=None,
@@ -129,7 +129,7 @@ def test_a_person_watches_a_scan_of_the_twin(tmp_path: Path):
 def test_only_the_last_picture_is_kept_large():
     live = Live(SCENE)
     look = Look(
-        frame=None,  # type: ignore[arg-type]
+        frame=None,
         image=np.zeros((300, 400), np.uint8),
         exposure=Exposure(bright=0.5, saturated=0.0),
         sighting=None,

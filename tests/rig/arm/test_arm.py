@@ -145,7 +145,7 @@ def test_an_arm_that_still_creeps_when_its_time_is_over_is_waited_for() -> None:
     def late(seconds: float) -> None:
         clock.at_s += seconds if seconds < 0.2 else seconds - 0.5
 
-    clock.sleep = late  # type: ignore[method-assign]
+    clock.sleep = late
     np.testing.assert_allclose(arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0)), (60.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
 
 
@@ -157,7 +157,7 @@ def test_an_arm_that_never_rests_is_stopped() -> None:
         bus._to = {}
         bus.drift = {3: 2.0}
 
-    bus.move = start_drifting  # type: ignore[method-assign]
+    bus.move = start_drifting
     with pytest.raises(UnsafeError, match=r"wrist pitch .* does not come to rest"):
         arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
     assert bus.names() == ["move", "stop"]

@@ -152,7 +152,7 @@ class _FakePicamera2:
 def sensor(monkeypatch: pytest.MonkeyPatch) -> _Sensor:
     found = _Sensor()
     module = ModuleType("picamera2")
-    module.Picamera2 = type("Picamera2", (_FakePicamera2,), {"sensor": found})  # type: ignore[attr-defined]
+    module.Picamera2 = type("Picamera2", (_FakePicamera2,), {"sensor": found})
     monkeypatch.setitem(sys.modules, "picamera2", module)
     return found
 

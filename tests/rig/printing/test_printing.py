@@ -168,7 +168,7 @@ def test_pdf_pages_have_the_paper_s_size_and_ask_not_to_be_scaled(tmp_path: Path
     assert len(boxes) == len(pages)
     np.testing.assert_allclose(np.array(boxes, float) * 25.4 / 72.0, [(200.0, 140.0)] * len(pages), atol=1e-4)
     table = int(re.findall(rb"startxref\s+(\d+)", pdf)[-1])
-    offset = int(re.match(rb"xref\n0 1\n.{20}\d+ 1\n(\d{10}) 00000 n", pdf[table:], re.DOTALL)[1])  # type: ignore[index]
+    offset = int(re.match(rb"xref\n0 1\n.{20}\d+ 1\n(\d{10}) 00000 n", pdf[table:], re.DOTALL)[1])
     assert re.match(rb"\d+ 0 obj\s*<<[^>]*/Type /Catalog.*/PrintScaling /None", pdf[offset:], re.DOTALL)
 
 

@@ -107,7 +107,7 @@ def test_a_scan_turns_and_rests_as_it_saw_the_water_move(case: Case, tmp_path: P
         image = np.clip(moved + rng.normal(0.0, 0.005 * full, moved.shape), 0, full).astype(shot.image.dtype)
         return replace(shot, image=image)
 
-    opened.table.move_to, opened.camera.capture = moving, sloshing  # type: ignore[method-assign]
+    opened.table.move_to, opened.camera.capture = moving, sloshing
     said: list[str] = []
     dataset = scan(opened, world.scene, tmp_path / "scan", audience=Audience(say=said.append))
     assert world.acceleration_deg_per_s2 == case.chosen_deg_per_s2

@@ -229,7 +229,7 @@ def test_time_outs_last_as_long_as_asked(slow: Slow, timeout_s: float) -> None:
 def test_time_outs_are_seldom_set(slow: Slow) -> None:
     """Reads that end early, as most do, with less and less time left to a deadline."""
     port = opened("fake")
-    slow.read = lambda _size: b"x"  # type: ignore[method-assign]
+    slow.read = lambda _size: b"x"
     for k in range(100):
         assert port.read(10.0 - 0.01 * k) == b"x"
     assert slow.changes == 1

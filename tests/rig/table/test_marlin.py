@@ -121,7 +121,7 @@ def test_an_unplugged_board_is_lost(talk: Talk) -> None:
     def gone(_timeout_s: float) -> bytes:
         raise LostError("turntable on fake: unplugged")
 
-    talk.script.read = gone  # type: ignore[method-assign]
+    talk.script.read = gone
     with pytest.raises(LostError, match="unplugged"):
         talk.link.command("M400")
     assert not talk.link.ready

@@ -57,7 +57,7 @@ class _Talk:
 
 
 def table(kind: str, **changes: object) -> Fault:
-    return replace(Fault(kind=kind, device="table"), **changes)  # type: ignore[arg-type]
+    return replace(Fault(kind=kind, device="table"), **changes)
 
 
 def test_bytes_take_their_time_both_ways() -> None:

@@ -38,7 +38,7 @@ class _Board:
                 return said
 
 
-def _lines(replies: list) -> list[str]:  # type: ignore[type-arg]
+def _lines(replies: list) -> list[str]:
     return b"".join(reply.data for reply in replies).decode("latin-1").splitlines()
 
 

@@ -59,7 +59,7 @@ def test_a_move_over_the_port_turns_the_table_in_no_time() -> None:
 
 def test_a_read_ends_with_its_bytes_or_its_time_out() -> None:
     rig = twin()
-    port = opened(rig.rig.arm.port, timeout=0.5)  # type: ignore[union-attr]
+    port = opened(rig.rig.arm.port, timeout=0.5)
     assert port.read(8) == b""
     assert rig.clock.now_s() == pytest.approx(0.5)
     port.write(ASK_ARM)
@@ -89,7 +89,7 @@ def test_a_read_without_time_out_waits_for_what_comes_and_not_for_ever() -> None
 
 def talk(seed: int) -> bytes:
     rig = twin(Fault(kind="reply_corrupted", device="table", at_message=3), seed=seed, profile_name="bench")
-    board, arm = opened(rig.rig.turntable.port), opened(rig.rig.arm.port)  # type: ignore[union-attr]
+    board, arm = opened(rig.rig.turntable.port), opened(rig.rig.arm.port)
     heard = b"".join(asked(board, line) for line in (b"M17", b"M115", b"G1 X9 F1800", b"M400", b"M114"))
     for number in range(1, 7):
         body = bytes([number, 7, 1, 0xF4, 0x01, 0xE8, 0x03])
@@ -194,7 +194,7 @@ def test_device_faults_reach_their_device() -> None:
         Fault(kind="brown_out", device="arm", at_s=5.0, amount=1.0),
         Fault(kind="stopped", device="table", at_s=1.0),
     )
-    world, joints = rig.world, rig.rig.arm.joints  # type: ignore[union-attr]
+    world, joints = rig.world, rig.rig.arm.joints
     shoulder, elbow = world.servos[joints[1].servo], world.servos[joints[2].servo]
     for unit in world.servos.values():
         unit.load(True)

@@ -146,7 +146,7 @@ class _Board(_Bus):
 
     def __init__(self, *numbers: int, start: float = 500.0) -> None:
         super().__init__(*numbers, start=start)
-        self.adapter = LscAdapter(self.servos, self.supply)  # type: ignore[assignment]
+        self.adapter = LscAdapter(self.servos, self.supply)
 
 
 def test_lsc_examples() -> None:
