@@ -65,17 +65,29 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Arr
     depth = np.full(len(cells.index), -reach_mm)
     if not len(core):
         return depth
+    low = core.min(axis=0) - 1
+    box = Box(low.astype(np.int64), core.max(axis=0).astype(np.int64) - low + 2)
+    full = np.zeros(int(box.span.prod()), bool)
+    place = box.number(core)
+    full[place] = True
+    # the nearest cell of the other kind is one of those that touch this kind with a face
+    touching = place[:, None] + np.concatenate([box.step, -box.step])
+    rim = core[~full[touching].all(axis=1)]
+    beyond = np.unique(touching[~full[touching]])
+    inside = _held(full, box, cells.index)
     size_mm = cells.grid.size_mm
-    pad = int(np.ceil(reach_mm / size_mm)) + 1
-    low = core.min(axis=0) - pad
-    block = np.zeros(core.max(axis=0) - low + pad + 1, bool)
-    block[tuple((core - low).T)] = True
-    at = cells.index - low
-    near = ((at >= 0) & (at < block.shape)).all(axis=1)
-    place = tuple(at[near].T)
-    inner, outer = (ndimage.distance_transform_edt(part)[place] * size_mm for part in (block, ~block))
-    depth[near] = np.maximum(inner - outer, -reach_mm)
+    depth[inside] = cKDTree(box.cell(beyond)).query(cells.index[inside], workers=-1)[0] * size_mm
+    away = cKDTree(rim).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
+    depth[~inside] = np.maximum(-away * size_mm, -reach_mm)
     return depth
+
+
+def _held(full: NDArray[np.bool_], box: Box, index: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell which cells (N,) of a lattice are among the full ones of a box."""
+    at = index - box.low
+    near = ((at >= 0) & (at < box.span)).all(axis=1)
+    near[near] = full[box.number(index[near])]
+    return near
 
 
 def trace(cells: Cells, depth_mm: Array) -> list[Path]:
