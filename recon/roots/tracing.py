@@ -85,7 +85,7 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Arr
 def _held(full: NDArray[np.bool_], box: Box, index: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Tell which cells (N,) of a lattice are among the full ones of a box."""
     at = index - box.low
-    near = ((at >= 0) & (at < box.span)).all(axis=1)
+    near = np.asarray(((at >= 0) & (at < box.span)).all(axis=1))
     near[near] = full[box.number(index[near])]
     return near
 
