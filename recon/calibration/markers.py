@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, Scratch, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.markers import dictionary_named
+from rhizotwin.scenes.markers import dictionary_named, marker_cells
 from rhizotwin.scenes.model import MarkerStrip
 
 Bytes = NDArray[np.uint8]
@@ -107,9 +107,9 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     covariances: list[Array] = []
     bends: list[float] = []
     blurs: list[float] = []
-    side, blur_px, scratch = dictionary.markerSize + 2, FIRST_BLUR_PX, Scratch()
+    blur_px, scratch = FIRST_BLUR_PX, Scratch()
     for marker_id, start_px in zip(ids, corners_px, strict=True):
-        white = np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)) > 127
+        white = marker_cells(strip.dictionary, int(marker_id))
         fit = fit_marker(image, white, start_px, blur_px=blur_px, scratch=scratch)
         if fit is not None:
             blur_px = fit.blur_px
