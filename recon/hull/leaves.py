@@ -50,6 +50,20 @@ class Leaves:
     occupancy: NDArray[np.float32]
     """(N,) fraction inside the shape."""
 
+    @property
+    def middles_mm(self) -> Array:
+        """Their centres (N, 3), canister frame."""
+        return np.asarray(self.grid.origin_mm) + (self.index + 0.5 * self.size[:, None]) * self.grid.size_mm
+
+    @property
+    def filled(self) -> Array:
+        """Their volumes (N,) inside the shape, in finest nodes."""
+        return np.asarray(self.occupancy.astype(np.float64) * self.size.astype(np.float64) ** 3)
+
+    def some(self, chosen: NDArray[np.generic] | slice) -> Leaves:
+        """Return those that a mask, numbers or a slice choose."""
+        return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
+
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
         """Return the summed volume, also for other occupancies (N,) of the same leaves."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3

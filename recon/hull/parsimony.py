@@ -87,11 +87,9 @@ class Trimmed:
         """Return the part that lies within a margin of points (M, 3)."""
         leaves, near = self.leaves, np.zeros(len(self.kept), bool)
         if len(points_mm):
-            size_mm = leaves.grid.size_mm
-            centre = np.asarray(leaves.grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * size_mm
-            near = cKDTree(points_mm).query(centre, workers=-1)[0] < margin_mm + 0.5 * size_mm * (leaves.size - 1)
-        part = replace(leaves, index=leaves.index[near], size=leaves.size[near], occupancy=leaves.occupancy[near])
-        return replace(self, leaves=part, kept=self.kept[near])
+            reach_mm = margin_mm + 0.5 * leaves.grid.size_mm * (leaves.size - 1)
+            near = cKDTree(points_mm).query(leaves.middles_mm, workers=-1)[0] < reach_mm
+        return replace(self, leaves=leaves.some(near), kept=self.kept[near])
 
 
 def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:

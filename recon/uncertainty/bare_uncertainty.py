@@ -38,7 +38,7 @@ def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_
     off_mm = math.hypot(known.azimuth_rad * _distance_mm(leaves) / math.sqrt(2.0), known.lift_mm)
     moved = NINETY * off_mm / known.mm_per_px * mm3_per_px
     return (
-        Term(name="scale", less_mm3=scale, more_mm3=scale, why="the scale is that of the canister's diameter, which a person measured"),
+        Term.even("scale", scale, "the scale is that of the canister's diameter, which a person measured"),
         Term(
             name="cameras",
             less_mm3=moved / math.sqrt(views),
@@ -50,6 +50,5 @@ def terms(known: BareUncertainty | None, leaves: Leaves, *, views: int, mm3_per_
 
 def _distance_mm(leaves: Leaves) -> float:
     """Return the root mean square distance of a shape from the axis."""
-    middle = np.asarray(leaves.grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * leaves.grid.size_mm
-    weight = leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3
+    middle, weight = leaves.middles_mm, leaves.filled
     return float(np.sqrt((weight * (middle[:, 0] ** 2 + middle[:, 1] ** 2)).sum() / max(float(weight.sum()), 1e-9)))

@@ -30,6 +30,11 @@ class Term:
     why: str
     """Where it comes from, in words."""
 
+    @staticmethod
+    def even(name: str, half_mm3: float, why: str) -> Term:
+        """Return a cause that may make the volume as much smaller as larger."""
+        return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Volume:

@@ -19,7 +19,7 @@ from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.optics.cameras import View, known_tank, project_inner
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.uncertainty.budget import Term
+from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes.frames import from_rotvec, rotation_z
 from rhizotwin.scenes.model import Tank
 
@@ -35,8 +35,6 @@ TANK_WALL, TANK_FRONT_MM, LIQUID, TURN_DEG, LEAN_DEG = 0.1, 1.0, 0.001, 2.0, 0.3
 """Of a tank: share of its wall as acrylic sheet is sold, how far off it stands that was placed with a ruler (mm), index
 of its water within ten degrees and a gram of salts, how far it is turned that was set by eye (deg), and how far its
 front leans that was glued at a right angle (half a millimetre over 100) and set with a level."""
-NINE_OF_TEN = 1.645
-"""Standard deviations within which nine of ten of a normal lie."""
 POINTS, VIEWS = 100, 12
 """Of the shape and of the turn that are looked at: the map is smooth."""
 CUBE_MM = 1.0
@@ -75,14 +73,14 @@ def canister(views: Sequence[View], optics: Optics, leaves: Leaves, volume_mm3: 
     shares = {name: abs(misread(views, o, other, points)) for name, other in others.items()}
     if o.tank is not None:
         sigma_deg = TURN_DEG if edges is None else edges.tank_sigma_deg
-        moved = {"is turned": rotation_z(np.deg2rad(NINE_OF_TEN * sigma_deg))}
+        moved = {"is turned": rotation_z(np.deg2rad(NINETY * sigma_deg))}
         moved["leans"] = from_rotvec(np.deg2rad([0.0, EVENLY * LEAN_DEG, 0.0]), np.zeros(3))
         for how, turn in moved.items():
             others_seen = [replace(view, cam_from_tank=known_tank(view) @ turn) for view in views]
             shares[f"how its tank {how}"] = abs(misread(views, o, o, points, others_seen))
     half = math.hypot(*shares.values()) * volume_mm3
     worst = max(shares, key=lambda name: shares[name])
-    return Term(name="canister", less_mm3=half, more_mm3=half, why=f"the canister may differ from its drawing, most of all in {worst}")
+    return Term.even("canister", half, f"the canister may differ from its drawing, most of all in {worst}")
 
 
 def _tanks(o: Optics, tank: Tank) -> dict[str, Optics]:
@@ -140,7 +138,5 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
 
 def _points(leaves: Leaves) -> Array:
     """Return places (N, 3) of the shape, evenly by volume."""
-    weight = np.cumsum(leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3)
-    chosen = np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])
-    middle = leaves.index[chosen] + 0.5 * leaves.size[chosen][:, None]
-    return np.asarray(leaves.grid.origin_mm) + middle * leaves.grid.size_mm
+    weight = np.cumsum(leaves.filled)
+    return leaves.some(np.searchsorted(weight, (np.arange(POINTS) + 0.5) / POINTS * weight[-1])).middles_mm

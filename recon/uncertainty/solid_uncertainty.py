@@ -48,12 +48,7 @@ def estimate(hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, h
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
-        Term(
-            name="outlines",
-            less_mm3=outline,
-            more_mm3=outline,
-            why="outlines of thick parts are known to a tenth of a pixel",
-        ),
+        Term.even("outlines", outline, "outlines of thick parts are known to a tenth of a pixel"),
         Term(
             name="trimmed away",
             less_mm3=0.0,
@@ -95,13 +90,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     every_other = every_second(frames)
     half_maps = replace(maps, values=mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()))
     volumes = [
-        carve.carve(
-            some,
-            outlines,
-            grid,
-            water,
-            min_votes=distance_maps.least_votes(some.count),
-        ).leaves.volume_mm3()
+        carve.carve(some, outlines, grid, water, min_votes=distance_maps.least_votes(some.count)).leaves.volume_mm3()
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
@@ -114,5 +103,4 @@ def every_second(frames: Sequence[int]) -> list[int]:
 
 def water(volume_mm3: float) -> Term:
     """Return what the water's index leaves open: what a thermometer or the pictures do not tell."""
-    half = _INDEX * volume_mm3
-    return Term(name="water", less_mm3=half, more_mm3=half, why="the water's index may differ from the one that was used")
+    return Term.even("water", _INDEX * volume_mm3, "the water's index may differ from the one that was used")

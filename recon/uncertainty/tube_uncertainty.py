@@ -72,10 +72,11 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
     balance = 2.0 * rest.balance * tube_mm3  # areas grow with the radius, volumes with its square
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
+    ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
     terms = (
-        _even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
-        _even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
-        _even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
+        Term.even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
+        Term.even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
+        Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
         _signed(
             "radii, residual gradient",
             total,
@@ -83,7 +84,7 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
         ),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
-        _even("uncertain ends", float(0.5 * gain @ (tubes.radius_mm * system.uncertain)), "ends whose tips others hide may be no roots"),
+        Term.even("uncertain ends", ends, "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
@@ -109,10 +110,6 @@ def _translucency(system: RootSystem) -> tuple[Term, ...]:
         why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
         return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(attenuation.rival_per_mm) - volume_mm3(None), why=why),)
     return ()
-
-
-def _even(name: str, half_mm3: float, why: str) -> Term:
-    return Term(name=name, less_mm3=half_mm3, more_mm3=half_mm3, why=why)
 
 
 def _signed(name: str, change_mm3: float, why: str) -> Term:
