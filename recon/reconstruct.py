@@ -112,8 +112,7 @@ def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], t
     planted = plants.give(solid.roots, scene.plants, grid_z_mm=scene.net_pot.grid_z_mm)
     shape = dividing.Shape(
         leaves=solid.voxels,
-        vertices_mm=np.asarray(solid.mesh.vertices, np.float64),
-        faces=np.asarray(solid.mesh.faces, np.int64),
+        surface=solid.surface,
         finest_mm=solid.finest_mm,
         volume_mm3=solid.volume.mm3,
         interval_mm3=solid.volume.interval_mm3,

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
@@ -17,7 +16,7 @@ from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.results import result_files
-from rhizotwin.recon.results.result import Solid, Triple
+from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
@@ -209,12 +208,12 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
 
 def _misses(carved: Carved, leaves: Leaves) -> float:
     """Return the share of the pictures' coverage before which no part of a shape stands, over a few views."""
-    some = np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES]
-    index, edge = leaves.index[some], leaves.size[some]
+    leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
+    edge = leaves.size
     # they come in an order that spreads neighbours over the turn
     views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
     seen = Evidence.of(carved.bank.chosen(views), [carved.silhouettes[k] for k in views])
-    at = seen.project(np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge[:, None]) * leaves.grid.size_mm)
+    at = seen.project(leaves.middles_mm)
     half_mm = 0.5 * 3.0**0.5 * leaves.grid.size_mm * edge
     shown, missed = 0.0, 0.0
     for place, silhouette in enumerate(seen.silhouettes):
@@ -268,8 +267,8 @@ def measure(
             hull_mm3=hull.leaves.volume_mm3(),
             untrimmed_mm3=untrimmed_mm3,
             blind_mm3=hull.blind_mm3,
-            extents_min_mm=_triple(low),
-            extents_max_mm=_triple(high),
+            extents_min_mm=triple(low),
+            extents_max_mm=triple(high),
             warnings=warnings,
         )
 
@@ -290,7 +289,3 @@ def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
             "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
         )
     return found
-
-
-def _triple(values: NDArray[np.float64]) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

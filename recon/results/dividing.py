@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.by_plant import OfPlant, Pair
-from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.results.result_files import Leaves, Mesh
 from rhizotwin.recon.roots.plants import Planted
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant
@@ -25,10 +25,7 @@ class Shape:
     """The whole solid, of which each plant has a part."""
 
     leaves: Leaves
-    vertices_mm: Floats
-    """(V, 3) of the surface."""
-    faces: NDArray[np.int64]
-    """(F, 3)"""
+    surface: Mesh
     finest_mm: float
     """Edge of the voxels from which it was drawn."""
     volume_mm3: float
@@ -54,15 +51,16 @@ def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subj
     scale = shape.volume_mm3 / float(mm3.sum())
     own = scale * np.bincount(owner, weights=mm3, minlength=len(names))
     loose = scale * np.bincount(owner[is_open], weights=mm3[is_open], minlength=len(names))
-    corners = shape.vertices_mm[shape.faces].mean(axis=1)
+    vertices_mm, triangles = shape.surface.vertices_mm, shape.surface.faces
+    corners = vertices_mm[triangles].mean(axis=1)
     face_of = np.stack([_height_mm(corners, side) for side in sides]).argmin(axis=0)
     low, high = (end / shape.volume_mm3 for end in shape.interval_mm3)
     found = []
     for k, name in enumerate(names):
         plant = next(one for one in plants if one.plant == name)
-        roots, faces = rsml.of_plant(planted.roots, name), shape.faces[face_of == k]
+        roots, faces = rsml.of_plant(planted.roots, name), triangles[face_of == k]
         used = np.unique(faces)
-        points = np.concatenate([shape.vertices_mm[used], *(root.points_mm for root in roots)])
+        points = np.concatenate([vertices_mm[used], *(root.points_mm for root in roots)])
         found.append(
             OfPlant(
                 subject=plant.subject(whole),
@@ -71,8 +69,7 @@ def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subj
                 volume_interval_mm3=(float(low * (own[k] - loose[k])), float(high * (own[k] + loose.sum() - loose[k]))),
                 open_mm=rsml.length_mm(root for root in unsure if root.plant == name),
                 traits=result_traits.of_shape(
-                    shape.vertices_mm[used],
-                    np.searchsorted(used, faces),
+                    Mesh(vertices_mm=vertices_mm[used], faces=np.searchsorted(used, faces)),
                     roots,
                     volume_mm3=float(own[k]),
                     finest_mm=shape.finest_mm,

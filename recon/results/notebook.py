@@ -7,10 +7,7 @@ import io
 from html import escape
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from rhizotwin.recon.results import pictures
-from rhizotwin.recon.results.result_files import Mesh
 
 if TYPE_CHECKING:
     from rhizotwin.recon.results.result import Result
@@ -37,10 +34,10 @@ def html(result: Result) -> str:
 
 def _picture(result: Result) -> str:
     """Return the shape as a picture inside the text; nothing where there is no shape."""
-    mesh = result.solid.mesh
-    if not len(mesh.faces):
+    surface = result.solid.surface
+    if not len(surface.faces):
         return ""
-    drawn = pictures.shape_close_up(Mesh(vertices_mm=np.asarray(mesh.vertices, np.float64), faces=np.asarray(mesh.faces, np.int64)))
+    drawn = pictures.shape_close_up(surface)
     stored = io.BytesIO()
     drawn.savefig(stored, format="png", dpi=DPI)
     return f'<img alt="the shape from two sides" src="data:image/png;base64,{base64.b64encode(stored.getvalue()).decode()}">'

@@ -1,19 +1,20 @@
 """The result of a reconstruction, and writing it as a folder.
 
-RESULT/  result.json   numbers, traits, views, rig, warnings, timings, settings and versions
-shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the untrimmed hull as
-hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
-shape.ply     surface, canister frame, mm
-shoot.ply     surface of the shoot's visual hull, where there are pictures of a shoot
-roots.rsml    centre lines and diameters of the roots, where some were found
-traits.csv, traits.json   traits with units and definitions
-silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
-seen/NAME.png          8 bit: 255 where the picture says something about the water
+    RESULT/  result.json   numbers, traits, views, rig, warnings, timings, settings and versions
+             shape.npz     leaves (N, 3) lowest corner and size (N,) in voxels, occupancy (N,); the same of the
+                           untrimmed hull as hull_leaves, hull_size, hull_occupancy; origin_mm (3,), voxel_mm
+             shape.ply     surface, canister frame, mm
+             shoot.ply     surface of the shoot's visual hull, where there are pictures of a shoot
+             roots.rsml    centre lines and diameters of the roots, where some were found
+             traits.csv, traits.json   traits with units and definitions
+             silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
+             seen/NAME.png          8 bit: 255 where the picture says something about the water
+
+NAME is the picture's name in the dataset.
 """
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -24,12 +25,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.by_plant import OfPlant
-from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, picture_path
+from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check
@@ -42,6 +44,13 @@ from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 
 Triple = tuple[float, float, float]
+
+
+def triple(values: NDArray[np.float64]) -> Triple:
+    """Return three numbers as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
 
 POSES = ("cam_from_canister", "cam_from_tank")
 """Poses of a camera in ``result.json`` ..."""
@@ -83,6 +92,11 @@ class Solid:
     def voxel_mm(self) -> float:
         """Edge of a voxel."""
         return self.voxels.voxel_mm
+
+    @property
+    def surface(self) -> Mesh:
+        """The surface as vertices and faces."""
+        return Mesh.of(self.mesh)
 
     @property
     def length_mm(self) -> float:
@@ -159,8 +173,7 @@ class Result:
         """The traits as numbers."""
         solid = self.solid
         return result_traits.of_shape(
-            np.asarray(solid.mesh.vertices, np.float64),
-            np.asarray(solid.mesh.faces, np.int64),
+            solid.surface,
             solid.roots,
             volume_mm3=solid.volume.mm3,
             finest_mm=solid.finest_mm,
@@ -242,20 +255,8 @@ class Result:
             Where it cannot be written.
         """
         begin, folder, solid = time.perf_counter(), Path(folder), self.solid
-        buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            leaves=solid.voxels.low,
-            size=solid.voxels.size,
-            occupancy=solid.voxels.occupancy,
-            hull_leaves=solid.hull.low,
-            hull_size=solid.hull.size,
-            hull_occupancy=solid.hull.occupancy,
-            origin_mm=solid.voxels.origin_mm,
-            voxel_mm=np.float64(solid.voxel_mm),
-        )
         (folder / "result.json").unlink(missing_ok=True)
-        atomic.write_bytes(folder / "shape.npz", buffer.getvalue())
+        atomic.write_bytes(folder / "shape.npz", shape_npz(solid.voxels, solid.hull))
         atomic.write_bytes(folder / "shape.ply", bytes(trimesh.exchange.ply.export_ply(solid.mesh)))
         (folder / "shoot.ply").unlink(missing_ok=True)
         if self.shoot is not None:

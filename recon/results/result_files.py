@@ -1,16 +1,6 @@
-"""Read a result folder back: what `recon.scoring` and `report` look at.
+"""The files of a result folder (`recon.results.result` lists them), read back one by one, and its shapes in memory."""
 
-    RESULT/  result.json   numbers, views, warnings, timings
-             shape.npz     occupied leaves of the shape and of the hull it was trimmed from
-             shape.ply     surface, canister frame, mm
-             roots.rsml    centre lines and diameters of the roots, where some were found
-             traits.csv, traits.json   traits with units and definitions
-             silhouettes/NAME.png   16 bit: measured coverage of each pixel by roots
-             seen/NAME.png          8 bit: 255 where the picture says something about the water
-
-NAME is the picture's name in the dataset.
-"""
-
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -64,6 +54,23 @@ class Mesh:
     """(V, 3)"""
     faces: NDArray[np.int64]
     """(F, 3)"""
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh) -> "Mesh":
+        """Return vertices and faces of a mesh of trimesh's."""
+        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+        return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
+
+    @property
+    def corners_mm(self) -> Floats:
+        """The first, second and third corner of the faces (3, F, 3)."""
+        return self.vertices_mm[self.faces.T]
+
+    @property
+    def areas_mm2(self) -> Floats:
+        """Of the faces (F,)."""
+        a, b, c = self.corners_mm
+        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
 
 def read_summary(folder: Path) -> Json:
@@ -121,21 +128,37 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
     return leaves
 
 
+def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
+    """Return the content of ``shape.npz``."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        leaves=shape.low,
+        size=shape.size,
+        occupancy=shape.occupancy,
+        hull_leaves=hull.low,
+        hull_size=hull.size,
+        hull_occupancy=hull.occupancy,
+        origin_mm=shape.origin_mm,
+        voxel_mm=np.float64(shape.voxel_mm),
+    )
+    return buffer.getvalue()
+
+
 def read_mesh(path: Path) -> Mesh:
     """Return a mesh file's vertices and faces; UserError where it is missing, damaged or without faces."""
     if not Path(path).is_file():
         raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
     try:
-        loaded = trimesh.load(path, process=False, force="mesh")
-        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
-        faces = np.asarray(loaded.faces, np.int64).reshape(-1, 3)
+        mesh = Mesh.of(trimesh.load(path, process=False, force="mesh"))
     except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
         raise UserError(f"{path} is not a readable mesh ({error}).") from None
+    vertices, faces = mesh.vertices_mm, mesh.faces
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(f"{path} is damaged: a triangle names vertex {faces.max()} (or {faces.min()}) of {len(vertices)}.")
-    return Mesh(vertices_mm=vertices, faces=faces)
+    return mesh
 
 
 def picture_path(folder: Path, frame_file: str) -> Path:

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.results import by_plant, result_files
 from rhizotwin.recon.results.by_plant import OfPlant
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.result_files import Json, Mesh
 from rhizotwin.scenes import rsml, subject, trait_table, tube_surface
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -26,8 +26,7 @@ mm roots' area)."""
 
 
 def of_shape(
-    vertices_mm: Floats,
-    faces: NDArray[np.int64],
+    surface: Mesh,
     roots: Sequence[Root],
     *,
     volume_mm3: float,
@@ -39,8 +38,8 @@ def of_shape(
 
     Parameters
     ----------
-    vertices_mm, faces : (V, 3) float64 array, (F, 3) int64 array
-        The surface.
+    surface : Mesh
+        May be empty.
     roots : sequence of Root
         May be empty; what needs centre lines is None then.
     finest_mm : float
@@ -48,8 +47,9 @@ def of_shape(
     extents_mm : tuple of (3,) sequences of float
         Lowest and highest corner of the shape, for one whose surface is empty.
     """
-    points = np.concatenate([vertices_mm, *(root.points_mm for root in roots)]) if len(vertices_mm) or roots else np.array(extents_mm)
-    surface_mm2 = _area_mm2(vertices_mm, faces, roots, THICK_CELLS * finest_mm)
+    some = len(surface.vertices_mm) or roots
+    points = np.concatenate([surface.vertices_mm, *(root.points_mm for root in roots)]) if some else np.array(extents_mm)
+    surface_mm2 = _area_mm2(surface, roots, THICK_CELLS * finest_mm)
     return measure_traits(roots, points, volume_mm3=volume_mm3, surface_mm2=surface_mm2, mass_g=mass_g)
 
 
@@ -64,10 +64,14 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
     summary = result_files.read_summary(result_folder)
     mesh = result_files.read_mesh(result_folder / "shape.ply")
     file = result_folder / "roots.rsml"
+    return of_summary(summary, mesh, rsml.read_rsml(file) if file.is_file() else (), mass_g=mass_g)
+
+
+def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
+    """Measure the traits of a ``result.json`` with its surface and roots; without a mass, with its own."""
     return of_shape(
-        mesh.vertices_mm,
-        mesh.faces,
-        rsml.read_rsml(file) if file.is_file() else (),
+        surface,
+        roots,
         volume_mm3=float(summary["volume_mm3"]),
         finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
         mass_g=summary.get("mass_g") if mass_g is None else mass_g,
@@ -143,13 +147,13 @@ def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str,
     return {"traits.csv": table, "traits.json": f"{content}\n"}
 
 
-def _area_mm2(vertices_mm: Floats, faces: NDArray[np.int64], roots: Sequence[Root], thick_mm: float) -> float:
+def _area_mm2(surface: Mesh, roots: Sequence[Root], thick_mm: float) -> float:
     """Return the outside's area: thin roots as tubes, the rest as meshed."""
-    a, b, c = (vertices_mm[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    area = surface.areas_mm2
     if not roots:
         return float(area.sum())
     tubes = tube_surface.stations(roots)
+    a, b, c = surface.corners_mm
     thin, middle = tubes.radius_mm < thick_mm, (a + b + c) / 3.0
     to_thin, to_thick = (height_mm(middle, tubes.centre_mm[chosen], tubes.radius_mm[chosen]) for chosen in (thin, ~thin))
     meshed = (to_thick <= to_thin) | (to_thin > thick_mm)

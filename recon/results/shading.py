@@ -116,7 +116,7 @@ def vertex_normals(mesh: Mesh) -> Floats:
 
     A mesh whose faces are turned inside out (its signed volume is negative) gets the same normals as its mirror image.
     """
-    a, b, c = (mesh.vertices_mm[mesh.faces[:, k]] for k in range(3))
+    a, b, c = mesh.corners_mm
     area = np.cross(b - a, c - a)
     if np.einsum("ij,ij->", a - mesh.vertices_mm.mean(axis=0), area) < 0.0:
         area = -area

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rhizotwin.recon.results import surface_distance
 from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.robust import MAD
 from rhizotwin.scenes import frames
 
 Floats = NDArray[np.float64]
@@ -81,7 +82,7 @@ def register(solid: Mesh, to: Mesh) -> Registration:
 def _cloud(mesh: Mesh, count: int) -> _Cloud:
     """Spread points over a mesh, the same at every call."""
     points, face = surface_distance.sample_faces(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
-    a, b, c = (mesh.vertices_mm[mesh.faces[face, k]] for k in range(3))
+    a, b, c = mesh.corners_mm[:, face]
     across = np.cross(b - a, c - a)
     return _Cloud(points, across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None])
 
@@ -122,7 +123,7 @@ def _settled(cloud: _Cloud, to: _Cloud, pose: Floats, *, size_mm: float) -> tupl
         at = np.concatenate([now, now[back]])
         normals = np.concatenate([to.normals[ahead], to.normals])
         off = np.einsum("ij,ij->i", np.concatenate([to.points[ahead], to.points]) - at, normals)
-        spread_mm = max(CAUCHY * 1.4826 * float(np.median(np.abs(off))), least_mm)
+        spread_mm = max(CAUCHY * MAD * float(np.median(np.abs(off))), least_mm)
         weight = 1.0 / (1.0 + (off / spread_mm) ** 2)
         middle = at.mean(axis=0)
         rows = np.concatenate([np.cross(at - middle, normals), normals], axis=1)

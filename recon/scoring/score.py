@@ -13,7 +13,7 @@ import numpy as np
 
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.load import load_result
-from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.scoring import score_traits
 from rhizotwin.recon.scoring.score_plants import PlantScore, compare_plants
@@ -22,13 +22,11 @@ from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
 from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
 from rhizotwin.recon.scoring.score_shoot import ShootScore, compare_shoot
 from rhizotwin.recon.scoring.score_solid import (
-    Triple,
     VolumeScore,
     extent_rows,
     percent,
     surface_rows,
     table_of,
-    triple,
     volume_fields,
     volume_rows,
 )
@@ -193,7 +191,6 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     skeleton = mesh_path.parent / "skeleton.rsml"
     true_roots = rsml.read_rsml(skeleton) if skeleton.is_file() else ()
     both = found.roots and true_roots
-    surface = result_files.Mesh(vertices_mm=np.asarray(solid.mesh.vertices, np.float64), faces=np.asarray(solid.mesh.faces, np.int64))
     return Score(
         **volume_fields(found, truth.volume_mm3),
         voxel_mm=solid.voxel_mm,
@@ -202,7 +199,7 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
         extents_error=triple(extents_error),
         extents_error_max=float(np.abs(extents_error).max()),
         voxels=voxels,
-        surface=compare_surfaces(surface, true_solid),
+        surface=compare_surfaces(solid.surface, true_solid),
         poses=compare_poses(found.cameras, truth, dataset.scene.camera, centre_mm=np.add(truth.extents_min_mm, truth.extents_max_mm) / 2.0),
         rig=compare_rig(found.rig, found.cameras, truth),
         masks=compare_masks(found.silhouettes, mesh_path.parent / "masks", image_wh=dataset.scene.camera.image_wh),
@@ -220,7 +217,4 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
 
 def _true_traits(roots: Sequence[Root], solid: result_files.Mesh, volume_mm3: float) -> Traits:
     """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
-    corners = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
-    a, b, c = corners
-    surface_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
-    return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
+    return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=float(solid.areas_mm2.sum()))

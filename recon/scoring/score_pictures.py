@@ -19,7 +19,7 @@ from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, M
 from rhizotwin.recon.pictures import content_of, read_pictures
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result import Result
-from rhizotwin.recon.results.result_files import Json, Mesh
+from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.scoring import drawn
 from rhizotwin.recon.scoring.score_solid import table_of
 from rhizotwin.scenes import frames
@@ -106,7 +106,7 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     chosen = [k for k in cameras.order if k not in same]
     if not chosen:
         raise UserError(f"{dataset.folder}: all pictures with a camera were used for the result; give some that were not")
-    mesh = Mesh(vertices_mm=np.asarray(found.solid.mesh.vertices, np.float64), faces=np.asarray(found.solid.mesh.faces, np.int64))
+    mesh = found.solid.surface
 
     def one(k: int) -> Compared:
         return compare(drawn.coverage(cameras.by_frame[k], cameras.optics, mesh, found.roots), coverage.silhouettes[k])

@@ -45,9 +45,7 @@ def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) ->
     """Compare a shoot with a dataset's ``truth`` folder; None where there is no shoot, or no truth of one."""
     if found is None or not truth:
         return None
-    solid = result_files.read_mesh(folder / "shoot.ply")
-    a, b, c = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
-    half_mm2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 4.0
+    half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())
     errors = []
     for file, pixels in found.covered_px.items():
         mask = result_files.read_grey(result_files.picture_path(folder / "masks", file))

@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from rhizotwin.recon.results.load import load_result
-from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.recon.results.result_files import Json, Mesh
 from rhizotwin.recon.scoring.registration import register
 from rhizotwin.recon.scoring.score_shape import SurfaceScore, compare_surfaces
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.said import between_ml, ml
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +89,7 @@ def score_solid(result: Result | Path | str, solid: Mesh, *, volume_mm3: float) 
         If the result's folder cannot be read.
     """
     found = result if isinstance(result, Result) else load_result(result)
-    shape = Mesh(vertices_mm=np.asarray(found.solid.mesh.vertices, np.float64), faces=np.asarray(found.solid.mesh.faces, np.int64))
+    shape = found.solid.surface
     laid = register(solid, shape)
     extents_mm = np.subtract(found.solid.extents_max_mm, found.solid.extents_min_mm)
     true_mm = np.ptp(laid.moved.vertices_mm, axis=0)
@@ -156,9 +154,3 @@ def table_of(title: str, rows: Sequence[tuple[str, str]]) -> str:
 def percent(fraction: float) -> str:
     """Return a signed percentage."""
     return f"{100.0 * fraction:+.2f} %"
-
-
-def triple(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Triple:
-    """Return three numbers as a tuple."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z

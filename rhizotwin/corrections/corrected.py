@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from pathlib import Path
@@ -14,13 +13,13 @@ import trimesh
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections import surface
 from rhizotwin.corrections.session import Measured, Session
+from rhizotwin.corrections.state import State
 from rhizotwin.recon.results import result_files, result_traits
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.result_files import Leaves, Mesh
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.said import between_ml
 from rhizotwin.scenes.schema import to_plain
-from rhizotwin.scenes.traits import Traits
 
 _EMPTY_MM3 = 1e-9
 _SCALED = ("less_mm3", "more_mm3")
@@ -52,10 +51,9 @@ def write(session: Session, output: Path) -> dict[str, Any]:
         Where the folder holds something that is no result, or a file of the result is missing.
     """
     state, measured = session.state, session.measure()
-    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, state, measured.volumes_mm3)
-    roots = state.roots()
+    mesh, roots = _mesh(session, state, measured), state.roots()
     summary = _summary(session, measured, mesh)
-    traits = _traits(summary, mesh, roots)
+    traits = result_traits.of_summary(summary, Mesh.of(mesh), roots)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
@@ -109,19 +107,6 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
     return dict(summary)
 
 
-def _traits(summary: dict[str, Any], mesh: trimesh.Trimesh, roots: tuple[rsml.Root, ...]) -> Traits:
-    """Measure the traits as the reconstruction does."""
-    return result_traits.of_shape(
-        np.asarray(mesh.vertices, np.float64),
-        np.asarray(mesh.faces, np.int64),
-        roots,
-        volume_mm3=float(summary["volume_mm3"]),
-        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
-        mass_g=summary.get("mass_g"),
-        extents_mm=(summary["extents_min_mm"], summary["extents_max_mm"]),
-    )
-
-
 def _shape(session: Session, measured: Measured) -> bytes:
     """Return ``shape.npz``: the voxels that are left, and the hull as it was."""
     solid, volumes_mm3, hull = measured.solid, measured.volumes_mm3, result_files.read_leaves(session.folder, hull=True)
@@ -129,23 +114,20 @@ def _shape(session: Session, measured: Measured) -> bytes:
     if not kept.any():
         kept[0] = True  # a shape of which nothing is left keeps one empty voxel, so that it can be read
     room = (solid.size[kept] * solid.voxel_mm) ** 3
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        leaves=solid.low[kept].astype(np.int32),
+    left = Leaves(
+        low=solid.low[kept].astype(np.int32),
         size=solid.size[kept].astype(np.int32),
         occupancy=(volumes_mm3[kept] / room).astype(np.float32),
-        hull_leaves=hull.low,
-        hull_size=hull.size,
-        hull_occupancy=hull.occupancy,
         origin_mm=solid.origin_mm,
-        voxel_mm=np.float64(solid.voxel_mm),
+        voxel_mm=solid.voxel_mm,
     )
-    return buffer.getvalue()
+    return result_files.shape_npz(left, hull)
 
 
 def read_mesh(session: Session) -> Mesh:
     """Return the surface as it is now."""
-    measured = session.measure()
-    mesh = surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, session.state, measured.volumes_mm3)
-    return Mesh(vertices_mm=np.asarray(mesh.vertices, np.float64), faces=np.asarray(mesh.faces, np.int64))
+    return Mesh.of(_mesh(session, session.state, session.measure()))
+
+
+def _mesh(session: Session, state: State, measured: Measured) -> trimesh.Trimesh:
+    return surface.corrected(result_files.read_mesh(session.folder / "shape.ply"), measured.solid, state, measured.volumes_mm3)

@@ -12,7 +12,7 @@ import trimesh
 from rhizotwin.experiment.measured import read_all
 from rhizotwin.recon.results import by_plant, dividing, result_traits
 from rhizotwin.recon.results.load import load_result
-from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.results.result_files import Leaves, Mesh
 from rhizotwin.recon.roots.plants import Planted
 from rhizotwin.recon.scoring.score_plants import compare_plants
 from rhizotwin.scenes.errors import UserError
@@ -43,8 +43,7 @@ def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
     mesh = trimesh.util.concatenate(boxes)
     shape = dividing.Shape(
         leaves=leaves,
-        vertices_mm=np.asarray(mesh.vertices),
-        faces=np.asarray(mesh.faces),
+        surface=Mesh.of(mesh),
         finest_mm=1.0,
         volume_mm3=60.0,
         interval_mm3=(54.0, 66.0),

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.recon.scoring.score_traits import compare_traits
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.traits import measure_traits
@@ -25,8 +26,7 @@ THIN = root([0.0, 0.0, -30.0], [30.0, 0.0, -30.0], 0.3, order=1, parent=0)
 
 def of(mesh: trimesh.Trimesh, roots, **given):
     corners = np.zeros(3), np.ones(3)
-    vertices, faces = np.asarray(mesh.vertices, np.float64).reshape(-1, 3), np.asarray(mesh.faces, np.int64).reshape(-1, 3)
-    return result_traits.of_shape(vertices, faces, roots, volume_mm3=500.0, finest_mm=0.14, extents_mm=corners, **given)
+    return result_traits.of_shape(Mesh.of(mesh), roots, volume_mm3=500.0, finest_mm=0.14, extents_mm=corners, **given)
 
 
 def test_thin_roots_are_measured_as_tubes_and_thick_ones_on_the_mesh():
