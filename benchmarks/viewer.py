@@ -20,7 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ WINDOW = {"width": 1000, "height": 700}
 QUIET_S = 3.0
 """A picture is whole when so long nothing more came to it."""
 PHONE_PX = 400
+"""Width of a telephone's page."""
 ANSWER_MS = 60_000
 """What takes longer is none."""
 VOXELS = 1000
@@ -82,7 +84,7 @@ _CORRECTED = r"as corrected: .*?\d+ mm in \d+ roots|\d+ mm in \d+ roots"
 class Page:
     """`rhizotwin view` in a process of its own, and its page in a browser."""
 
-    def __init__(self, browser: Any, result: Path, dataset: Path | None) -> None:
+    def __init__(self, result: Path, dataset: Path | None) -> None:
         self.begun_s = time.time()
         words = [str(result), *([str(dataset)] if dataset else [])]
         self._process = subprocess.Popen(
@@ -91,13 +93,29 @@ class Page:
             stderr=subprocess.PIPE,
             text=True,
         )
+        self.complaints: list[str] = []
+
+    @classmethod
+    @contextmanager
+    def shown(cls, browser: Any, result: Path, dataset: Path | None) -> Iterator[Page]:
+        """Start the command and show its page; whatever happens, leave no process behind."""
+        page = cls(result, dataset)
+        try:
+            page.show(browser)
+            yield page
+        finally:
+            if page._process.returncode is None:
+                page._process.kill()
+                page._process.wait()
+
+    def show(self, browser: Any) -> None:
+        """Open the page as soon as the command says where it is."""
         assert self._process.stdout is not None
-        assert self._process.stderr is not None
         address = self._process.stdout.readline().strip()
         self.served_s = time.time() - self.begun_s
         if not address.startswith("http"):
-            raise UserError(f"`rhizotwin view` served nothing: {self._process.stderr.read().strip()}")
-        self.complaints: list[str] = []
+            self._process.kill()
+            raise UserError(f"`rhizotwin view` served nothing: {self._process.communicate()[1].strip()}")
         self.page = browser.new_page(viewport=WINDOW)
         self.page.set_default_timeout(PATIENCE_MS)
         self.page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
@@ -148,11 +166,13 @@ def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say:
     """Measure the viewer and the report of results; what fails is recorded and the rest go on."""
     run = Run()
     with browsers.chromium() as browser:
+        from playwright.sync_api import Error as BrowserError
+
         browser.new_page().close()  # a person's browser runs already
         for result in results:
             try:
                 found = _of_result(browser, result, dataset, repeats=repeats, say=say)
-            except UserError as error:
+            except (UserError, BrowserError) as error:
                 run.crashed[result.name] = str(error)
                 say(f"{result.name}: FAILED\n{error}")
                 continue
@@ -170,24 +190,21 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
         dataset = dataset or _dataset(result)
         times, served = [], []
         for number in range(repeats):
-            page = Page(browser, copy, dataset)
-            times.append(page.first_picture_s())
-            served.append(page.served_s)
-            say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {os.getloadavg()[0]:.1f}")
-            if number + 1 < repeats:
-                page.end()
-        found["first_picture"] = statistics.median(times), "s"
-        found["address"] = statistics.median(served), "s"
-        found |= _alone(copy, dataset)
-        say(f"{result.name}: " + _said(found))
-        found |= _touched(page)
-        if page.says(_CORRECTED).startswith("as corrected"):
-            page.press("Save")
-            page.page.get_by_text("edits.json").first.wait_for()
-            found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
-        complaints = len(page.complaints)
-        memory, cpu = page.end()
-        found |= {"peak_memory": (memory, "MiB"), "processor_time": (cpu, "s"), "console_errors": (complaints, "1")}
+            with Page.shown(browser, copy, dataset) as page:
+                times.append(page.first_picture_s())
+                served.append(page.served_s)
+                load = os.getloadavg()[0]
+                say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {load:.1f}")
+                if number + 1 == repeats:
+                    found |= _alone(copy, dataset)
+                    found |= _touched(page)
+                    if page.says(_CORRECTED).startswith("as corrected"):
+                        page.press("Save")
+                        page.page.get_by_text("edits.json").first.wait_for()
+                        found["volume_against_afresh"] = _afresh(copy, Path(working) / "corrected"), "1"
+                memory, cpu = page.end()
+        found |= {"first_picture": (statistics.median(times), "s"), "address": (statistics.median(served), "s")}
+        found |= {"peak_memory": (memory, "MiB"), "processor_time": (cpu, "s"), "console_errors": (float(len(page.complaints)), "1")}
         found |= _report(browser, copy, dataset)
     say(f"{result.name}: " + _said(found))
     return found
@@ -200,7 +217,8 @@ def _said(found: dict[str, tuple[float, str]]) -> str:
 def _alone(result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
     """Let a process without a browser answer; return its processor times and its peak memory."""
     words = [sys.executable, "-P", "-m", "benchmarks.viewer", str(result), *([str(dataset)] if dataset else [])]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    root = str(Path(__file__).resolve().parents[1])  # benchmarks are not installed
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": root})
     assert process.stdout is not None
     told = process.stdout.read()
     _, status, used = os.wait4(process.pid, 0)
@@ -309,6 +327,8 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
     count, answer : tuple of float and str
         How many voxels, and how long the answer took, with their units.
     """
+    from playwright.sync_api import TimeoutError as LateError
+
     count, taken, held = 0, 0.0, ""
     for half in (15, 30, 60, 120, 240):
         x, y = 0.35 * WINDOW["width"], 0.55 * WINDOW["height"]
@@ -327,9 +347,7 @@ def _drag(page: Page) -> tuple[tuple[float, str], tuple[float, str]]:
         drag()
         try:
             page.page.wait_for_function("bench.answered > 0", timeout=10_000)
-        except Exception as error:  # Playwright's own, imported only where it is installed
-            if "Timeout" not in type(error).__name__:
-                raise
+        except LateError:
             continue  # nothing shows there
         taken = float(page.page.evaluate("bench.answered - bench.begun")) / 1000.0
         held = page.says(r"\d+ voxels?")
