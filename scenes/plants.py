@@ -11,6 +11,9 @@ APART_MM = 2.0
 """Least distance between two plants: nearer ones share their hole in the net pot's grid, and no base tells them
 apart."""
 
+NAMELESS = "plant"
+"""What RSML files call a plant without a name (`scenes.rsml`)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
@@ -76,6 +79,8 @@ def check_plants(plants: tuple[Plant, ...], subject: Subject, *, radius_mm: floa
         check_subject(one.subject(subject), here)
         if not one.plant:
             raise here.at("plant").error("must name the plant: roots, tables and files are told apart by it", one.plant)
+        if one.plant == NAMELESS:
+            raise here.at("plant").error("is what files call a plant without a name; give it one of its own", one.plant)
         if any(other.plant == one.plant for other in before):
             raise here.at("plant").error("is the name of another plant of this scene; each needs one of its own", one.plant)
         x, y = one.at_mm

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import polyline, rsml_xml
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.plants import NAMELESS
 
 Array = NDArray[np.float64]
 
@@ -32,8 +33,6 @@ _UNITS_MM = {
 }
 _SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
 _TIP_SEEN = "tip-seen"
-_NAMELESS = "plant"
-"""Label of a plant that has no name."""
 _THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
@@ -181,7 +180,7 @@ def write_rsml(
             ET.SubElement(definition, name).text = text
     scene = ET.SubElement(document, "scene")
     names = list(dict.fromkeys(root.plant for root in roots if root.parent < 0)) or [""]
-    plants = {name: ET.SubElement(scene, "plant", {"id": str(k), "label": name or _NAMELESS}) for k, name in enumerate(names, start=1)}
+    plants = {name: ET.SubElement(scene, "plant", {"id": str(k), "label": name or NAMELESS}) for k, name in enumerate(names, start=1)}
     lost = [index for index, root in enumerate(roots) if not -1 <= root.parent < len(roots)]
     if lost:
         raise ValueError(f"root {lost[0]} has parent {roots[lost[0]].parent}, but there are {len(roots)} roots")
@@ -243,7 +242,7 @@ class _Reader:
             below = parent
             if rsml_xml.local(element) == "plant":
                 plant = rsml_xml.attribute(element, "label") or ""
-                plant = "" if plant == _NAMELESS else plant
+                plant = "" if plant == NAMELESS else plant
             if rsml_xml.local(element) == "root":
                 number += 1
                 order = found[parent].order + 1 if parent >= 0 else 0

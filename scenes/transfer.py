@@ -20,8 +20,6 @@ from rhizotwin.scenes.model import Camera
 
 Array = NDArray[np.float64]
 
-logging.getLogger("PIL").setLevel(logging.CRITICAL)  # whether a picture can be read is said elsewhere, in a sentence
-
 _STEPS = 4097
 """Places of a curve that is given by a formula: between them it is straight to 1e-7."""
 _SAME = 0.004
@@ -88,6 +86,7 @@ def of_camera(camera: Camera) -> Curve:
 
 def stated_in(picture: bytes | Path) -> Curve | None:
     """Return the curve that a picture file states; None where it states none that can be read."""
+    logging.getLogger("PIL").setLevel(logging.CRITICAL)  # whether a picture can be read is said elsewhere, in a sentence
     try:
         # Pillow warns of a damaged EXIF block, which is no word on the curve and nothing more
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as opened:

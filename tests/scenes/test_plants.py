@@ -40,6 +40,7 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     [
         ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is the name of another plant"),
         ({"plants": [{"plant": ""}]}, "must name the plant"),
+        ({"plants": [{"plant": "plant"}]}, "is what files call a plant without a name"),
         ({"plants": [{"plant": "A", "at_mm": [80, 0]}]}, "inside the canister's wall"),
         ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be 2 mm or more from A"),
         ({"plants": [{"plant": "A"}], "specimen": {"kind": "sphere"}}, r"must be left out where \[\[plants\]\]"),
