@@ -12,6 +12,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes.model import Scene
 
 _DIM, _BUBBLES, _BUBBLE_MM = 0.4, 40, 1.0
+"""Light of a grey label, over the panel's; bubbles that hang on the roots, and their radius."""
 
 
 def _shifted(light: Light, dx_px: float, dy_px: float) -> Light:
