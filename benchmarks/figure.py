@@ -1,14 +1,13 @@
 """The ladder's figure: errors of volume and length against the plants' age, and the thesis's method."""
 
-import io
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rhizotwin.recon.results.pictures import figure
 from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.figures import figure, png
 
 Record = Mapping[str, Any]
 
@@ -49,9 +48,7 @@ def draw(records: Sequence[Record], path: Path) -> bool:
         axis.set_xticks(ages)
         axis.set_xlim(ages[0] - MARGIN_DAYS, ages[-1] + MARGIN_DAYS)
         axis.grid(visible=True, alpha=0.25)
-    buffer = io.BytesIO()
-    drawn.savefig(buffer, format="png", dpi=130)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, png(drawn, dpi=130))
     return True
 
 

@@ -17,6 +17,7 @@ from rhizotwin.recon.optics.cameras import View, through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 
 Array = NDArray[np.float64]
@@ -45,16 +46,12 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
 
 def main() -> None:
     """Draw the figure and print the shares."""
-    from io import BytesIO
-
-    from matplotlib.figure import Figure
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
     output: Path = parser.parse_args().output
     radius, by_name = shares(Scene(), distance_mm=Ring().distance_mm)
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.add_subplot(xlabel="distance from the axis (mm)", ylabel="share of views that see it once", ylim=(0.0, 1.02))
+    drawn = figure(7.0, 4.0)
+    axes = drawn.add_subplot(xlabel="distance from the axis (mm)", ylabel="share of views that see it once", ylim=(0.0, 1.02))
     outer = radius > 0.95 * radius[-1]
     for name, share in by_name.items():
         whole = float(np.average(share, weights=radius))
@@ -64,9 +61,7 @@ def main() -> None:
         axes.plot(radius, share, label=f"{name}: {100.0 * whole:.1f} % of the water")
     axes.legend(loc="lower left")
     axes.set_xlim(0.0, None)
-    picture = BytesIO()
-    figure.savefig(picture, format="png", dpi=110)
-    write_bytes(output, picture.getvalue())
+    write_bytes(output, png(drawn, dpi=110))
 
 
 if __name__ == "__main__":

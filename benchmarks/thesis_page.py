@@ -3,7 +3,6 @@
 Its table 4.1, and figures 3.10 (volume by level of the octree), 4.1 (growth) and 5.3 (time by level).
 """
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,8 @@ from benchmarks.assumptions import Counted, Level
 from benchmarks.cases import Case, Pictures, ladder
 from benchmarks.run import Say
 from rhizotwin.experiment import tables
-from rhizotwin.recon.results.pictures import figure
 from rhizotwin.scenes.atomic import write_bytes, write_text
+from rhizotwin.scenes.figures import figure, png
 
 PRINT = Pictures(scene="printed_8ml", image_wh=(400, 300))
 """On which levels and assumptions are measured."""
@@ -94,11 +93,10 @@ def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: 
     }
     made = []
     for name, draw in figures.items():
-        drawn, buffer = figure(6.4, 4.0), io.BytesIO()
+        drawn = figure(6.4, 4.0)
         draw(drawn.subplots())
-        drawn.savefig(buffer, format="png", dpi=130)
         made.append(path.with_name(f"{path.stem}_{name}.png"))
-        write_bytes(made[-1], buffer.getvalue())
+        write_bytes(made[-1], png(drawn, dpi=130))
     write_text(path, page(found, levels, counted, figures=[one.name for one in made]))
     return [path, *made]
 

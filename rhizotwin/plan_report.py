@@ -10,6 +10,7 @@ from typing import Any
 
 from rhizotwin.plans import Row
 from rhizotwin.scenes.atomic import write_bytes
+from rhizotwin.scenes.figures import figure, png
 
 NOTE = (
     "volume, length: median error, and the worst of the seeds; interval: its width over the true volume, and how often it holds the truth"
@@ -64,8 +65,6 @@ def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
 
     A line for each set of rings and picture size.
     """
-    from rhizotwin.recon.results.pictures import figure
-
     has_roots = any(row.length_error is not None for row in rows)
     drawn = figure(13.5 if has_roots else 9.5, 4.6)
     axes = list(drawn.subplots(1, 3 if has_roots else 2))
@@ -91,9 +90,7 @@ def draw(rows: Sequence[Row], path: Path, *, title: str) -> None:
         axis.grid(visible=True, alpha=0.25)
     axes[0].legend(fontsize=8, title="camera heights, picture", title_fontsize=8)
     drawn.suptitle(title, fontsize=10)
-    buffer = io.BytesIO()
-    drawn.savefig(buffer, format="png", dpi=130)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, png(drawn, dpi=130))
 
 
 def _errors(axis: Any, line: Sequence[Row], of: Callable[[Row], tuple[float, ...]], label: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
-import io
 from html import escape
 from typing import TYPE_CHECKING
 
 from rhizotwin.recon.results import pictures
+from rhizotwin.scenes.figures import png
 
 if TYPE_CHECKING:
     from rhizotwin.recon.results.result import Result
@@ -37,7 +37,5 @@ def _picture(result: Result) -> str:
     surface = result.solid.surface
     if not len(surface.faces):
         return ""
-    drawn = pictures.shape_close_up(surface)
-    stored = io.BytesIO()
-    drawn.savefig(stored, format="png", dpi=DPI)
-    return f'<img alt="the shape from two sides" src="data:image/png;base64,{base64.b64encode(stored.getvalue()).decode()}">'
+    drawn = base64.b64encode(png(pictures.shape_close_up(surface), dpi=DPI)).decode()
+    return f'<img alt="the shape from two sides" src="data:image/png;base64,{drawn}">'

@@ -1,14 +1,10 @@
-"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides.
-
-Matplotlib without a screen.
-"""
+"""The pictures of a result: inputs beside silhouettes, the ring of cameras, the shape from two sides."""
 
 import logging
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -20,6 +16,7 @@ from rhizotwin.recon.results.result_files import Json, Mesh, picture_path, read_
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
 
 Floats = NDArray[np.float64]
@@ -36,13 +33,6 @@ SHRINK = 2
 """Renderings are made this much finer than shown, then averaged."""
 PANEL_PX = 640
 """Height of a rendering."""
-
-
-def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that draws without a screen and shares nothing with other figures."""
-    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
-    FigureCanvasAgg(made)
-    return made
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset, *, count: int = 4) -> Figure | None:

@@ -1,6 +1,5 @@
 """Write the pictures of a result."""
 
-import io
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -8,6 +7,7 @@ from matplotlib.figure import Figure
 from rhizotwin.recon.results import pictures, report_roots, result_files, result_traits
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.figures import png
 
 DPI = 130
 """Letters of 9 pt are 16 px high."""
@@ -71,7 +71,5 @@ def write_shape_and_truth(result_folder: Path, dataset: Dataset, *, truth_mesh: 
 def _save(drawn: Figure, result_folder: Path, name: str) -> Path:
     path = result_folder / "pictures" / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    stored = io.BytesIO()
-    drawn.savefig(stored, format="png", dpi=DPI)
-    atomic.write_bytes(path, stored.getvalue())
+    atomic.write_bytes(path, png(drawn, dpi=DPI))
     return path

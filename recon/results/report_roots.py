@@ -12,6 +12,7 @@ from rhizotwin.recon.results import pictures, shading
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset
+from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
@@ -41,7 +42,7 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(points, side) for side in sides]
     tall = [(box[3] - box[2]) / (box[1] - box[0]) for box in boxes]
-    drawn = pictures.figure(3.0 * PANEL_IN + 0.8, 1.0 + PANEL_IN * sum(tall))
+    drawn = figure(3.0 * PANEL_IN + 0.8, 1.0 + PANEL_IN * sum(tall))
     grid = drawn.subplots(2, 3, squeeze=False, height_ratios=tall)
     for row, side, box in zip(grid, sides, boxes, strict=True):
         _input(row[0], side, box, summary, dataset)
@@ -59,7 +60,7 @@ def roots_and_inputs(roots: tuple[Root, ...], summary: Json, dataset: Dataset) -
 
 def length_plots(traits: Traits) -> Figure:
     """Draw the length by depth, by diameter and by order."""
-    drawn = pictures.figure(13.0, 4.2)
+    drawn = figure(13.0, 4.2)
     depth, diameter, order = drawn.subplots(1, 3, width_ratios=[1.0, 1.4, 0.7])
     bins = np.array(traits.length_by_depth_mm)
     depth.barh((np.arange(len(bins)) + 0.5) * DEPTH_BIN_MM, bins, height=0.92 * DEPTH_BIN_MM, color=BAR_RGB)

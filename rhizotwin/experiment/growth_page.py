@@ -5,10 +5,10 @@ A mean a day with its interval, a line a treatment.
 
 import base64
 import html
-import io
 
 from rhizotwin.experiment.compare import SURE
 from rhizotwin.experiment.growth import Growth
+from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.trait_table import DEFINITIONS
 
 _HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
@@ -17,12 +17,8 @@ _STYLE = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem au
 
 def draw(growth: Growth) -> bytes:
     """Return the curves as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.2 * len(growth.curves), 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, (trait, points) in zip(figure.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
+    drawn = figure(4.2 * len(growth.curves), 3.6)
+    for axes, (trait, points) in zip(drawn.subplots(1, len(growth.curves), squeeze=False)[0], growth.curves.items(), strict=True):
         for treatment in dict.fromkeys(point.treatment for point in points):
             own = [point for point in points if point.treatment == treatment]
             mean = [point.mean for point in own]
@@ -31,10 +27,8 @@ def draw(growth: Growth) -> bytes:
         axes.set_xlabel("day")
         axes.set_ylabel(_HEADINGS[trait])
         axes.set_ylim(bottom=0.0)
-    figure.axes[0].legend()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return buffer.getvalue()
+    drawn.axes[0].legend()
+    return png(drawn, dpi=110)
 
 
 def page(growth: Growth) -> str:

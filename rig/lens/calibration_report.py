@@ -5,7 +5,6 @@ The numbers, the residuals over the picture, what is covered, and each picture.
 
 import base64
 import html
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +13,7 @@ import numpy as np
 from rhizotwin.rig.lens.calibration import CELLS_WH, Calibration, covered_cells, model_text
 from rhizotwin.rig.lens.lens_fit import TERMS
 from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.schema import to_plain
 
 if TYPE_CHECKING:  # matplotlib takes long to load, and a Raspberry Pi calibrates without it
@@ -42,17 +42,15 @@ def write_report(made: Calibration, folder: Path) -> Path:
 
 def draw(made: Calibration) -> "Figure":
     """Draw the residuals over the picture, the cover of the field, the distortion and every picture's residual."""
-    from matplotlib.figure import Figure
-
     bars = len(made.fit.views)
-    figure = Figure(figsize=(11.0, 8.6 + 0.14 * bars), layout="constrained")
-    grid = figure.add_gridspec(3, 2, height_ratios=(4.2, 4.2, 1.0 + 0.16 * bars))
-    _residuals(figure.add_subplot(grid[0, 0]), made)
-    _coverage(figure.add_subplot(grid[0, 1]), made)
-    _distortion(figure.add_subplot(grid[1, 0]), made)
-    _scatter(figure.add_subplot(grid[1, 1]), made)
-    _pictures(figure.add_subplot(grid[2, :]), made)
-    return figure
+    drawn = figure(11.0, 8.6 + 0.14 * bars)
+    grid = drawn.add_gridspec(3, 2, height_ratios=(4.2, 4.2, 1.0 + 0.16 * bars))
+    _residuals(drawn.add_subplot(grid[0, 0]), made)
+    _coverage(drawn.add_subplot(grid[0, 1]), made)
+    _distortion(drawn.add_subplot(grid[1, 0]), made)
+    _scatter(drawn.add_subplot(grid[1, 1]), made)
+    _pictures(drawn.add_subplot(grid[2, :]), made)
+    return drawn
 
 
 def _field(axes: "Axes", made: Calibration, title: str) -> None:
@@ -126,15 +124,13 @@ def _rms(made: Calibration, name: str) -> float:
 
 def _page(made: Calibration) -> str:
     """Return the page as one self-contained text."""
-    stored = io.BytesIO()
-    draw(made).savefig(stored, format="png", dpi=DPI)
     warnings = "".join(f'<p class="warning">{html.escape(warning)}</p>' for warning in made.warnings)
     fit = made.fit
     rejected = [["picture", "why it was not used"], *([name, reason] for name, reason in made.rejected.items())]
     used = [["picture", "corners", "tilt, degrees", "residual, px", "blur, px"]]
     for name, view in fit.views.items():
         used.append([name, str(len(view.ids)), f"{made.tilts_deg[name]:.0f}", f"{_rms(made, name):.3f}", f"{view.blur_px:.2f}"])
-    picture = base64.b64encode(stored.getvalue()).decode()
+    picture = base64.b64encode(png(draw(made), dpi=DPI)).decode()
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Camera calibration</title>'
         f"<style>{STYLE}</style></head><body><h1>Camera calibration</h1>{warnings}<h2>The lens</h2>{_table(_lens(made))}"

@@ -1,0 +1,24 @@
+"""Figures that are drawn without a screen, and share nothing with others; matplotlib is loaded when one is."""
+
+import io
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def figure(width_in: float, height_in: float) -> "Figure":
+    """Return an empty figure."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    FigureCanvasAgg(made)
+    return made
+
+
+def png(drawn: "Figure", *, dpi: int) -> bytes:
+    """Return a figure as PNG."""
+    stored = io.BytesIO()
+    drawn.savefig(stored, format="png", dpi=dpi)
+    return stored.getvalue()
