@@ -1,8 +1,10 @@
 """How far a volume can be trusted: an error budget, term by term, and what it says as a whole.
 
 Every term is a 90 % half-width below and above the stated volume, measured on the scan itself. The terms come from
-different causes, so they add up in quadrature, each side by itself (a root that nobody saw makes the volume larger
-only).
+different causes, so they add up in quadrature, each side by itself. What a term has on one side only (a root that
+nobody saw makes the volume larger) is expected to be half of it: that half adds up as it is, only the other half is
+chance (GUM, JCGM 100:2008, F.2.4.5, of a bias that is not corrected). A term that stands alone reaches as far as it
+says.
 """
 
 from __future__ import annotations
@@ -75,7 +77,8 @@ class Budget:
     @property
     def interval_mm3(self) -> tuple[float, float]:
         """Return the 90 % interval."""
-        less, more = math.hypot(*(term.less_mm3 for term in self.terms)), math.hypot(*(term.more_mm3 for term in self.terms))
+        less = _reach([(term.less_mm3, term.more_mm3) for term in self.terms])
+        more = _reach([(term.more_mm3, term.less_mm3) for term in self.terms])
         return max(0.0, self.volume_mm3 - less), self.volume_mm3 + more
 
     @property
@@ -115,3 +118,9 @@ class Budget:
             verdict=self.verdict,
             terms=self.terms,
         )
+
+
+def _reach(terms: Sequence[tuple[float, float]]) -> float:
+    """Return how far terms reach together to one side, of half-widths to this side and to the other."""
+    expected = [0.5 * max(this - other, 0.0) for this, other in terms]
+    return math.fsum(expected) + math.hypot(*(this - half for (this, _), half in zip(terms, expected, strict=True)))
