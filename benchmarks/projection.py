@@ -55,7 +55,7 @@ def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random
     width, height = view.camera.image_wh
     px = rng.uniform([0, 0], [width, height], (count, 2))
     px = px[cameras.water_lines(view, optics, px)[1]]
-    directions = cameras.pixel_directions(view, px) @ view.azimuth_from_canister[:3, :3]
+    directions = cameras.camera_directions(view.camera, px) @ view.cam_from_canister[:3, :3]
     entry, water = into_water(view.centre_mm, directions, optics)
     leave = -2.0 * np.sum(entry[:, :2] * water[:, :2], axis=1) / np.sum(water[:, :2] ** 2, axis=1)
     return px, entry + water * (rng.uniform(0.01, 0.99, len(entry)) * leave)[:, None]

@@ -40,8 +40,21 @@ def shares(scene: Scene, *, distance_mm: float) -> tuple[Array, dict[str, Array]
     through = {"round": images_swept(view, optics, points, rays=8001)}
     wet = replace(optics, tank=Tank(n_liquid=scene.water.n_water))
     at = through_tank(replace(view, cam_from_tank=view.cam_from_canister), wet)
-    through["tank of water"] = tank.images_at_height(at, points, rays=8001)
+    through["tank of water"] = images_at_height(at, points, rays=8001)
     return radius, {name: (count.reshape(RADII, AZIMUTHS) == 1).mean(axis=1) for name, count in through.items()}
+
+
+def images_at_height(at: tank.TankView, points_mm: Array, *, rays: int = 4001) -> NDArray[np.int64]:
+    """Count the images (N,) of points in a level camera's own plane, the canister upright, by a sweep of rays.
+
+    A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
+    """
+    q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank fills
+    line, enters = tank.trace(at, q, np.zeros_like(q))
+    side = points_mm[:, :1] * line.nu[:, 0] + points_mm[:, 1:2] * line.nu[:, 1] - line.b_mm
+    with np.errstate(invalid="ignore"):
+        change = np.signbit(side[:, 1:]) != np.signbit(side[:, :-1])
+    return np.asarray((change & enters[1:] & enters[:-1]).sum(axis=1))
 
 
 def main() -> None:

@@ -96,26 +96,32 @@ class RigUncertainty:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MarkerCalibration:
-    """What the markers of all pictures together gave, and the canister's edges."""
+class StripCalibration:
+    """What the markers of all pictures together gave."""
 
-    rings: tuple[Ring, ...]
-    table_from_canister: Array | None
-    """(4, 4) how the canister stands on the table: tilt and offset."""
+    rings: tuple[Ring, ...] = ()
+    table_from_canister: Array | None = None
+    """(4, 4) how the canister (or while that is not known, the strip) stands on the table: tilt and offset."""
+    inset_px: float = 0.0
+    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
+    focal_scale: float = 1.0
+    """Focal lengths over the given ones, as they were taken."""
+    focal_found: float | None = None
+    """The same, whether it is sure enough to be taken or not."""
+    focal_sigma: float | None = None
+    before_px: float | None = None
+    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
+    after_px: float | None = None
+    """Median reprojection error of the views at the end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerCalibration(StripCalibration):
+    """The same with what the canister's edges told, and how the pictures look."""
+
     table_sigma: Array | None
     """(4,) standard deviations of tilt about x, y (deg) and of offset x, y (mm): of the strip by its markers and of the
     canister in the strip by its edges together."""
-    inset_px: float
-    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
-    focal_scale: float
-    """Focal lengths over the given ones, as they were taken."""
-    focal_found: float | None
-    """The same, whether it is sure enough to be taken or not."""
-    focal_sigma: float | None
-    before_px: float | None
-    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
-    after_px: float | None
-    """Median reprojection error of the views at the end."""
     table_correction_deg: float | None
     """Spread of the table's angles about the commanded ones."""
     canister: CanisterPose | None

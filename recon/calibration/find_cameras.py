@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration import bare_canister, markers, poses
-from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration
+from rhizotwin.recon.calibration.cameras import Camera, Cameras, MarkerCalibration, StripCalibration
 from rhizotwin.recon.calibration.canister_pose import CanisterPose, find_canister
 from rhizotwin.recon.calibration.chain import Chain
 from rhizotwin.recon.optics.refraction import Optics
@@ -171,16 +171,10 @@ def _calibration(
         if view.used and view.table_deg is not None and frame.table_deg is not None
     ]
     blurs = [found.blur_px for found in detected if found.blur_px is not None]
+    strip = {one.name: getattr(solved, one.name) for one in fields(StripCalibration)}
     return MarkerCalibration(
-        rings=solved.rings,
-        table_from_canister=chain.table_from_canister,
+        **strip | {"table_from_canister": chain.table_from_canister},
         table_sigma=chain.table_sigma,
-        inset_px=solved.inset_px,
-        focal_scale=solved.focal_scale,
-        focal_found=solved.focal_found,
-        focal_sigma=solved.focal_sigma,
-        before_px=solved.before_px,
-        after_px=solved.after_px,
         table_correction_deg=float(np.std(turned)) if turned else None,
         blur_px=float(np.median(np.concatenate(blurs))) if blurs else None,
         refocus_px=_refocus_px(blurs),

@@ -2,12 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rhizotwin.recon.calibration import view_fit
-from rhizotwin.recon.calibration.cameras import Camera, Ring
+from rhizotwin.recon.calibration.cameras import Camera, Ring, StripCalibration
 from rhizotwin.recon.calibration.markers import Markers
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
@@ -38,30 +38,15 @@ strip is another."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Poses:
+class Poses(StripCalibration):
     """Cameras of all views, in the order of the frames, and what they say about the rig."""
 
     views: tuple[Camera, ...]
-    rings: tuple[Ring, ...] = ()
-    table_from_canister: Array | None = None
-    """(4, 4) how the canister stands on the table: tilt and offset."""
     errors: PoseErrors | None = None
     """Of all views' poses together; None where each view stands for itself."""
     turn_sigma_rad: Array | None = None
     """(F,) standard deviations of the table angles; 0 for views that are not of the rig."""
-    inset_px: float = 0.0
-    """How much larger on each side the markers look than they are (blur in pictures that are not linear in light)."""
-    focal_scale: float = 1.0
-    """Focal lengths over the given ones, as the pictures tell them."""
-    focal_found: float | None = None
-    """The same, whether it is sure enough to be taken or not."""
-    focal_sigma: float | None = None
-    """Its standard deviation."""
-    before_px: float | None = None
-    """Median reprojection error of the views with the commanded table angles and one nominal pose of the canister."""
-    after_px: float | None = None
-    """Median reprojection error of the views at the end."""
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
 
 def find_poses(

@@ -62,11 +62,6 @@ def camera_directions(camera: Camera, px: Array) -> Array:
     return np.asarray(cam / np.linalg.norm(cam, axis=1, keepdims=True))
 
 
-def pixel_directions(view: View, px: Array) -> Array:
-    """Return unit directions (N, 3) in the azimuth frame of pixels (N, 2), lens distortion undone to 1e-10."""
-    return in_azimuth(view, camera_directions(view.camera, px))
-
-
 def in_azimuth(view: View, directions: Array) -> Array:
     """Turn directions (N, 3) from the camera's frame into the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)

@@ -201,16 +201,3 @@ def _brought_inside(at: TankView, q: Array, points_mm: Array) -> Array:
             break
         q[out, 0] = aim + 0.95 * (q[out, 0] - aim)  # 40 of these leave an eighth of the way
     return q
-
-
-def images_at_height(at: TankView, points_mm: Array, *, rays: int = 4001) -> NDArray[np.int64]:
-    """Count the images (N,) of points in a level camera's own plane, the canister upright, by a sweep of rays.
-
-    A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
-    """
-    q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank fills
-    line, enters = trace(at, q, np.zeros_like(q))
-    side = points_mm[:, :1] * line.nu[:, 0] + points_mm[:, 1:2] * line.nu[:, 1] - line.b_mm
-    with np.errstate(invalid="ignore"):
-        change = np.signbit(side[:, 1:]) != np.signbit(side[:, :-1])
-    return np.asarray((change & enters[1:] & enters[:-1]).sum(axis=1))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhizotwin.recon.optics import cameras, projection, tank
+from benchmarks.tank import images_at_height
+from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View, camera_directions
 from rhizotwin.recon.optics.refraction import Optics, WaterLine
 from rhizotwin.scenes import frames
@@ -148,7 +149,7 @@ def test_a_view_through_the_tank_sees_what_the_round_canister_hides() -> None:
     at = cameras.through_tank(View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), Optics.of(SCENE))
     inner = at.optics.inner_radius_mm
     beside = np.array([[0.0, y, -60.0] for y in np.linspace(-0.97, 0.97, 41) * inner])
-    assert (tank.images_at_height(at, beside) == 1).all()
+    assert (images_at_height(at, beside) == 1).all()
 
 
 def test_what_is_above_the_liquid_is_not_seen() -> None:
