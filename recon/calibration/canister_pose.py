@@ -145,7 +145,7 @@ def find_canister(
     near = np.abs(left) < 4.0 * max(spread_mm, 1e-3)
     if near.sum() < LEAST_EDGES:
         return None
-    covariance, by_cameras = _doubt(edges.only(near), fit.x, errors, settings)
+    covariance, by_cameras = _uncertainty(edges.only(near), fit.x, errors, settings)
     sigma = _sigmas(covariance, by_cameras, errors)
     straight = edges.off(np.zeros(len(prior)))[near]
     return CanisterPose(
@@ -241,7 +241,7 @@ class _Edges:
         return replace(self, views=[view.moved(twist(step)) for view in self.views])
 
 
-def _doubt(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
+def _uncertainty(edges: _Edges, found: Array, errors: PoseErrors | None, settings: CalibrationSettings) -> tuple[Array, Array]:
     """Return the covariance (K, K) of tilt and offset, and how they follow the errors that the cameras share (K, S).
 
     K is 4, and 5 with a tank, whose turn comes last.
@@ -253,13 +253,13 @@ def _doubt(edges: _Edges, found: Array, errors: PoseErrors | None, settings: Cal
     told = [0, 1, 2, 3, *range(_OPEN, len(found))]
     jacobian = _slopes(edges.off, found, _SCALE[: len(found)])
     square = (edges.off(found) / settings.edge_mm) ** 2
-    pull = edges.off(found) / (1.0 + square)  # Cauchy's psi, and its mean derivative
+    psi = edges.off(found) / (1.0 + square)  # Cauchy's loss, and its mean derivative
     stiff = max(float(np.mean((1.0 - square) / (1.0 + square) ** 2)), LEAST_STIFFNESS)
     parts = stiff * jacobian[:, :, None] * jacobian[:, None, :]
     normal = parts.sum(axis=0) + np.diag((settings.edge_mm / PRIOR[: len(found)]) ** 2 / len(edges.view))
-    meat = scatter(jacobian * pull[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
+    meat = scatter(jacobian * psi[:, None], 2 * edges.view + edges.side, edges.place, curvatures=parts, normal=normal)
     bread = inverse(normal)
-    covariance = sandwich(normal, meat, bread * float(np.mean(pull**2)) / stiff)[np.ix_(told, told)]
+    covariance = sandwich(normal, meat, bread * float(np.mean(psi**2)) / stiff)[np.ix_(told, told)]
     if errors is None:
         return covariance, np.zeros((len(told), 1))
     by_pose = _slopes(lambda step: edges.displaced(step).off(found), np.zeros(6), _POSE_SCALE)

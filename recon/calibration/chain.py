@@ -63,7 +63,7 @@ class Chain:
         )
 
     def camera(self, k: int, view: Camera) -> Camera:
-        """Return a view's camera of the strip as that of the canister, with its own doubt."""
+        """Return a view's camera of the strip as that of the canister, with its uncertainty."""
         if view.cam_from_canister is None:
             return view
         pose = view.cam_from_canister @ frames.invert(self.canister_from_strip)
