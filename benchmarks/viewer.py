@@ -4,13 +4,11 @@ The command runs as a person starts it, and everything is told by what its page 
 first whole picture, from a click or a drag to the answer on the page, the memory it took in the end, the volume after
 corrections against that of the corrected result measured afresh, and the size and the complaints of the report.
 
-What the server alone needs is told in processor time besides, in a process of its own without a browser: it holds on a
-busy machine, where the browser's times do not.
+What the server alone needs is told in processor time besides (`benchmarks.viewer_server`).
 """
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -20,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,9 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import browser as browsers
+from benchmarks import viewer_server
 from benchmarks.browser import PATIENCE_MS
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
+from benchmarks.viewer_server import VOXELS
 from rhizotwin.scenes.errors import UserError
 
 WINDOW = {"width": 1000, "height": 700}
@@ -42,8 +42,6 @@ PHONE_PX = 400
 """Width of a telephone's page."""
 ANSWER_MS = 60_000
 """What takes longer is none."""
-VOXELS = 1000
-"""Deleted at once."""
 PICKS = 5
 """Clicks whose median is told."""
 _VIVID = 90
@@ -196,7 +194,7 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
                 load = os.getloadavg()[0]
                 say(f"{result.name}: first picture after {times[-1]:.2f} s, address after {served[-1]:.2f} s; load {load:.1f}")
                 if number + 1 == repeats:
-                    found |= _alone(copy, dataset)
+                    found |= viewer_server.measure(copy, dataset)
                     found |= _touched(page)
                     if page.says(_CORRECTED).startswith("as corrected"):
                         page.press("Save")
@@ -212,62 +210,6 @@ def _of_result(browser: Any, result: Path, dataset: Path | None, *, repeats: int
 
 def _said(found: dict[str, tuple[float, str]]) -> str:
     return ", ".join(f"{name} {value:.3g} {unit}".removesuffix(" 1") for name, (value, unit) in found.items())
-
-
-def _alone(result: Path, dataset: Path | None) -> dict[str, tuple[float, str]]:
-    """Let a process without a browser answer; return its processor times and its peak memory."""
-    words = [sys.executable, "-P", "-m", "benchmarks.viewer", str(result), *([str(dataset)] if dataset else [])]
-    root = str(Path(__file__).resolve().parents[1])  # benchmarks are not installed
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": root})
-    assert process.stdout is not None
-    told = process.stdout.read()
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise UserError(f"the viewer of {result} failed")
-    return {f"server/{name}": (value, "s") for name, value in json.loads(told).items()} | {
-        "server/peak_memory": (used.ru_maxrss / 1024.0, "MiB")
-    }
-
-
-def answers(result: Path, dataset: Path | None) -> dict[str, float]:
-    """Serve a result to nobody, and return the processor time (s) of the start and until each answer."""
-    from rhizotwin.viewer import app
-    from rhizotwin.viewer.picking import Ray
-
-    found: dict[str, float] = {}
-    answered: list[float] = []
-
-    def timed(name: str, act: Callable[[], object]) -> None:
-        answered.clear()
-        begun_s = time.process_time()
-        act()
-        found[name] = (answered[0] if answered else time.process_time()) - begun_s
-
-    viewer = app.start([result], dataset)
-    viewer.on_change.append(lambda: answered.append(time.process_time()))
-    found["start"] = time.process_time()  # of the whole process so far
-    timed("divide", viewer.prepare)
-    session = viewer.shown.session
-    lines = session.state.lines
-    if lines:
-        longest = max(lines, key=lambda number: lines[number].length_mm)
-        point = lines[longest].points_mm[len(lines[longest].points_mm) // 2]
-        way = np.array([-1.0, 0.3, -0.1]) / np.linalg.norm([-1.0, 0.3, -0.1])
-        timed("pick", lambda: viewer.clicked(Ray(point - 400.0 * way, way)))
-        timed("delete_root", viewer.delete)
-        timed("undo", viewer.undo)
-    measured = session.measure()
-    rows = np.flatnonzero(measured.volumes_mm3 > 0.0)
-    middle = np.linalg.norm(measured.solid.centre_mm[rows] - measured.solid.centre_mm[rows].mean(axis=0), axis=1)
-    viewer.choose_nothing()
-    viewer.look.layers -= {"surface"}  # it follows the number
-    viewer.voxels = {int(row) for row in rows[np.argsort(middle)[:VOXELS]]}
-    timed("delete_1000_voxels", viewer.delete)
-    viewer.look.layers |= {"voxels"}
-    timed("voxels_shown", viewer.refresh)
-    viewer.served.stop()
-    return found
 
 
 def _touched(page: Page) -> dict[str, tuple[float, str]]:
@@ -400,7 +342,3 @@ def _dataset(result: Path) -> Path | None:
 
     folder = Path(str(result_files.read_summary(result)["dataset"]))
     return folder if (folder / "dataset.json").is_file() else None
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(answers(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import viewer
+from benchmarks import viewer, viewer_server
 from benchmarks.__main__ import main
 from rhizotwin.corrections import log
 from rhizotwin.corrections.session import Session
@@ -13,7 +13,7 @@ from tests.rhizotwin import plant as plants
 
 def test_answers_are_timed_and_the_volume_is_measured_afresh(tmp_path: Path) -> None:
     made = plants.make(tmp_path, fibre=True)
-    told = viewer.answers(made.result, made.dataset)
+    told = viewer_server.answers(made.result, made.dataset)
     assert {"start", "divide", "pick", "delete_root", "undo", "delete_1000_voxels"} <= set(told)
     assert all(seconds >= 0.0 for seconds in told.values())
     assert not (made.result / log.LOG_NAME).exists()
