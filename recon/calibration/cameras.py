@@ -47,6 +47,16 @@ class Camera:
     sha256: str = ""
     """Of the picture's file, by which it is known again; empty where nobody asked."""
 
+    def placed(self, cam_from_canister: Array, covariance: Array) -> Camera:
+        """Return the camera at a pose (4, 4) of a covariance (6, 6)."""
+        return replace(
+            self,
+            cam_from_canister=cam_from_canister,
+            covariance=covariance,
+            position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+            rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:

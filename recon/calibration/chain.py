@@ -8,7 +8,7 @@ right.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,13 +70,7 @@ class Chain:
         lever = -adjoint(pose)[:, CANISTER]
         carry = self.errors.carry[k] + lever @ self.by_cameras
         covariance = carry @ self.errors.shared @ carry.T + lever @ self.covariance @ lever.T + self.errors.own[k]
-        return replace(
-            view,
-            cam_from_canister=pose,
-            covariance=covariance,
-            position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
-            rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
-        )
+        return view.placed(pose, covariance)
 
     @property
     def table_from_canister(self) -> Array | None:

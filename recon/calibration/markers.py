@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, Scratch, fit_marker
+from rhizotwin.recon.calibration.marker_fit import FIRST_BLUR_PX, MarkerFit, Scratch, fit_marker
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named, marker_cells
@@ -102,22 +102,13 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
     ids, corners_px, foreign = _search(image, dictionary, strip, subpix=not measure)
     if len(ids) and not measure:
         return Markers(ids=ids, corners_px=corners_px, foreign=tuple(foreign))
-    found: list[int] = []
-    corners: list[Array] = []
-    covariances: list[Array] = []
-    bends: list[float] = []
-    blurs: list[float] = []
+    found: dict[int, MarkerFit] = {}
     blur_px, scratch = FIRST_BLUR_PX, Scratch()
     for marker_id, start_px in zip(ids, corners_px, strict=True):
         white = marker_cells(strip.dictionary, int(marker_id))
         fit = fit_marker(image, white, start_px, blur_px=blur_px, scratch=scratch)
         if fit is not None:
-            blur_px = fit.blur_px
-            found.append(int(marker_id))
-            corners.append(fit.corners_px)
-            covariances.append(fit.covariance_px2)
-            bends.append(fit.bend)
-            blurs.append(fit.blur_px)
+            blur_px, found[int(marker_id)] = fit.blur_px, fit
     if not found:
         return Markers(
             ids=np.zeros(0, np.int64),
@@ -126,11 +117,11 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
             diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
         )
     return Markers(
-        ids=np.array(found),
-        corners_px=np.stack(corners),
-        covariance_px2=np.stack(covariances),
-        bend=np.array(bends),
-        blur_px=np.array(blurs),
+        ids=np.array(list(found)),
+        corners_px=np.stack([fit.corners_px for fit in found.values()]),
+        covariance_px2=np.stack([fit.covariance_px2 for fit in found.values()]),
+        bend=np.array([fit.bend for fit in found.values()]),
+        blur_px=np.array([fit.blur_px for fit in found.values()]),
         blurred=len(ids) - len(found),
         foreign=tuple(foreign),
     )

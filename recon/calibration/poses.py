@@ -150,17 +150,8 @@ def _refocused(view: Camera, seen: Sightings, focal_scale: float) -> Camera:
 
 
 def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: Array) -> Camera:
-    return replace(
-        view,
-        used=True,
-        reason=None,
-        cam_from_canister=pose,
-        reprojection_px=local.rms_px,
-        outliers=int(np.count_nonzero(local.weight < OUTLIER_WEIGHT)),
-        covariance=covariance,
-        position_sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
-        rotation_sigma_deg=float(np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))),
-    )
+    outliers = int(np.count_nonzero(local.weight < OUTLIER_WEIGHT))
+    return replace(view.placed(pose, covariance), used=True, reason=None, reprojection_px=local.rms_px, outliers=outliers)
 
 
 def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
