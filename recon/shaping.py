@@ -10,10 +10,10 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import carve, distance_maps, parsimony, surface
+from rhizotwin.recon.hull import carve, parsimony, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
+from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result import Solid, triple
@@ -96,18 +96,9 @@ def carve_hull(
         scene, radius = dataset.scene, cameras.optics.inner_radius_mm
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
         water = Water(radius, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
-        grid = Grid.over(np.array([-radius, -radius, water.bottom_mm]), np.array([radius, radius, water.top_mm]), finest_mm)
+        grid = water.grid(finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
-            hull = carve.carve(
-                bank,
-                maps,
-                grid,
-                water,
-                min_votes=distance_maps.least_votes(bank.count),
-                slack_px=slack_px,
-                ignore_blindness=ignore_blindness,
-                progress=step,
-            )
+            hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
             f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.device import Bool, Int32, Kernel, Point3f
 from rhizotwin.recon.hull import marks
-from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.distance_maps import DistanceMaps, least_votes
 from rhizotwin.recon.hull.leaves import Grid, Hull, Index, Leaves
 from rhizotwin.recon.optics.projection import ViewBank
 
@@ -45,6 +45,12 @@ class Water:
     top_mm: float
     bottom_mm: float
 
+    def grid(self, size_mm: float) -> Grid:
+        """Return the lattice of nodes of an edge that covers it."""
+        return Grid.over(
+            np.array([-self.radius_mm, -self.radius_mm, self.bottom_mm]), np.array([self.radius_mm, self.radius_mm, self.top_mm]), size_mm
+        )
+
 
 def spread(count: int) -> list[int]:
     """Order views so that each is far from those before it (golden-ratio steps round the turn).
@@ -60,7 +66,7 @@ def carve(
     grid: Grid,
     water: Water,
     *,
-    min_votes: int,
+    min_votes: int | None = None,
     slack_px: float = 0.3,
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
@@ -71,8 +77,8 @@ def carve(
     ----------
     water : Water
         Nodes outside of it are left out.
-    min_votes : int
-        Views that must see a node for it to count as part of the shape.
+    min_votes : int, optional
+        Views that must see a node for it to count as part of the shape; `distance_maps.least_votes` where not given.
     slack_px : float
         Outline uncertainty; moves the outlines in and out for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     ignore_blindness : bool
@@ -81,7 +87,8 @@ def carve(
         Called when a level is done.
     """
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
-    carving, nodes = _Carving(bank, maps, grid, water, min_votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
+    votes = least_votes(bank.count) if min_votes is None else min_votes
+    carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]
     done = [_Decided(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros((3, 0), np.float32), 0.0, None)]
     for level in range(grid.levels + 1):
         by_parent = level > 0 and grid.edge_mm(level) <= BY_PARENT_MM

@@ -9,10 +9,10 @@ import numpy as np
 import trimesh
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import carve, distance_maps, surface
+from rhizotwin.recon.hull import carve, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Hull
+from rhizotwin.recon.hull.leaves import Hull
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
@@ -57,9 +57,8 @@ def find(
         bottom_z_mm=room.bottom_mm,
         tank=None,
     )
-    low = np.array([-room.radius_mm, -room.radius_mm, room.bottom_mm])
-    grid = Grid.over(low, np.array([room.radius_mm, room.radius_mm, room.top_mm]), finest_mm)
-    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, min_votes=distance_maps.least_votes(len(views)), slack_px=SLACK_PX)
+    grid = room.grid(finest_mm)
+    hull = carve.carve(ViewBank.of(views, optics), maps, grid, room, slack_px=SLACK_PX)
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
-from rhizotwin.recon.hull import carve, distance_maps
+from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull
@@ -90,7 +90,7 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     every_other = every_second(frames)
     half_maps = replace(maps, values=mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()))
     volumes = [
-        carve.carve(some, outlines, grid, water, min_votes=distance_maps.least_votes(some.count)).leaves.volume_mm3()
+        carve.carve(some, outlines, grid, water).leaves.volume_mm3()
         for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
