@@ -68,17 +68,19 @@ def find(
         start = tubes.string([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
     with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
+        whole = seen
         seen, core, fitted, organ = _first_fit(seen, start, core, spheres, near_mm, px_a_mm)
         depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     with monitor.stage("translucency"):
         attenuation, seen, fitted = _attenuated(seen, fitted, organ, learned)
     with monitor.stage("branches"):
-        settle = Settling(seen, core, spheres, near_mm, attenuation.blur_px, ghosts.FLANK_PX / px_a_mm)
+        whole = replace(seen, seen=whole.seen)
+        settle = Settling(seen, whole, core, spheres, near_mm, attenuation.blur_px, ghosts.FLANK_PX / px_a_mm, px_a_mm)
         fitted, _, organ = settle.settled(fitted, tube_fit.STEPS)
         stays = fitted.staying(ghosts.short_leaves(fitted, organ))
         fitted, organ = fitted.keep(stays), organ[stays]
     with monitor.stage("residue"):
-        fitted, buried, organ = settle.searched(fitted, organ, cells.chosen(depth <= depth.min()), px_a_mm)
+        fitted, buried, organ = settle.searched(fitted, organ, cells.chosen(depth <= depth.min()))
     solid = organs.in_solids(fitted, core, organ, margin_mm)
     if solid.all():
         return None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
 from rhizotwin.recon.hull.parsimony import Spheres
-from rhizotwin.recon.roots import ghosts, linking, organs, proof, residue
+from rhizotwin.recon.roots import ghosts, linking, organs, proof, residue, tips
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
 from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
@@ -33,22 +33,28 @@ class Settling:
     """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and linked."""
 
     seen: Evidence
+    """Beside thick organs."""
+    whole: Evidence
+    """With them."""
     core: Cells
     spheres: Spheres
     near_mm: float
     blur_px: float
     flank_mm: float
     """Within this of an organ's radius, what is found is the organ's."""
+    px_a_mm: float
+    """Scale in the middle of the water."""
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
         """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are organs."""
         tree, _, organ = organs.centred(tree, self.core, self.spheres, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+        tree = tips.placed(self.whole, tree, self.blur_px, self.px_a_mm)
         proved = proof.find(self.seen, tree, self.blur_px)
         gone = ghosts.unexplaining(tree, proved, organ) | ghosts.inside_another(tree, organ, self.flank_mm)
         return self.joined(tree.keep(tree.staying(gone)))
 
-    def searched(self, tree: Tubes, organ: Mask, outside: Cells, px_a_mm: float) -> tuple[Tubes, Mask, Mask]:
+    def searched(self, tree: Tubes, organ: Mask, outside: Cells) -> tuple[Tubes, Mask, Mask]:
         """Add the roots that the tree leaves unexplained; return as `settled` does.
 
         Parameters
@@ -63,10 +69,11 @@ class Settling:
             tree, organ = self.alone(tree, organ)
             tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
             depth = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
-            grown = residue.grow(seen, tree, organ, outside, depth, px_a_mm)
+            grown = residue.grow(seen, tree, organ, outside, depth, self.px_a_mm)
             tree, _, organ = self.settled(grown, _BETWEEN_STEPS)
         tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
         tree, organ = self.alone(tree, organ)
+        tree = tips.placed(self.whole, tree, blur_px, self.px_a_mm)
         tree, residual = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=AFTER_STEPS)
         return self.ended(tree, residual, organ)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Filled:
     branch: Index
     """(M,)"""
     along_mm: Array
-    """(M,) how far along its branch."""
+    """(M,) how far along its branch, that of the last node in its round tip."""
 
 
 def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
@@ -61,28 +61,73 @@ def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) 
     left_out : (N,) bool array or None
         Nodes; segments between two of them are not filled.
     """
-    a, b = tubes.segments.T
-    branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
-    r_a, r_b = tubes.segment_radii
-    length = np.linalg.norm(tubes.centre_mm[b] - tubes.centre_mm[a], axis=1)
-    before = np.cumsum(length) - length
-    before -= before[np.searchsorted(branch, branch)]
+    piece = _pieces(tubes)
     if left_out is not None:
-        stays = ~(left_out[a] & left_out[b])
-        a, b, r_a, r_b, branch, length, before = (of[stays] for of in (a, b, r_a, r_b, branch, length, before))
+        piece = piece.chosen(np.flatnonzero(~left_out[piece.nodes].all(axis=1)))
+    length = np.linalg.norm(piece.way_mm, axis=1)
     slices = np.maximum(np.ceil(length / spacing_mm), 1).astype(np.int64)
     segment, part = _counted(slices)
     share = (part + 0.5) / slices[segment]
-    radius = r_a[segment] + share * (r_b - r_a)[segment]
+    # of a cap's slice the mean square of the radius, so that its volume is exact
+    square = np.where(piece.is_cap[segment], 1.0 - share**2 - 1.0 / (12.0 * slices[segment] ** 2), 1.0)
+    first, last = piece.radii_mm[segment].T
+    radius = (first + share * (last - first)) * np.sqrt(square)
     count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
     disc, place = _counted(count)
     at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)
-    along, side, up = _frames(tubes.centre_mm[b] - tubes.centre_mm[a])
+    along, side, up = _frames(piece.way_mm)
     of = segment[disc]
-    point = tubes.centre_mm[a][of] + share[disc, None] * along[of]
+    point = piece.begin_mm[of] + share[disc, None] * along[of]
     point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
     volume = (np.pi * radius**2 * (length / slices)[segment] / count)[disc]
-    return Filled(point, volume, branch[of], before[of] + (share * length[segment])[disc])
+    reached = piece.along_mm[of] + np.where(piece.is_cap[of], 0.0, (share * length[segment])[disc])
+    return Filled(point, volume, piece.branch[of], reached)
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Segments of tubes, and the round tips after them."""
+
+    nodes: Index
+    """(P, 2) at both ends; of a tip twice the last one."""
+    begin_mm: Array
+    """(P, 3)"""
+    way_mm: Array
+    """(P, 3) from there to the end; a tip is as long as its radius."""
+    radii_mm: Array
+    """(P, 2) at both ends."""
+    branch: Index
+    """(P,)"""
+    along_mm: Array
+    """(P,) how far along its branch it begins."""
+    is_cap: Mask
+    """(P,)"""
+
+    def chosen(self, which: Index) -> _Pieces:
+        """Return some of them."""
+        return _Pieces(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def _pieces(tubes: Tubes) -> _Pieces:
+    """Cut tubes into segments and round tips."""
+    nodes, radii = tubes.segments, np.stack(tubes.segment_radii, axis=1)
+    branch = np.repeat(np.arange(len(tubes.branches)), [len(nodes) - 1 for nodes in tubes.branches])
+    way = tubes.centre_mm[nodes[:, 1]] - tubes.centre_mm[nodes[:, 0]]
+    length = np.linalg.norm(way, axis=1)
+    end = np.cumsum(length)
+    begin = end - length
+    begin, end = (of - begin[np.searchsorted(branch, branch)] for of in (begin, end))
+    last = np.flatnonzero(tubes.segment_neighbours[:, 1] == nodes[:, 1])
+    tip, radius = nodes[last, 1], radii[last, 1]
+    return _Pieces(
+        nodes=np.concatenate([nodes, np.stack([tip, tip], axis=1)]),
+        begin_mm=np.concatenate([tubes.centre_mm[nodes[:, 0]], tubes.centre_mm[tip]]),
+        way_mm=np.concatenate([way, way[last] * (radius / np.maximum(length[last], 1e-12))[:, None]]),
+        radii_mm=np.concatenate([radii, np.stack([radius, radius], axis=1)]),
+        branch=np.concatenate([branch, branch[last]]),
+        along_mm=np.concatenate([begin, end[last]]),
+        is_cap=np.repeat([False, True], [len(nodes), len(last)]),
+    )
 
 
 def _counted(count: Index) -> tuple[Index, Index]:

@@ -9,8 +9,8 @@ direction (t_x, t_y) it is the integral of a trapezoid, the convolution of two b
 the square pixel seen along the edge. Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
 in variance). Roots hide each other: coverages combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c)
 add up. Along its axis a segment fades in and out at its ends, so that the segments of a branch add up to a strip
-without seams. A kernel walks along the rows of each strip, from where it begins to cover them to where it ends: of its
-bounding box it would cover a third.
+without seams; a branch's last one goes on as half an ellipse, the picture of a round tip. A kernel walks along the rows
+of each strip, from where it begins to cover them to where it ends: of its bounding box it would cover a third.
 """
 
 from __future__ import annotations
@@ -63,8 +63,11 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
     # covered are the pixels with |d| < side_px and -end_px < s < length + end_px: an oblique cut reaches farther
     side_px = dr.maximum(*strips.half_px) + outer
-    end_px = _ENDS * sigma + side_px * dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
+    oblique = dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
+    end_px = strips.cap_px + _ENDS * sigma + side_px * oblique
     (begin_x, begin_y), (end_x, end_y) = strips.cuts
+    is_tip = strips.cap_px > 0
+    per_cap = dr.select(is_tip, 1.0 / dr.maximum(strips.cap_px, _LEAST_PX), 0.0)
     per_x, per_y = (dr.copysign(1.0 / dr.maximum(dr.abs(t), _STEEPEST), t) for t in (t_x, t_y))
     reach = end_px * dr.abs(t_y) + side_px * dr.abs(t_x)
     first, last = (y + dr.minimum(0.0, strips.length * t_y) - reach, y + dr.maximum(0.0, strips.length * t_y) + reach)
@@ -88,12 +91,16 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         e_x, e_y = mi.Float(u) - x, mi.Float(v) - y
         s, d = e_x * t_x + e_y * t_y, e_y * t_x - e_x * t_y  # along the segment, across it
         part = dr.clip(s / strips.length, 0, 1)
+        cap = dr.sqrt(1 - dr.square(dr.clip((s - strips.length) * per_cap, 0, 1)))
         c = mi.Float(0.0)
         for a, b in zip(*strips.layers, strict=True):
-            w = a.half_px + (b.half_px - a.half_px) * part
+            w = (a.half_px + (b.half_px - a.half_px) * part) * cap
             c += (side(d + w) - side(d - w)) * (a.height + (b.height - a.height) * part)
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
-        gate = dr.maximum(0.5 * (dr.erf(before * scale) - dr.erf(beyond * scale)), 0.0)
+        begun, ended = 0.5 * (1 + dr.erf(before * scale)), 0.5 * (1 - dr.erf((beyond - strips.cap_px) * scale))
+        # depths of segments that meet add up to one; a tip ends in coverage
+        c *= dr.select(is_tip, ended, 1.0)
+        gate = dr.maximum(begun + dr.select(is_tip, 1.0, ended) - 1, 0.0)
         value = -gate * dr.log(1 - dr.minimum(c, FULLEST))
         place = strips.start + mi.UInt32(v * width + u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end))
@@ -124,6 +131,8 @@ class _Strips:
     square, bends had notches outside, into which fits pushed the nodes of wide tubes to and fro."""
     half_px: tuple[Float, Float]
     """mi.Float, half-widths at both ends."""
+    cap_px: Float
+    """mi.Float, how far along the segment the round tip reaches that follows; 0 where the branch goes on."""
     layers: tuple[list[Layer], list[Layer]]
     """The strips as which it is seen, at both ends."""
 
@@ -161,7 +170,10 @@ class _Strips:
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
             layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return _Strips(start, here, way, length, cuts, (half_px[0], half_px[1]), (layers[0], layers[1]))
+        # the water magnifies sideways: the picture of a ball is an ellipse
+        is_tip = dr.gather(mi.Float, numbers(tubes.segment_neighbours[:, 1] == segments[:, 1]), segment)
+        cap_px = is_tip * radius_mm * dr.norm(way.x * du + way.y * dv)
+        return _Strips(start, here, way, length, cuts, (half_px[0], half_px[1]), cap_px, (layers[0], layers[1]))
 
 
 def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, way: Vector2f) -> tuple[Vector2f, Vector2f]:

@@ -23,7 +23,9 @@ def drawn_by_the_formula(system: tubes.Tubes, at: Nodes, view: int, blur_px: flo
         t = (px[b] - px[a]) / length
         w_a, w_b = (radius * np.linalg.norm(t[0] * dv[end] - t[1] * du[end]) for radius, end in zip(radii, (a, b), strict=True))
         s, d = (u - px[a, 0]) * t[0] + (v - px[a, 1]) * t[1], (v - px[a, 1]) * t[0] - (u - px[a, 0]) * t[1]
+        cap = radii[1] * np.linalg.norm(t[0] * du[b] + t[1] * dv[b]) if after == b else 0.0
         w = w_a + (w_b - w_a) * np.clip(s / length, 0.0, 1.0)
+        w *= np.sqrt(1.0 - np.clip((s - length) / cap, 0.0, 1.0) ** 2) if cap else 1.0
         box_a, box_b = np.maximum(np.sqrt(t**2 + 6.0 * blur_px**2), 0.1)
 
         def side(x: np.ndarray, box_a: float = box_a, box_b: float = box_b) -> np.ndarray:
@@ -32,11 +34,13 @@ def drawn_by_the_formula(system: tubes.Tubes, at: Nodes, view: int, blur_px: flo
             ramps = [np.maximum(x + shift, 0.0) ** 2 for shift in shifts]
             return 0.5 * (ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (box_a * box_b)
 
-        covered = np.minimum(side(d + w) - side(d - w), 0.995)
+        covered = side(d + w) - side(d - w)
         begun, ended = (
             (u - px[k, 0]) * n[0] + (v - px[k, 1]) * n[1] for k, n in zip((a, b), cuts(px, seen, [before, a, b, after]), strict=True)
         )
-        whole -= np.maximum(0.5 * (erf(begun / sigma) - erf(ended / sigma)), 0.0) * np.log1p(-covered)
+        if cap:
+            covered, ended = covered * 0.5 * (1.0 - erf((ended - cap) / sigma)), np.full(u.shape, -np.inf)
+        whole -= np.maximum(0.5 * (erf(begun / sigma) - erf(ended / sigma)), 0.0) * np.log1p(-np.minimum(covered, 0.995))
     return whole
 
 

@@ -1,0 +1,108 @@
+"""Where roots end: the last edge of coverage along the axis of each tip.
+
+Profiles across a tube say nothing of where it ends. Along the axis of a tip the measured coverage m and the explained
+coverage e fall from that of the root, c, to nothing. Blurred as it may be, the edge of one lies
+
+    integral of (m - e) / c
+
+beyond that of the other: pixels, blur, taper, the round end and whatever else is drawn there are in both. The median
+over the views counts: others that are not drawn may hide a tip.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import bilinear, wholes
+from rhizotwin.recon.tubes import tube_picture, tubes
+from rhizotwin.recon.tubes.tubes import SPACING_MM, TANGENT_NODES, Index, Tubes
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 33
+"""Places along an axis: three a pixel for a root of two pixels' radius."""
+_REACH_PX = 3.0
+"""So far beyond a radius before and behind the last node the axis is looked at: the edge's blur, and two cells of the
+search space."""
+_LEAST_COVERAGE = 0.15
+"""A root that covers less of its own axis shows no edge there: a sixth of a pixel wide."""
+_OTHERS = 0.1
+"""Coverage of others before a tip from which a view does not tell where it ends."""
+_LEAST_SINE = 0.5
+"""Steeper views see a tip's flank before its end."""
+_LEAST_VIEWS = 4
+"""Fewer views than this may all be wrong by the same root."""
+_LEAST_LENGTH = 0.5
+"""Ends are shortened to this part of their length at most; what has less is judged as a whole."""
+
+
+def placed(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Tubes:
+    """Move the tips of a tree along their axes to where the pictures say that they end.
+
+    Parameters
+    ----------
+    seen : Evidence
+        With the thick organs in it.
+    px_a_mm : float
+        Scale in the middle of the water.
+    """
+    lines = _lines(tree)
+    off_mm = _off(seen, tree, lines, blur_px, px_a_mm)
+    centre = tree.centre_mm.copy()
+    for line, move in zip(lines, off_mm, strict=True):
+        centre[line] = _stretched(tree.centre_mm[line], float(move))
+    return tubes.moved(tree, centre, tree.radius_mm)
+
+
+def _lines(tree: Tubes) -> list[Index]:
+    """Return the nodes of each branch's end: from its last lateral, or its base, to its tip."""
+    bearing = np.zeros(len(tree.radius_mm), bool)
+    bearing[[nodes[0] for nodes in tree.branches[1:]]] = True
+    return [nodes[int(np.flatnonzero(bearing[nodes[:-1]]).max(initial=0)) :] for nodes in tree.branches]
+
+
+def _off(seen: Evidence, tree: Tubes, lines: list[Index], blur_px: float, px_a_mm: float) -> Array:
+    """Return how far (T,) each tip lies beyond where it was put, mm; 0 where too few views tell."""
+    tip = np.array([line[-1] for line in lines])
+    before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
+    axis = tree.centre_mm[tip] - tree.centre_mm[before]
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
+    radius = tree.radius_mm[tip]
+    reach = radius + _REACH_PX / px_a_mm
+    way = reach[:, None] * np.linspace(-1.0, 1.0, _SAMPLES)  # (T, S)
+    point = tree.centre_mm[tip][:, None] + way[..., None] * axis[:, None]
+    at = seen.project(point.reshape(-1, 3))
+    depth = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
+    views, p = at.shape[0], at.on_device
+    start = wholes(np.repeat(np.arange(views), at.shape[1]) * seen.pixels)
+    explained_there = 1.0 - dr.exp(-depth)
+    dr.eval(explained_there)
+    measured, explained, told = (
+        np.array(bilinear(picture, start, seen.image_wh[0], p.px.x, p.px.y, p.seen)).reshape(views, *way.shape)
+        for picture in (seen.coverage, explained_there, seen.seen)
+    )
+    clear = (at.seen.reshape(told.shape) & (told > 0.99)).all(axis=2)
+    clear &= np.where(way > (radius + 0.5 * _REACH_PX / px_a_mm)[:, None], explained, 0.0).max(axis=2) < _OTHERS
+    clear &= at.sine(np.repeat(axis, _SAMPLES, axis=0)).reshape(told.shape)[:, :, 0] > _LEAST_SINE
+    inner = way < -0.5 * reach[:, None]
+    own = np.where(inner, explained, 0.0).sum(axis=2) / inner.sum(axis=1)
+    clear &= own > _LEAST_COVERAGE
+    more = 2.0 * reach * (measured - explained).mean(axis=2) / np.maximum(own, _LEAST_COVERAGE)
+    off = np.where(clear, more, np.nan)
+    off[:, clear.sum(axis=0) < _LEAST_VIEWS] = 0.0
+    return np.asarray(np.nanmedian(off, axis=0))
+
+
+def _stretched(line: Array, more_mm: float) -> Array:
+    """Return nodes (n, 3) strung along the same line, its last one farther by some mm; the first one stays."""
+    step = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    if more_mm == 0.0 or along[-1] < SPACING_MM:
+        return line
+    at = along * max(1.0 + more_mm / along[-1], _LEAST_LENGTH)
+    onward = line[-1] + (line[-1] - line[-2]) * (max(more_mm, 0.0) / max(step[-1], 1e-12))
+    whole, known = np.concatenate([along, [along[-1] + max(more_mm, 1e-9)]]), np.concatenate([line, onward[None]])
+    return np.stack([np.interp(at, whole, known[:, axis]) for axis in range(3)], axis=1)
