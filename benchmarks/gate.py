@@ -63,7 +63,7 @@ def compare(
     crashed : mapping of str or None
         What went wrong, by case; each is a failure whatever the baseline holds.
     scatter : Scatter or None
-        By how much numbers move with the last bits; where it knows a number it gives the tolerance, and not the metric.
+        By how much numbers move with the last bits: the tolerance of those it knows.
     """
     findings = [
         Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")
@@ -98,8 +98,9 @@ def _judge(metric: Metric, baseline: Baseline, scatter: Scatter | None, *, repea
     elif metric.key in TARGETS and not TARGETS[metric.key].reached(metric.value):
         verdict, note = "MISSED", f"must reach {TARGETS[metric.key].text}"
     else:
-        allowed = None if scatter is None else scatter.tolerance(metric.key, before)
-        worse, tolerance = metric.worse_by(before), metric.tolerance(before) if allowed is None else allowed
+        worse, tolerance = metric.worse_by(before), metric.tolerance(before)
+        if scatter is not None:
+            tolerance = scatter.tolerance(metric.key, before, tolerance)
         verdict = "WORSE" if worse > tolerance else "better" if worse < -tolerance else "same"
         note = f"by {worse:.4g}, {tolerance:.4g} allowed" if verdict == "WORSE" else ""
     return Finding(key=metric.key, verdict=verdict, baseline=before, value=metric.value, unit=metric.unit, note=note)

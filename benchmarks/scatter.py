@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.stats import norm
+
 from benchmarks import accuracy
 from benchmarks.cases import Case
 from benchmarks.metric import Metric
@@ -25,7 +28,7 @@ LEAST_RUNS = 5
 """Fewer runs tell no range: that of two is next to nothing once in twenty times."""
 FACTOR = 2.0
 """Of normal numbers 20 have a range of 3.7 standard deviations; two of them differ by twice this once in seven million
-times."""
+times. The range of fewer is made larger by as much as that of normal numbers grows."""
 DIGITS = 6
 """Significant digits of the numbers in a baseline."""
 
@@ -40,12 +43,25 @@ class Scatter:
     runs: Mapping[str, int]
     """Of how many runs, by key of the metric."""
 
-    def tolerance(self, key: str, baseline: float) -> float | None:
-        """Return by how much a number may differ from its baseline; None where its scatter was not measured."""
+    def tolerance(self, key: str, baseline: float, estimate: float) -> float:
+        """Return by how much a number may differ from its baseline.
+
+        That is an estimate where its scatter was not measured, and no less than this where fewer than `RUNS` runs told
+        it: they may all have gone the same way at a fork.
+        """
         if key not in self.ranges:
-            return None
+            return estimate
         held = 0.0 if baseline == 0.0 else 0.5 * 10.0 ** (math.floor(math.log10(abs(baseline))) + 1 - DIGITS)
-        return FACTOR * self.ranges[key] + 2.0 * held
+        runs = self.runs[key]
+        measured = FACTOR * self.ranges[key] * max(normal_range(RUNS) / normal_range(runs), 1.0) + 2.0 * held
+        return measured if runs >= RUNS else max(measured, estimate)
+
+
+def normal_range(count: int) -> float:
+    """Return the mean range of some normal numbers, in standard deviations (Tippett 1925, Biometrika 17:364)."""
+    x = np.linspace(-8.0, 8.0, 1601)
+    below = norm.cdf(x)
+    return float(np.trapezoid(1.0 - (1.0 - below) ** count - below**count, x))
 
 
 def measure(cases: Sequence[Case], *, runs: int, device: str, say: Say) -> tuple[dict[str, list[float]], dict[str, str]]:

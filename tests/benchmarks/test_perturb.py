@@ -107,13 +107,25 @@ KEY = "ball/clean/24x400x300/0.27/coverage/recall"
 
 
 def test_a_scatter_is_read_as_it_was_written(tmp_path: Path) -> None:
-    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904, 0.9898, 0.99, 0.99]}, about={})
+    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904, 0.9898, 0.99] * 5}, about={})
     found = scatter.read(tmp_path / "s.json")
     assert found.ranges == {KEY: pytest.approx(0.0006)}
-    assert found.tolerance(KEY, 0.99) == pytest.approx(scatter.FACTOR * 0.0006 + 1e-6)
-    assert found.tolerance("other", 0.99) is None
+    assert found.tolerance(KEY, 0.99, 1.0) == pytest.approx(scatter.FACTOR * 0.0006 + 1e-6)
+    assert found.tolerance("other", 0.99, 0.25) == 0.25
     scatter.write(tmp_path / "s.json", {"other": [1.0, 1.0, 1.5, 1.0, 1.2]}, about={})
     assert scatter.read(tmp_path / "s.json").ranges == {KEY: pytest.approx(0.0006), "other": 0.5}
+
+
+def test_few_runs_widen_an_estimate_and_never_narrow_it() -> None:
+    found = scatter.Scatter(path=Path("s.json"), ranges={KEY: 0.001}, runs={KEY: 5})
+    assert found.tolerance(KEY, 0.99, 0.01) == 0.01
+    assert found.tolerance(KEY, 0.99, 1e-4) == pytest.approx(scatter.FACTOR * 0.001 * 3.735 / 2.326 + 1e-6, rel=1e-3)
+
+
+def test_ranges_grow_as_those_of_normal_numbers() -> None:
+    drawn = np.ptp(np.random.default_rng(1).normal(size=(20_000, 8)), axis=1).mean()
+    assert scatter.normal_range(8) == pytest.approx(drawn, rel=0.01)
+    assert [scatter.normal_range(n) for n in (2, 20)] == pytest.approx([2.0 / np.sqrt(np.pi), 3.735], rel=1e-3)
 
 
 @pytest.mark.parametrize("values", [{}, {KEY: [1.0] * 4}, {KEY: [1.0] * 5 + [float("nan")]}, {KEY: [1.0] * 6, "other": [1.0] * 5}])
@@ -134,14 +146,14 @@ def test_a_scatter_that_cannot_be_read_is_named(tmp_path: Path, content: str) ->
 
 
 def test_no_scatter_knows_nothing(tmp_path: Path) -> None:
-    assert scatter.read(tmp_path / "s.json").tolerance(KEY, 0.99) is None
+    assert scatter.read(tmp_path / "s.json").tolerance(KEY, 0.99, 0.125) == 0.125
 
 
 def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
     metric = Metric(key=KEY, value=0.99, unit="1", direction="up", abs_tol=0.5)
     gate.write_baseline(tmp_path / "b.json", [metric], about={})
     baseline = gate.read_baseline(tmp_path / "b.json")
-    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904, 0.99, 0.99, 0.99]}, about={})
+    scatter.write(tmp_path / "s.json", {KEY: [0.99, 0.9904, *[0.99] * 18]}, about={})
     measured = scatter.read(tmp_path / "s.json")
 
     def verdict(value: float, known: scatter.Scatter | None) -> str:
@@ -157,7 +169,7 @@ def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
 @pytest.fixture
 def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, float]:
     """Let the command line run with a recall that depends on what is done to the pictures."""
-    recall = {"none": 0.99, "lossy:1": 0.98} | {f"rounded:{seed}": 0.99 + 1e-4 * (seed % 3 - 1) for seed in range(1, 6)}
+    recall = {"none": 0.99, "lossy:1": 0.98} | {f"rounded:{seed}": 0.99 + 1e-4 * (seed % 3 - 1) for seed in range(1, 21)}
 
     def measure(chosen: list[cases.Case], *, change: str = "none", **_given: object) -> Run:
         return Run(
@@ -177,8 +189,11 @@ def test_the_command_measures_the_scatter_and_gates_by_it(fake_ladder: dict[str,
     assert "of 5 of them is an estimate" in capsys.readouterr().out
     assert command.main(["scatter", "--quick", "--scenes", "sphere*", "--runs", "5"]) == 0
     assert command.main(gated) == 0
+    assert "of 5 of them is an estimate" in capsys.readouterr().out
+    assert command.main(["scatter", "--quick", "--scenes", "sphere*"]) == 0
+    assert command.main(gated) == 0
     assert "of 4 of them is an estimate" in capsys.readouterr().out
-    assert command.main(["scatter", "--quick", "--runs", "5"]) == 0
+    assert command.main(["scatter", "--quick"]) == 0
     assert command.main(gated) == 0
     assert "estimate" not in capsys.readouterr().out
     assert command.main([*gated, "--change", "rounded:1"]) == 0
