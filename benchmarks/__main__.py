@@ -267,7 +267,8 @@ def _run(given: argparse.Namespace) -> int:
             baseline = baseline.without({case.name for case in cases.quick()} - {case.name for case in chosen})
         findings = gate.compare(run.metrics, baseline, crashed=run.crashed, scatter=rounding)
         say("\n" + gate.table(findings))
-        unmeasured = 0 if rounding is None else sum(rounding.runs.get(m.key, 0) < scatter.RUNS for m in scatter.of_cases(run.metrics, chosen))
+        runs = None if rounding is None else [rounding.runs.get(m.key, 0) for m in scatter.of_cases(run.metrics, chosen)]
+        unmeasured = sum(count < scatter.RUNS for count in runs or ())
         if unmeasured:
             say(f"the tolerance of {unmeasured} of them is an estimate; `python -m benchmarks scatter --quick` measures it")
         return 0 if gate.passes(findings) else 1
