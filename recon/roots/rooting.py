@@ -53,19 +53,10 @@ def find(
     """
     px_a_mm = search_space.px_a_mm(seen, water)
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
-    with monitor.stage("search"):
-        cells, core = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
-        if not len(cells.index):
-            return None
-        dr.flush_malloc_cache()  # what carving left to be used again is in the footprints' way, and these in what follows
-    with monitor.stage("density"):
-        cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
-        dr.flush_malloc_cache()
-    with monitor.stage("trace"):
-        paths = tracing.trace(cells, depth) if len(cells.index) else []
-        if not paths:
-            return None
-        start = tubes.string([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
+    found = _traced(seen, water, px_a_mm, margin_mm, monitor=monitor)
+    if found is None:
+        return None
+    cells, core, start = found
     with monitor.stage("tubes"):
         near_mm = 1.5 * cells.grid.size_mm
         whole = seen
@@ -99,6 +90,26 @@ def find(
         seen=seen,
         cameras=cameras,
     )
+
+
+def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells, Tubes] | None:
+    """Find the first tubes.
+
+    Return the cells that hold root, the cores of what is thick, and the tubes; None where there is no root.
+    """
+    with monitor.stage("search"):
+        cells, core = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
+        if not len(cells.index):
+            return None
+        dr.flush_malloc_cache()  # what carving left to be used again is in the footprints' way, and these in what follows
+    with monitor.stage("density"):
+        cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
+        dr.flush_malloc_cache()
+    with monitor.stage("trace"):
+        paths = tracing.trace(cells, depth) if len(cells.index) else []
+        if not paths:
+            return None
+        return cells, core, tubes.string([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
 
 
 def _first_fit(

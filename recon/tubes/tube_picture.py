@@ -97,11 +97,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
             w = (a.half_px + (b.half_px - a.half_px) * part) * cap
             c += (side(d + w) - side(d - w)) * (a.height + (b.height - a.height) * part)
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
-        begun, ended = 0.5 * (1 + dr.erf(before * scale)), 0.5 * (1 - dr.erf((beyond - strips.cap_px) * scale))
-        # depths of segments that meet add up to one; a tip ends in coverage
-        c *= dr.select(is_tip, ended, 1.0)
-        gate = dr.maximum(begun + dr.select(is_tip, 1.0, ended) - 1, 0.0)
-        value = -gate * dr.log(1 - dr.minimum(c, FULLEST))
+        value = _faded(c, before * scale, (beyond - strips.cap_px) * scale, is_tip)
         place = strips.start + mi.UInt32(v * width + u)
         dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end))
         ended, (low, high) = u >= end, covered(v + 1)
@@ -110,6 +106,21 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
     dr.eval(depth)
     return depth
+
+
+def _faded(c: Float, before: Float, beyond: Float, is_tip: Bool) -> Float:
+    """Return the optical depth of a segment that covers ``c`` but fades at its ends.
+
+    Parameters
+    ----------
+    before, beyond : Float
+        Distance from the line where it begins and from that where it ends, by the blur's standard deviation and root 2.
+    is_tip : Bool
+        Depths of segments that meet add up to one; a tip fades in coverage.
+    """
+    begun, ended = 0.5 * (1 + dr.erf(before)), 0.5 * (1 - dr.erf(beyond))
+    gate = dr.maximum(begun + dr.select(is_tip, 1.0, ended) - 1, 0.0)
+    return -gate * dr.log(1 - dr.minimum(c * dr.select(is_tip, ended, 1.0), FULLEST))
 
 
 @dataclass(frozen=True)
