@@ -27,6 +27,7 @@ from rhizotwin.recon.uncertainty import (
     sight,
     solid_uncertainty,
     tube_uncertainty,
+    wall_contact,
 )
 from rhizotwin.recon.uncertainty.budget import Budget
 from rhizotwin.recon.uncertainty.checks import Check
@@ -171,6 +172,7 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
         *(() if told is None else told.terms),
         *solid_uncertainty.estimate(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
         sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
+        wall_contact.wall_contact(thick.leaves, carved.water),
         solid_uncertainty.water(volume_mm3),
         *bare_uncertainty.terms(
             carved.cameras.bare,

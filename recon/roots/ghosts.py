@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.roots.proof import Proof
 from rhizotwin.recon.tubes.tubes import Index, Tubes
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -127,7 +128,7 @@ def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
 def short_leaves(tubes: Tubes, organ: Mask) -> Mask:
     """Tell the nodes (N,) of short branches that bear none: they may be an artefact of their neighbours."""
     gone = np.zeros(len(organ), bool)
-    for k, line in _ends(tubes):
+    for k, line in _standing(tubes):
         if len(line) == len(tubes.branches[k]) and _length(tubes, line) < _SHORT_MM + tubes.radius_mm[line[0]]:
             gone[line[1:]] = True
     return gone & ~organ
@@ -147,7 +148,7 @@ def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> 
         Share of each node, over all views, that no other hides.
     """
     gone = np.zeros(len(organ), bool)
-    ends = _ends(tubes)
+    ends = _standing(tubes)
     if not ends:
         return gone
     owner, radius, near = tubes.owner, tubes.radius_mm, cKDTree(tubes.centre_mm)
@@ -176,21 +177,11 @@ def _is_bulge(tubes: Tubes, branch: int, line: Index) -> bool:
     return whole and _length(tubes, line) - float(tubes.radius_mm[line[0]]) < 2.0 * float(tubes.radius_mm[line[1:]].mean())
 
 
-def _ends(tubes: Tubes) -> list[tuple[int, Index]]:
-    """Return the branches but the first that go on beyond their last lateral.
-
-    With the nodes from where that leaves, or from their base.
-    """
-    bearing = np.zeros(len(tubes.radius_mm), bool)
-    bearing[[nodes[0] for nodes in tubes.branches[1:]]] = True
-    found = []
-    for k in range(1, len(tubes.branches)):
-        last = int(np.flatnonzero(bearing[tubes.own(k)]).max(initial=-1)) + 1
-        if last + 1 < len(tubes.branches[k]):
-            found.append((k, tubes.branches[k][last:]))
-    return found
+def _standing(tubes: Tubes) -> list[tuple[int, Index]]:
+    """Return the branches but the first that go on beyond their last lateral, with the nodes of their ends."""
+    return [(k, line) for k, line in enumerate(tubes.ends) if k > 0 and len(line) > 1]
 
 
 def _length(tubes: Tubes, line: Index) -> float:
     """Return the length of a line of nodes (n,), mm."""
-    return float(np.linalg.norm(np.diff(tubes.centre_mm[line], axis=0), axis=1).sum())
+    return polyline.length_mm(tubes.centre_mm[line])

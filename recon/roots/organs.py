@@ -130,7 +130,9 @@ def centred(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tupl
             if len(nodes) < 2:
                 continue
             sphere = spheres.centre_mm[cKDTree(spheres.centre_mm).query(centre[nodes])[1]]
-            tangent = np.gradient(gaussian_filter1d(sphere, _TANGENT_NODES, axis=0, mode="nearest"), axis=0)
+            # beyond the last sphere, in a round tip, the nearest sphere stays the same: the line's own direction counts
+            line = gaussian_filter1d(centre[nodes], _TANGENT_NODES, axis=0, mode="nearest")
+            tangent = np.gradient(line, axis=0)
             tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
             off = sphere - centre[nodes]
             centre[nodes] += gaussian_filter1d(off - (off * tangent).sum(axis=1, keepdims=True) * tangent, 1.0, axis=0, mode="nearest")

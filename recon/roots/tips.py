@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import bilinear, wholes
 from rhizotwin.recon.tubes import tube_picture, tubes
-from rhizotwin.recon.tubes.tubes import SPACING_MM, TANGENT_NODES, Index, Tubes
+from rhizotwin.recon.tubes.tubes import SPACING_MM, TANGENT_NODES, Tubes
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 
@@ -49,24 +50,16 @@ def placed(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Tubes
     px_a_mm : float
         Scale in the middle of the water.
     """
-    lines = _lines(tree)
-    off_mm = _off(seen, tree, lines, blur_px, px_a_mm)
+    off_mm = _off(seen, tree, blur_px, px_a_mm)
     centre = tree.centre_mm.copy()
-    for line, move in zip(lines, off_mm, strict=True):
+    for line, move in zip(tree.ends, off_mm, strict=True):
         centre[line] = _stretched(tree.centre_mm[line], float(move))
     return tubes.moved(tree, centre, tree.radius_mm)
 
 
-def _lines(tree: Tubes) -> list[Index]:
-    """Return the nodes of each branch's end: from its last lateral, or its base, to its tip."""
-    bearing = np.zeros(len(tree.radius_mm), bool)
-    bearing[[nodes[0] for nodes in tree.branches[1:]]] = True
-    return [nodes[int(np.flatnonzero(bearing[nodes[:-1]]).max(initial=0)) :] for nodes in tree.branches]
-
-
-def _off(seen: Evidence, tree: Tubes, lines: list[Index], blur_px: float, px_a_mm: float) -> Array:
+def _off(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Array:
     """Return how far (T,) each tip lies beyond where it was put, mm; 0 where too few views tell."""
-    tip = np.array([line[-1] for line in lines])
+    tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
@@ -98,11 +91,10 @@ def _off(seen: Evidence, tree: Tubes, lines: list[Index], blur_px: float, px_a_m
 
 def _stretched(line: Array, more_mm: float) -> Array:
     """Return nodes (n, 3) strung along the same line, its last one farther by some mm; the first one stays."""
-    step = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(step)])
+    along = polyline.way_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line
-    at = along * max(1.0 + more_mm / along[-1], _LEAST_LENGTH)
-    onward = line[-1] + (line[-1] - line[-2]) * (max(more_mm, 0.0) / max(step[-1], 1e-12))
-    whole, known = np.concatenate([along, [along[-1] + max(more_mm, 1e-9)]]), np.concatenate([line, onward[None]])
-    return np.stack([np.interp(at, whole, known[:, axis]) for axis in range(3)], axis=1)
+    last = line[-1] - line[max(len(line) - 1 - TANGENT_NODES, 0)]
+    onward = line[-1] + last * (max(more_mm, 0.0) / max(float(np.linalg.norm(last)), 1e-12))
+    longer = np.concatenate([line, onward[None]])
+    return polyline.between(longer, polyline.way_mm(longer), along * max(1.0 + more_mm / along[-1], _LEAST_LENGTH))

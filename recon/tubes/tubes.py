@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
+
+from rhizotwin.scenes import polyline
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -86,6 +89,14 @@ class Tubes:
         return owner
 
     @property
+    def ends(self) -> tuple[Index, ...]:
+        """Return the nodes of each branch's end: from where its last lateral leaves, or from its base, to its tip."""
+        bearing = np.zeros(len(self.radius_mm), bool)
+        bearing[[nodes[0] for nodes in self.branches[1:]]] = True
+        last = (int(np.flatnonzero(bearing[self.own(k)]).max(initial=-1)) + (k > 0) for k in range(len(self.branches)))
+        return tuple(nodes[max(first, 0) :] for nodes, first in zip(self.branches, last, strict=True))
+
+    @property
     def tangents(self) -> Array:
         """Return unit vectors (N, 3) along the branches, towards their tips."""
         line, first, last = self.strung
@@ -107,7 +118,7 @@ class Tubes:
     @property
     def length_mm(self) -> float:
         """Return the total length of the centre lines."""
-        return float(sum(np.linalg.norm(np.diff(self.centre_mm[b], axis=0), axis=1).sum() for b in self.branches))
+        return math.fsum(polyline.length_mm(self.centre_mm[b]) for b in self.branches)
 
     def keep(self, stays: NDArray[np.bool_]) -> Tubes:
         """Keep nodes (N,) as `staying` chose them."""

@@ -112,9 +112,9 @@ def misread(views: Sequence[View], believed: Optics, true: Optics, points_mm: Ar
     corners = np.concatenate([points_mm + 0.5 * side * CUBE_MM * np.eye(3)[axis] for axis in range(3) for side in (-1.0, 1.0)])
     found = corners + _shifts(some, believed, true, corners)
     ends = found.reshape(3, 2, len(points_mm), 3)
-    stretch = np.linalg.det(((ends[:, 1] - ends[:, 0]) / CUBE_MM).transpose(1, 0, 2))
-    told = np.isfinite(stretch)
-    return float(stretch[told].mean() - 1.0) if told.any() else 0.0
+    edges = ((ends[:, 1] - ends[:, 0]) / CUBE_MM).transpose(1, 0, 2)
+    told = np.isfinite(edges).all(axis=(1, 2))
+    return float(np.linalg.det(edges[told]).mean() - 1.0) if told.any() else 0.0
 
 
 def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, points_mm: Array) -> Array:

@@ -22,7 +22,7 @@ def off(found: tubes.Tubes, true: tubes.Tubes) -> np.ndarray:
 
 def with_tips_moved(true: tubes.Tubes, by_mm: float) -> tubes.Tubes:
     centre = true.centre_mm.copy()
-    for nodes in tips._lines(true):
+    for nodes in true.ends:
         centre[nodes] = tips._stretched(centre[nodes], by_mm)
     np.testing.assert_allclose(off(tubes.moved(true, centre, true.radius_mm), true), by_mm, atol=1e-6)
     return tubes.moved(true, centre, true.radius_mm)
