@@ -143,14 +143,24 @@ def _compare(given: argparse.Namespace) -> int:
 
 
 def _scatter(given: argparse.Namespace) -> int:
-    """Measure the scatter and record it."""
+    """Measure the scatter and record it; what the gate says to each run, too."""
     selection = {name: getattr(given, name) for name in ("scenes", "profiles", "methods") if getattr(given, name) is not None}
-    values, crashed = scatter.measure(cases.quick(**selection), runs=given.runs, device=given.device, say=say)
+    chosen = cases.quick(**selection)
+    baseline = gate.read_baseline(HERE / "baseline_accuracy_quick.json")
+    runs = scatter.measure(chosen, runs=given.runs, change=given.change, device=given.device, say=say)
+    crashed = {case: why for run in runs for case, why in run.crashed.items()}
     if crashed:
         raise UserError(f"{next(iter(crashed))} crashed, so that the scatter is left as it was.")
+    values = scatter.values(runs)
     say("\n" + scatter.table(values))
-    scatter.write(_scatter_path(), values, about=about(given))
-    say(f"recorded: {_scatter_path()}")
+    if given.change == scatter.ROUNDED:
+        scatter.write(_scatter_path(), values, about=about(given))
+        say(f"recorded: {_scatter_path()}")
+    rounding, everything = scatter.read(_scatter_path()), {key.rpartition("/")[0] for key in baseline.values}
+    for case in chosen:
+        one, measured = baseline.without(everything - {case.name}), [scatter.of_cases(run.metrics, [case]) for run in runs]
+        is_open = [gate.passes(gate.compare(metrics, one, scatter=rounding)) for metrics in measured]
+        say(f"{case.name}: the gate is open in {sum(is_open)} of {len(is_open)} runs")
     return 0
 
 

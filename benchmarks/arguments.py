@@ -95,7 +95,7 @@ def _add_scaling(one: argparse.ArgumentParser) -> None:
 
 _MIXTURES = "small drawn plants with drawn troubles: how often the interval of trusted scans holds; a stopped run goes on where it stopped"
 _DAMAGES = "one clean scan, spoilt as laboratories spoil theirs: is a wrong volume ever called trusted?"
-_SCATTER = "how far every number moves when only the last bits of the pictures do: the gate's tolerances; a stopped run goes on"
+_SCATTER = "how far numbers move when only the pictures' last bits do: the gate's tolerances, and how often it opens; a stopped run goes on"
 
 
 def _add_damages(one: argparse.ArgumentParser) -> None:
@@ -110,6 +110,12 @@ def _add_scatter(one: argparse.ArgumentParser) -> None:
     one.add_argument("--scenes", type=_words, metavar="PATTERN,...", help="only these scenes of it; the others' numbers stay as they are")
     _add_profiles_and_methods(one)
     one.add_argument("--runs", type=int, default=scatter.RUNS, metavar="N", help="default: %(default)s")
+    one.add_argument(
+        "--change",
+        choices=(scatter.ROUNDED, "lossy"),
+        default=scatter.ROUNDED,
+        help="lossy: one picture in twenty mirrored; how often the gate shuts, and nothing is recorded (default: %(default)s)",
+    )
     one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
 
 

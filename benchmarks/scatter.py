@@ -2,13 +2,13 @@
 
 Many runs of the ladder on pictures as other machines may have rounded them.
 
-The gate's tolerances come from it: a number counts as changed when it leaves `FACTOR` times the range of these runs.
+A number counts as changed when it leaves `FACTOR` times the range of these runs, and the least change that matters.
 """
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,14 @@ from scipy.stats import norm
 from benchmarks import accuracy
 from benchmarks.cases import Case
 from benchmarks.metric import Metric
-from benchmarks.run import Say
+from benchmarks.run import Run, Say
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
 
 SCHEMA_VERSION = 1
 RUNS = 20
+ROUNDED = "rounded"
+"""The change of the pictures that plays another machine."""
 LEAST_RUNS = 5
 """Fewer runs tell no range: that of two is next to nothing once in twenty times."""
 FACTOR = 2.0
@@ -46,15 +48,17 @@ class Scatter:
     def tolerance(self, key: str, baseline: float, estimate: float) -> float:
         """Return by how much a number may differ from its baseline.
 
-        That is an estimate where its scatter was not measured, and no less than this where fewer than `RUNS` runs told
-        it: they may all have gone the same way at a fork.
+        Parameters
+        ----------
+        estimate : float
+            The least change that matters, whatever the scatter. Rounding as it is played here is no more than a guess
+            at other processors': two of them parted by 2e-6 of a sphere's volume, of which the range is 1e-6 here.
         """
         if key not in self.ranges:
             return estimate
         held = 0.0 if baseline == 0.0 else 0.5 * 10.0 ** (math.floor(math.log10(abs(baseline))) + 1 - DIGITS)
-        runs = self.runs[key]
-        measured = FACTOR * self.ranges[key] * max(normal_range(RUNS) / normal_range(runs), 1.0) + 2.0 * held
-        return measured if runs >= RUNS else max(measured, estimate)
+        grown = max(normal_range(RUNS) / normal_range(self.runs[key]), 1.0)
+        return max(FACTOR * self.ranges[key] * grown + 2.0 * held, estimate)
 
 
 def normal_range(count: int) -> float:
@@ -64,17 +68,22 @@ def normal_range(count: int) -> float:
     return float(np.trapezoid(1.0 - (1.0 - below) ** count - below**count, x))
 
 
-def measure(cases: Sequence[Case], *, runs: int, device: str, say: Say) -> tuple[dict[str, list[float]], dict[str, str]]:
-    """Run cases on otherwise rounded pictures; returns the values by key of the metric, and what crashed."""
-    values: dict[str, list[float]] = {}
-    crashed: dict[str, str] = {}
+def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: str, say: Say) -> list[Run]:
+    """Run cases on pictures that are changed otherwise each time: `ROUNDED`, or ``lossy`` (`benchmarks.perturb`)."""
+    found = []
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
-        run = accuracy.measure(cases, device=device, say=say, change=f"rounded:{seed}", projection=False)
-        crashed |= run.crashed
-        for metric in of_cases(run.metrics, cases):
-            values.setdefault(metric.key, []).append(metric.value)
-    return values, crashed
+        run = accuracy.measure(cases, device=device, say=say, change=f"{change}:{seed}", projection=False)
+        found.append(replace(run, metrics=of_cases(run.metrics, cases)))
+    return found
+
+
+def values(runs: Sequence[Run]) -> dict[str, list[float]]:
+    """Return the values of some runs by key of the metric."""
+    found: dict[str, list[float]] = {}
+    for metric in (metric for run in runs for metric in run.metrics):
+        found.setdefault(metric.key, []).append(metric.value)
+    return found
 
 
 def of_cases(metrics: Sequence[Metric], cases: Sequence[Case]) -> list[Metric]:
