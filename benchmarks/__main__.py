@@ -95,8 +95,8 @@ def _thesis(given: argparse.Namespace) -> int:
     if path.suffix.lower() != ".md":
         raise UserError(f"{path}: the page is Markdown; give a name that ends in .md")
     engine.start(given.device)
-    counted = assumptions.measure(thesis_page.PRINT, say=say, only_kept=given.kept)
-    levels = assumptions.levels(thesis_page.PRINT, say=say, only_kept=given.kept)
+    counted = assumptions.measure(thesis_page.PHANTOM, say=say, only_kept=given.kept)
+    levels = assumptions.levels(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     found = thesis_page.plants(thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept))
     for file in thesis_page.write(path, found, levels, counted):
         say(f"wrote {file}")

@@ -21,9 +21,9 @@ THICK_FAMILIES = ("bulb", "carrot", "radish_swollen")
 """Storage organs with roots on them."""
 FAMILIES = (*THIN_FAMILIES, *THICK_FAMILIES)
 PLANTS = ("radish_*", "fallen_plant", *FAMILIES)
-"""Scenes with roots to find one by one, of which a seed grows another specimen; prints and solids stay what they
+"""Scenes with roots to find one by one, of which a seed grows another specimen; phantoms stay what they
 are."""
-PRINTS = ("sphere_20mm", "printed_8ml")
+PHANTOMS = ("sphere_20mm", "printed_8ml")
 PROFILES = ("clean", "bench", "harsh")
 LADDER: dict[str, tuple[str, ...]] = {
     "sphere_20mm": PROFILES,
@@ -107,7 +107,7 @@ class Case:
 def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES, methods: Sequence[Method] = METHODS) -> list[Case]:
     """Return the small cases that run with every change, or some.
 
-    A solid, a print by both methods, a print on a real bench, thin roots.
+    A solid, a printed phantom by both methods, the same on a real bench, thin roots.
 
     Raises
     ------
@@ -142,8 +142,8 @@ def ladder(
 ) -> list[Case]:
     """Return the cases of the full table, or the part of it that patterns of scenes, profiles, seeds and methods leave.
 
-    Plants are photographed in two rings, solids and prints in one. Clean pictures of these have nothing that a seed
-    could change, so that they are there once.
+    Plants are photographed in two rings, phantoms (solids and printed roots) in one. Clean pictures of these have
+    nothing that a seed could change, so that they are there once.
 
     Raises
     ------
@@ -155,8 +155,8 @@ def ladder(
     for seed in seeds:
         for name in names:
             for profile in next(allowed for pattern, allowed in LADDER.items() if fnmatchcase(name, pattern)):
-                rings: Literal[1, 2] = 1 if name in PRINTS else 2
-                is_repeated = name in PRINTS and profile == "clean" and seed != seeds[0]
+                rings: Literal[1, 2] = 1 if name in PHANTOMS else 2
+                is_repeated = name in PHANTOMS and profile == "clean" and seed != seeds[0]
                 if profile in profiles and not is_repeated:
                     pictures = Pictures(scene=name, profile=profile, rings=rings, seed=seed)
                     sizes = CAMERA_SIZES.get(name, ()) if profile == "clean" and seed == 0 else ()

@@ -28,7 +28,7 @@ Light = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 EVERY = 2
-"""One view of so many is used: 20 of a print's 40, which are reconstructed in half the time."""
+"""One view of so many is used: 20 of a printed phantom's 40, which are reconstructed in half the time."""
 _FACES_CAMERA = 0.1
 """Cosine between wall and line of sight above which the near wall is drawn: it is a line beyond."""
 

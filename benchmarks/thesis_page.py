@@ -1,4 +1,4 @@
-"""The thesis's tables and figures beside its method as re-implemented and ours, on the twin's radishes and print.
+"""The thesis's tables and figures beside its method as re-implemented and ours, on radishes and a printed phantom.
 
 Its table 4.1, and figures 3.10 (volume by level of the octree), 4.1 (growth) and 5.3 (time by level).
 """
@@ -16,10 +16,10 @@ from rhizotwin.experiment import tables
 from rhizotwin.scenes.atomic import write_bytes, write_text
 from rhizotwin.scenes.figures import figure, png
 
-PRINT = Pictures(scene="printed_8ml", image_wh=(400, 300))
+PHANTOM = Pictures(scene="printed_8ml", image_wh=(400, 300))
 """On which levels and assumptions are measured."""
 PRINT_ML, THESIS_PRINT_ML = 8.0, 7.13
-"""True volume of the print, and what the thesis found after nine levels (figure 3.10)."""
+"""True volume of the printed phantom, and what the thesis found after nine levels (figure 3.10)."""
 THESIS_DAY_S, THESIS_VOXEL_MM, THESIS_FACTOR = 86400.0, 0.27, 4.0
 """Roughly a day at the finest level, and four times as long with every level (T5.3, figure 5.3)."""
 _DAYS = (5, 10, 15, 20, 25, 30)
@@ -119,14 +119,14 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         _table(found),
         "## Figure 4.1: growth",
         f"![Root volume by age]({growth})",
-        "## Figure 3.10: volume of the print by level",
-        f"![Volume of the print by voxel]({by_level})",
+        "## Figure 3.10: volume of the printed phantom by level",
+        f"![Volume of the printed phantom by voxel]({by_level})",
         "## Figure 5.3: time by level",
         f"![Time by voxel]({time})",
         _levels(levels),
         "## Which assumptions turn the error",
-        "Volume of the print (40 pictures of 400x300) over the true one, less 1, by the thesis's method with one or more assumptions "
-        "changed; the first row is the thesis's own.",
+        "Volume of the printed phantom (40 pictures of 400x300) over the true one, less 1, by the thesis's method with one or more "
+        "assumptions changed; the first row is the thesis's own.",
         assumptions.table(counted) if counted else "Not measured.",
     ]
     return "\n\n".join(parts) + "\n"
@@ -163,7 +163,7 @@ def _volume_by_level(axis: Any, levels: Sequence[Level]) -> None:
     axis.plot(voxels, [one.thesis_ml for one in levels], "o-", color=_COLOURS["re-implemented"], label="its method, re-implemented")
     axis.plot(voxels, [one.ours_ml for one in levels], "o-", color=_COLOURS["ours"], label="our hull, before it is trimmed")
     axis.axhline(PRINT_ML, color=_COLOURS["true"], linewidth=0.8, label="true")
-    axis.plot([THESIS_VOXEL_MM], [THESIS_PRINT_ML], "s", color=_COLOURS["thesis"], label="thesis, its real print")
+    axis.plot([THESIS_VOXEL_MM], [THESIS_PRINT_ML], "s", color=_COLOURS["thesis"], label="thesis, its real phantom")
     _by_voxel(axis, "volume (ml)")
 
 

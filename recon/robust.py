@@ -4,7 +4,7 @@ Residuals of a picture share its pose, its light and its grid of pixels; counted
 Those that belong together are a cluster, and what counts is the scatter of whole clusters: with scores s_g (the
 gradient that a cluster's residuals have at the solution) and the normal matrix H, the solution's covariance is H^-1 M
 H^-1 with M = sum s_g s_g^T (the sandwich; Cameron and Miller 2015, Journal of Human Resources 50:317). Few clusters fit
-themselves too well; leaving each out in turn, s_g becomes H (H - H_g)^-1 s_g, mends that (the cluster jackknife CV3;
+themselves too well; leaving each out in turn, s_g becomes H (H - H_g)^-1 s_g, corrects that (the cluster jackknife CV3;
 MacKinnon, Nielsen and Webb 2023, Journal of Econometrics 232:272).
 """
 

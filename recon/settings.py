@@ -92,8 +92,9 @@ class TrustSettings:
     gaps."""
     missed: tuple[float, float] = bounded((0.05, 0.1), 0.0, 1.0)
     """Share of what the pictures show that the hull of all views leaves out: views that disagree about where things are
-    carve them away. Plants and prints of the ladder have up to 0.03, right mixtures 0.06; wrong ones (24 to 37 % of the
-    volume lost) from 0.20 on: the limit is the geometric mean of the two (`docs/log/2026-11-22-mixtures.md`)."""
+    carve them away. Plants and printed phantoms of the ladder have up to 0.03, right mixtures 0.06; wrong ones (24 to
+    37 % of the volume lost) from 0.20 on: the limit is the geometric mean of the two
+    (`docs/log/2026-11-22-mixtures.md`)."""
     sway_mm: tuple[float, float] = bounded((0.06, 0.15), 0.0, 10.0)
     """Root mean square distance (mm) of the roots in a picture from where all pictures put them. Plants of the twin
     that stand still have 0.023 to 0.059. What moves widens what all views show together by its square, and a sway of
@@ -102,9 +103,9 @@ class TrustSettings:
     dirt: tuple[float, float] = bounded((0.1, 0.35), 0.0, 1.0)
     """Share of the wall before the roots that films, bubbles and glare cover."""
     spread: tuple[float, float] = bounded((0.012, 0.016), 0.0, 1.0)
-    """Share of what roots take of the light that is missing beside them (`recon.uncertainty.halo`). Prints and plants
-    in `clean`, `bench`, `camera` and mixtures have 0.000 to 0.008; a quarter of the light scattered over 20 px has
-    0.023, and made a print 5.6 % too large: 4 % has 0.016 (`docs/log/2026-11-22-damages.md`)."""
+    """Share of what roots take of the light that is missing beside them (`recon.uncertainty.halo`). Printed phantoms
+    and plants in `clean`, `bench`, `camera` and mixtures have 0.000 to 0.008; a quarter of the light scattered over 20
+    px has 0.023, and made a printed phantom 5.6 % too large: 4 % has 0.016 (`docs/log/2026-11-22-damages.md`)."""
     clipped: tuple[float, float] = bounded((0.002, 0.02), 0.0, 1.0)
     """Share of the panel's pixels at full scale: where the panel is clipped, what roots absorb of it is not known."""
     dim: tuple[float, float] = bounded((0.2, 0.05), 0.0, 1.0)
@@ -115,15 +116,16 @@ class TrustSettings:
     range."""
     uneven: tuple[float, float] = bounded((0.015, 0.04), 0.0, 1.0)
     """Standard deviation of the panel beside the canister over that of all pictures, which is left when the exposure
-    was divided out row by row. Bands of 7 % that nobody divided out made a print 6.8 % too large: as much as they are
-    (`docs/log/2026-11-22-damages.md`)."""
+    was divided out row by row. Bands of 7 % that nobody divided out made a printed phantom 6.8 % too large: as much as
+    they are (`docs/log/2026-11-22-damages.md`)."""
     blur_px: tuple[float, float] = bounded((1.2, 2.5), 0.0, 100.0)
     """Standard deviation (px) of the blur, the pixel's own 0.29 included. A root of 0.3 mm is a pixel wide at 800
     pixels across 250 mm; blurred by 2.5 px it darkens the panel by a sixth."""
     refocus_px: tuple[float, float] = bounded((0.5, 1.0), 0.0, 100.0)
     """By how much (px) the least sharp picture is blurred more than the sharpest, as standard deviations add up. All
-    are fitted with one blur: half of a print's pictures blurred by 1.5 px more lost 9.3 % of it, which grows with the
-    square, so that 1 px is 4 % and 0.5 px 1 %. Plants and prints in `bench`, `camera` and mixtures have 0.1."""
+    are fitted with one blur: half of a printed phantom's pictures blurred by 1.5 px more lost 9.3 % of it, which grows
+    with the square, so that 1 px is 4 % and 0.5 px 1 %. Plants and printed phantoms in `bench`, `camera` and mixtures
+    have 0.1."""
     inset_px: tuple[float, float] = bounded((0.03, 0.045), 0.0, 10.0)
     """How much larger on each side (px) the markers look: their blurred edges stay where they are in light. Right scans
     of the twin have 0.001 to 0.005, an uncalibrated lens of k1 = -0.15, right to 1.1 %, 0.028; a table that turns by

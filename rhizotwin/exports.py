@@ -112,7 +112,7 @@ def _traits(result_folder: Path, output: Path) -> list[Path]:
 def _roots_of(result_folder: Path) -> Path:
     file = result_folder / "roots.rsml"
     if not file.is_file():
-        raise UserError(f"{result_folder} has no centre lines: no thin roots were found in it, as in prints and solid bodies")
+        raise UserError(f"{result_folder} has no centre lines: no thin roots were found in it, as in solid bodies")
     return file
 
 

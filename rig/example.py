@@ -108,7 +108,7 @@ white_balance_kelvin = 5000  # fixed white balance (v4l2)
 [clearance]  # what the arm's ways are checked against, besides the scene's canister and net pot
 margin_mm = 15.0
 arm_radius_mm = 32.0  # half the width of the arm's links
-camera_radius_mm = 35.0  # a ball about the camera's centre that holds it with its lens
+camera_radius_mm = 35.0  # a sphere about the camera's centre that holds it with its lens
 table_radius_mm = 110.0
 floor_z_mm = -195.0  # what the arm's base and the turntable's feet stand on
 bars = []  # boxes that the arm must not touch: [{low_mm = [-200.0, -30.0, -190.0], high_mm = [-150.0, 30.0, 200.0]}]

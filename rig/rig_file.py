@@ -174,7 +174,7 @@ class Clearance:
     arm_radius_mm: float = bounded(32.0, 1.0, 300.0)
     """Half the width of the arm's links."""
     camera_radius_mm: float = bounded(35.0, 1.0, 300.0)
-    """A ball about the camera's centre that holds it with its lens."""
+    """A sphere about the camera's centre that holds it with its lens."""
     table_radius_mm: float = bounded(110.0, 1.0, 2000.0)
     floor_z_mm: float = bounded(-195.0, -5000.0, 0.0)
     """What the arm's base and the turntable's feet stand on."""

@@ -1,6 +1,6 @@
 """Folders that commands make.
 
-Held against others from the start, built inside, put in place at the end, mended after a kill.
+Held against others from the start, built inside, put in place at the end, recovered after a kill.
 
 A folder that is being made may hold, beside what people see,
 

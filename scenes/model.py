@@ -328,18 +328,18 @@ class Disturbances:
     n_wall_error: float = bounded(0.0, -0.1, 0.1)
     """True minus nominal index of the wall."""
     seam_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Light that the seam of a rolled tube keeps back, 1 mm wide, in a drawn direction; it turns with the canister."""
+    """Light that the seam of a rolled tube absorbs, 1 mm wide, in a drawn direction; it turns with the canister."""
     dust_specks: int = bounded(0, 0, 100000)
     """Number of opaque specks on the canister's outside."""
     scratches: int = bounded(0, 0, 10000)
-    """Number of scratches on the canister's outside, which keep back a half of the light."""
+    """Number of scratches on the canister's outside, which absorb half of the light."""
     highlight: float = bounded(0.0, 0.0, 1.0)
     """Light, of full scale, that a lamp's reflection in the wall adds, in a streak that stands still while the canister
     turns."""
     algae_patches: int = bounded(0, 0, 1000)
     """Number of algae films on the inner wall (they turn with the canister)."""
     algae_opacity: float = bounded(0.0, 0.0, 1.0)
-    """Light that the middle of an algae film keeps back."""
+    """Light that the middle of an algae film absorbs."""
     turbidity_per_mm: float = bounded(0.0, 0.0, 0.1)
     """Extinction of the water per mm."""
     felt_fibres: int = bounded(0, 0, 10000)

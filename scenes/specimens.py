@@ -8,10 +8,10 @@ from rhizotwin.scenes.limits import bounded
 
 @dataclass(frozen=True, kw_only=True)
 class SphereSpecimen:
-    """A ball, the simplest thing with a known volume."""
+    """A sphere, the simplest thing with a known volume."""
 
     diameter_mm: float = bounded(20.0, 0.1, 200.0)
-    """Diameter of the ball."""
+    """Diameter of the sphere."""
     centre_mm: tuple[float, float, float] = bounded((0.0, 0.0, -55.0), -1000.0, 1000.0)
     """Its middle, canister frame: origin on the axis in the plane of the rim, z up."""
 

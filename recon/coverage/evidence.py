@@ -31,7 +31,7 @@ _TRACE_SLACK_PX = 0.25
 _FULL = 0.9
 """Coverage above this counts as full, noise allowed for."""
 CORE_PX = 1.25
-"""Points this deep inside full coverage in every view lie in a thick organ: 3.5 px wide or more."""
+"""Points this deep inside full coverage in every view lie in a taproot, hypocotyl or solid: 3.5 px wide or more."""
 
 
 @dataclass(frozen=True)

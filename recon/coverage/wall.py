@@ -37,7 +37,7 @@ _LEAST_VIEWS = 5
 _NARROWEST_TEXELS = 4
 """A film is at least so wide; roots on the wall are thinner."""
 _WIDEST_BUBBLE_MM = 5.0
-"""Two capillary lengths of water (2.7 mm): larger bubbles do not cling."""
+"""Two capillary lengths of water (2.7 mm): larger bubbles do not stay on a wall."""
 _CLEAR, _CLEAR_VIEWS = 0.05, 4
 """A bubble stands alone: in so many views the ring round it is clearer than this."""
 _OPAQUE = 0.98

@@ -25,8 +25,8 @@ BASE_MIB, MIB_PER_MPX = 700.0, 120.0
 """Peak memory of a reconstruction: of the process with its libraries, and for each million pixels of all pictures.
 
 An upper bound over the accuracy ladder: 18 plants of 38.4 million pixels (two rings of 40 views, 800x600) took up to
-4953 MiB, prints of 19.2 million pixels 1336 MiB. Voxels below the default 0.27 mm are not told by it: 0.07 mm took
-twice as much.
+4953 MiB, printed phantoms of 19.2 million pixels 1336 MiB. Voxels below the default 0.27 mm are not told by it: 0.07 mm
+took twice as much.
 """
 RENDER_MIB = 1000.0
 """Of a rendering: 414 MiB at 800x600, and the solid of the largest library plant."""

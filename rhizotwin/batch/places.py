@@ -44,7 +44,8 @@ def find_datasets(source: str) -> list[str]:
         heads = {*system.glob(f"{path}/{HEAD}"), *system.glob(f"{path}/**/{HEAD}")}
         found = sorted(system.unstrip_protocol(head.rpartition("/")[0]) for head in heads)
     else:
-        matches = [source] if Path(source).exists() else glob.glob(source, recursive=True)  # noqa: PTH207 - it may be absolute
+        # Path.glob takes no absolute pattern and no "a**", and also matches what is hidden
+        matches = [source] if Path(source).exists() else glob.glob(source, recursive=True)  # noqa: PTH207
         folders = [Path(name) for name in matches]
         heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
         found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))

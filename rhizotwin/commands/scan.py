@@ -31,7 +31,7 @@ def read_angle_deg(text: str) -> float:
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class ScanOptions:
     """How the scan goes."""
 
     plan: Annotated[str | None, named("PLAN")] = None
@@ -59,7 +59,7 @@ def scan(
     rig: rigs.RigName,
     output: OutputDataset,
     scene: SceneName | None = None,
-    course: Course = Course(),
+    options: ScanOptions = ScanOptions(),
     twin: rigs.TwinPictures = rigs.TwinPictures(),
     subject: SubjectOptions = SubjectOptions(),
     watching: Watching = Watching(),
@@ -80,7 +80,7 @@ def scan(
     scene : str, optional
         A scene file, or a name from 'rhizotwin scenes': canister, strip, calibrated lens and plan; needed for a rig
         file; the twin's default: printed_8ml.
-    course : Course
+    options : ScanOptions
         How the scan goes.
     twin : TwinPictures
         What the emulated rig gets wrong, and how its pictures are made.
@@ -102,9 +102,9 @@ def scan(
     emulated = twin if rig == rigs.TWIN else None
     if emulated is None and scene is None:
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
-    bench = rigs.open_bench(rig, scene, errors=twin, plan=course.plan)
+    bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     told = subject.told(bench.scene)
-    made = _take(bench, told, output, course=course, twin=emulated, watching=watching, progress=progress)
+    made = _take(bench, told, output, options=options, twin=emulated, watching=watching, progress=progress)
     print(f"{len(made.frames)} pictures in {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":
         print(f"next: rhizotwin reconstruct {output} -o my_result")
@@ -115,7 +115,7 @@ def _take(
     scene: Scene,
     output: Path,
     *,
-    course: Course,
+    options: ScanOptions,
     twin: rigs.TwinPictures | None,
     watching: Watching,
     progress: Progress,
@@ -129,16 +129,16 @@ def _take(
     rendered = twin is not None and twin.fidelity == "render"
     with ExitStack() as stack:
         onlooker = _onlooker(bench.scene, watching, stack)
-        devices = bench.open_devices(rigs.recorder(course.record, stack), stack)
+        devices = bench.open_devices(rigs.recorder(options.record, stack), stack)
         bar = stack.enter_context(progress.bar(devices=1.0, pictures=20.0))
         made = take(
             devices,
             scene,
             output,
-            resume=course.resume,
+            resume=options.resume,
             settings={"twin": None if twin is None else _pictures(twin, bench.twin.scene)},
             seed=None if twin is None else twin.seed,
-            table_angle_deg=course.table_angle_deg,
+            table_angle_deg=options.table_angle_deg,
             audience=Audience(
                 ask=rigs.asker(),
                 say=bar.say,

@@ -28,7 +28,7 @@ _STEPS = 8
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
     """Return what fits roots to a dataset's pictures again, from the coverage that the result kept of them.
 
-    Thick organs stay as they are: their shape is the hull's. The laterals' first points stay on their parents.
+    Taproot and hypocotyl stay as they are: their shape is the hull's. The laterals' first points stay on their parents.
 
     Raises
     ------

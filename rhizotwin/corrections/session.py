@@ -151,6 +151,6 @@ class Session:
 
 
 def read_roots(result_folder: Path) -> tuple[Root, ...]:
-    """Return the roots of a result; none for prints and solid bodies."""
+    """Return the roots of a result; none for solid bodies."""
     file = result_folder / "roots.rsml"
     return rsml.read_rsml(file) if file.is_file() else ()

@@ -4,7 +4,7 @@ It follows at once when some of them go.
 
 The reconstruction paints every tube into the voxels as points that stand for parts of its volume
 (`recon.tubes.filling`). The same points tell here how much of each voxel is whose. Where tubes overlap, the volume is
-the first one's that is still there. What no tube explains (the flank of a thick organ) goes with the nearest root
+the first one's that is still there. What no tube explains (the flank of a taproot) goes with the nearest root
 within two voxels, or with none.
 """
 

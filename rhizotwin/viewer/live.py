@@ -59,12 +59,12 @@ class Live(Onlooker):
 
     # what the scan tells
 
-    def planned(self, total: int, done: int) -> None:
+    def on_plan(self, total: int, done: int) -> None:
         """Hear how many pictures there are."""
         self.total, self.done, self._begun_s = total, done, time.monotonic()
         self._changed()
 
-    def looked(self, look: Look) -> None:
+    def on_look(self, look: Look) -> None:
         """Keep what a picture shows, and sketch now and then."""
         self.done += 1
         if self.looks:  # only the last one is shown in full
@@ -74,7 +74,7 @@ class Live(Onlooker):
         self._worker.submit(self._take_in, look)
         self._changed()
 
-    def dropped(self, files: list[str]) -> None:
+    def on_drop(self, files: list[str]) -> None:
         """Forget pictures that were taken out."""
         self.looks = [look for look in self.looks if look.frame.file not in files]
         self.done -= len(files)
@@ -82,7 +82,7 @@ class Live(Onlooker):
             self._worker.submit(self._sketch.drop, file)
         self._changed()
 
-    def said(self, text: str) -> None:
+    def on_line(self, text: str) -> None:
         """Keep the last lines."""
         self.lines = [*self.lines, text][-MOST_LINES:]
         self._changed()

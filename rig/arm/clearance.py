@@ -1,6 +1,6 @@
 """Whether a path of the arm keeps clear of canister, net pot, table, floor and bars.
 
-The arm is three capsules and a ball that holds the camera; what it must not touch are cylinders, boxes and a plane.
+The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
 Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
 joint: a piece of the way counts as clear only if its middle is clear by half of that, and is halved until it is. So
 nothing is missed between samples, however long the step.
@@ -67,14 +67,14 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
     part, clearance = arm_of(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
     _, upper, fore, hand = part.links_mm
-    width, ball = clearance.arm_radius_mm, clearance.camera_radius_mm
+    width, sphere = clearance.arm_radius_mm, clearance.camera_radius_mm
     swing = (upper + fore + hand, upper + fore + hand, fore + hand, hand, 0.0)
     pieces = (
         ("base", width, (0.0,) * 5),
         ("upper arm", width, (upper, upper, 0.0, 0.0, 0.0)),
         ("forearm", width, (upper + fore, upper + fore, fore, 0.0, 0.0)),
         ("last link", width, swing),
-        ("camera", ball, swing),
+        ("camera", sphere, swing),
     )
     names, distances, margins, travels, floor = [], [], [], [], []
     for solid in solids(rig, scene):
@@ -89,7 +89,7 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
             floor.append(isinstance(solid, Floor))
     for k, own, travel in ((0, "base", (0.0, *swing[1:])), (1, "upper arm", (0.0, 0.0, *swing[2:]))):
         names.append(("camera", f"the arm's own {own}"))
-        distances.append(point_to_segment(at[:, 4], at[:, k], at[:, k + 1]) - ball - width)
+        distances.append(point_to_segment(at[:, 4], at[:, k], at[:, k + 1]) - sphere - width)
         margins.append(0.0)
         travels.append(travel)
         floor.append(False)

@@ -30,16 +30,16 @@ class Onlooker:
     """Whether a second picture is taken at every stop and compared with the first; it costs an exposure and is not
     kept."""
 
-    def planned(self, total: int, done: int) -> None:
+    def on_plan(self, total: int, done: int) -> None:
         """Hear how many pictures the plan has, and how many of them an earlier run took."""
 
-    def looked(self, look: Look) -> None:
+    def on_look(self, look: Look) -> None:
         """Hear what a picture shows, while the next one is being taken."""
 
-    def dropped(self, files: list[str]) -> None:
+    def on_drop(self, files: list[str]) -> None:
         """Hear that pictures were taken out."""
 
-    def said(self, text: str) -> None:
+    def on_line(self, text: str) -> None:
         """Hear a line for people."""
 
     def holds(self) -> bool:

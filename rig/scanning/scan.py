@@ -132,7 +132,7 @@ class _Scan:
         self._stand.refuse([self._scene.plan.rings[ring] for ring in rings])
         finished = False
         try:
-            self._onlooker.planned(len(planned), len(planned) - len(remaining))
+            self._onlooker.on_plan(len(planned), len(planned) - len(remaining))
             with self._monitor.stage("devices"):
                 self._preflight(len(remaining))
             with self._monitor.stage("pictures"), self._monitor.steps("pictures", len(remaining), "view") as step:
@@ -188,8 +188,8 @@ class _Scan:
             frame, image, again = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
             self._refuse_still()
             self._session.record(frame, image)
-            self._turning.taken(view.table_deg, self._session.folder / frame.file)
-            self._watch.taken(frame, image, again)
+            self._turning.remember_picture(view.table_deg, self._session.folder / frame.file)
+            self._watch.begin_look(frame, image, again)
             step()
         self._refuse_still()
 
@@ -209,7 +209,7 @@ class _Scan:
         file, why = wrong
         if not self._drop_slipped(self._turning.pictures):
             self._session.drop([file])
-            self._onlooker.dropped([file])
+            self._onlooker.on_drop([file])
         raise RigError(
             f"turntable: {why}, so that the table slipped or stands still, or the camera was pushed or hangs; this picture is taken out: "
             "free the table, look at the camera, then finish the scan with --resume"
@@ -240,7 +240,7 @@ class _Scan:
     def _look_about(self, index: int, near_deg: float) -> None:
         """Judge the picture, make the table's angle known, and correct the camera's place."""
         shot, seen = self._stand.search(self._scene.plan.rings[index])
-        self._turning.answers()
+        self._turning.check_board()
         self._report("picture", preflight.check_picture(shot.image, self._scene.camera))
         self._bright = preflight.exposure_of(shot.image).bright
         if not self._homed:
@@ -249,7 +249,7 @@ class _Scan:
             self._turning.start(seen, shot.image, earlier=earlier, near_deg=near_deg)
             self._homed = True
         seen = self._stand.correct(self._scene.plan.rings[index], seen, self._turning.angle_deg)
-        self._turning.seen(seen)
+        self._turning.remember_sighting(seen)
         self._report("markers", "cannot be read from here" if seen is None else f"{seen.markers} read, {seen.reprojection_px:.2f} px off")
 
     def _cured(self, action: Callable[[], T], *, near_deg: float) -> T:
@@ -328,7 +328,7 @@ class _Scan:
             return ""
         files = [f"images/{path.name}" for path in slipped]
         self._session.drop(files)
-        self._onlooker.dropped(files)
+        self._onlooker.on_drop(files)
         names = slipped[0].name if len(slipped) == 1 else f"{slipped[0].name} to {slipped[-1].name}"
         text = (
             f"turntable: the markers of {names} show other angles than commanded, so that the table slipped or the camera was pushed, and "
@@ -350,7 +350,7 @@ class _Scan:
 
     def _say(self, text: str) -> None:
         self._to_person(text)
-        self._onlooker.said(text)
+        self._onlooker.on_line(text)
 
     def _note(self, event: str, text: str, *, quiet: bool = False) -> None:
         """Say what happened, and keep it in the dataset's log."""

@@ -95,7 +95,7 @@ class Turning:
         self._looks.clear()
         self.pictures.clear()
 
-    def seen(self, seen: Sighting | None) -> None:
+    def remember_sighting(self, seen: Sighting | None) -> None:
         """Remember what the strip says while the angle is known."""
         if seen is not None:
             self._looks.append(Reference(table_deg=self.angle_deg(), cam_from_canister=seen.cam_from_canister))
@@ -108,7 +108,7 @@ class Turning:
         """
         return [(frame.table_deg or 0.0, session.folder / frame.file) for frame in session.last_station()]
 
-    def taken(self, table_deg: float, path: Path) -> None:
+    def remember_picture(self, table_deg: float, path: Path) -> None:
         """Remember a picture of the scan that the camera took where it stands."""
         self.pictures.append((table_deg, path))
 
@@ -146,7 +146,7 @@ class Turning:
             raise BoardFaultError(LostError("turntable: was reset and does not know its angle any more"))
         return kept_deg
 
-    def answers(self) -> None:
+    def check_board(self) -> None:
         """Make sure that the board is still there.
 
         One that was reset has put the lights out, which is not the camera's fault.

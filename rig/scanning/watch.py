@@ -32,8 +32,8 @@ class Watch:
         """Forget the picture before: the camera stands elsewhere now."""
         self._before = self._pending = None
 
-    def taken(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
-        """Begin to look at a picture; what was found of the one before must have been asked for (`wrong`).
+    def begin_look(self, frame: Frame, image: Grey, again: Grey | None = None) -> None:
+        """Begin to look at a picture; what was found of the one before must have been read (`wrong`).
 
         Parameters
         ----------
@@ -69,5 +69,5 @@ class Watch:
     def _look(self, frame: Frame, image: Grey, before: Grey | None, again: Grey | None) -> tuple[Sighting | None, float | None]:
         seen = read_strip(image, self._scene)
         motion = None if again is None else changed_share(again, image)
-        self._onlooker.looked(Look(frame=frame, image=image, exposure=exposure_of(image), sighting=seen, motion=motion))
+        self._onlooker.on_look(Look(frame=frame, image=image, exposure=exposure_of(image), sighting=seen, motion=motion))
         return seen, None if seen is not None or before is None else changed_share(image, before)

@@ -95,7 +95,7 @@ class Port:
             raise RigError(f"{device}: {_why_not_open(url, error)}") from error
         try:
             if recorder is not None:
-                recorder.opened(clock.now_s(), device, url=url, baud=baud)
+                recorder.record_open(clock.now_s(), device, url=url, baud=baud)
         except RigError:
             self.close()
             raise

@@ -50,7 +50,7 @@ class Recorder:
             self.close()
             raise
 
-    def opened(self, t_s: float, device: str, *, url: str, baud: int) -> None:
+    def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
         """Note that a port was opened, with its settings."""
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
 

@@ -54,7 +54,7 @@ def test_the_sketch_holds_every_root_and_little_else(tmp_path: Path):
 
 def test_what_the_page_says():
     live = Live(SCENE)
-    live.planned(40, 10)
+    live.on_plan(40, 10)
     assert "10 of 40" in live_page.head(live)
     live.pause(paused=True)
     assert "Paused" in live_page.head(live)
@@ -136,6 +136,6 @@ def test_only_the_last_picture_is_kept_large():
         motion=None,
     )
     for _ in range(3):
-        live.looked(replace(look))
+        live.on_look(replace(look))
     assert [one.image.shape[1] < 400 for one in live.looks] == [True, True, False]
     live.close()

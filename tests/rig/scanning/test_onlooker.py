@@ -22,16 +22,16 @@ class Heard(Onlooker):
         self.asked = 0
         self._holds, self._ends_before = holds, ends_before
 
-    def planned(self, total: int, done: int) -> None:
+    def on_plan(self, total: int, done: int) -> None:
         """Keep it."""
         self.plan = (total, done)
 
-    def looked(self, look: Look) -> None:
+    def on_look(self, look: Look) -> None:
         """Keep it."""
         assert threading.current_thread() is not threading.main_thread()
         self.looks.append(look)
 
-    def said(self, text: str) -> None:
+    def on_line(self, text: str) -> None:
         """Keep it."""
         self.lines.append(text)
 

@@ -171,7 +171,7 @@ class Notes(Recorder):
     def __init__(self) -> None:
         self.entries: list[tuple[Any, ...]] = []
 
-    def opened(self, _t_s: float, device: str, *, url: str, baud: int) -> None:
+    def record_open(self, _t_s: float, device: str, *, url: str, baud: int) -> None:
         """Note it."""
         self.entries.append((device, url, baud))
 

@@ -28,7 +28,7 @@ def lines(path: Path) -> list[dict[str, Any]]:
 def small(path: Path) -> Path:
     """Record a session: three exchanges of the turntable, one of the arm between them."""
     recorder = Recorder(path)
-    recorder.opened(0.0, "turntable", url="/dev/ttyUSB0", baud=115200)
+    recorder.record_open(0.0, "turntable", url="/dev/ttyUSB0", baud=115200)
     recorder.record(0.5, "turntable", ">", b"M114\n")
     recorder.record(0.6, "turntable", "<", b"X:1")
     recorder.record(0.7, "arm", ">", b"\x55\x55")
