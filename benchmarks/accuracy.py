@@ -37,12 +37,23 @@ def measure(cases: Sequence[Case], *, device: str, say: Say, afresh: bool = Fals
 
     Parameters
     ----------
+    cases : sequence of Case
+        What to run.
+    device : str
+        ``auto``, ``cpu`` or ``cuda``.
+    say : Say
+        Hears how far the run is.
     afresh : bool
         Measure also what an earlier run with the same sources, settings and versions measured.
     change : str
         What is done to the pictures before: ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
     projection : bool
         Measure also the projection, which no picture changes.
+
+    Returns
+    -------
+    Run
+        Metrics of what succeeded, and what crashed.
     """
     say(f"{len(cases)} cases, of which those that were measured before with this code are kept in {cache.folder()}")
     measured = worker.start(["projection"], device=device)["metrics"] if projection else []
@@ -71,6 +82,20 @@ def kept(case: Case, *, device: str, change: str = UNCHANGED) -> Record | None:
     """Return what an earlier run measured of a case, with sources, settings and versions as they are now.
 
     None where none did.
+
+    Parameters
+    ----------
+    case : Case
+        Pictures, method and voxel.
+    device : str
+        What computed.
+    change : str
+        What was done to the pictures before (`measure`).
+
+    Returns
+    -------
+    dict or None
+        What the run recorded; None where there is none.
     """
     path = _kept_path(case, device=device, change=change)
     if not path.is_file():
@@ -100,7 +125,22 @@ def _kept_path(case: Case, *, device: str, change: str) -> Path:
 
 
 def record_of(case: Case, *, device: str, change: str = UNCHANGED) -> Record:
-    """Render a case's pictures where they are missing, reconstruct and score them, and keep the result."""
+    """Render a case's pictures where they are missing, reconstruct and score them, and keep the result.
+
+    Parameters
+    ----------
+    case : Case
+        Pictures, method and voxel.
+    device : str
+        What computes.
+    change : str
+        What is done to the pictures before (`measure`).
+
+    Returns
+    -------
+    dict
+        Score, times and memory.
+    """
     rendering = None
     if not datasets.is_ready(case.pictures):
         rendering = worker.start(["dataset", worker.pictures_as_text(case.pictures)], device=device)["wall"]

@@ -106,6 +106,24 @@ class Ratio:
 def compare(commit: str, *, jobs: Sequence[Job], repeats: int, device: str, say: Say) -> list[Ratio]:
     """Alternate runs of another commit and of this code.
 
+    Parameters
+    ----------
+    commit : str
+        The other code, as git names it.
+    jobs : sequence of Job
+        What is run with both.
+    repeats : int
+        Pairs of runs a job.
+    device : str
+        What computes.
+    say : Say
+        Hears how far it is.
+
+    Returns
+    -------
+    list of Ratio
+        This code's processor time and memory over the other's.
+
     Raises
     ------
     UserError

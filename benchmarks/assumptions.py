@@ -81,8 +81,17 @@ def measure(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Co
 
     Parameters
     ----------
+    pictures : Pictures
+        The dataset.
+    say : Say
+        Hears every combination's errors.
     only_kept : bool
         Take what was measured before and run nothing.
+
+    Returns
+    -------
+    list of Counted
+        Errors of the volume, a combination each.
     """
     found: list[Counted] = []
     scan: _Scan | None = None
@@ -221,8 +230,17 @@ def levels(pictures: Pictures, *, say: Say, only_kept: bool = False) -> list[Lev
 
     Parameters
     ----------
+    pictures : Pictures
+        The dataset.
+    say : Say
+        Hears every level.
     only_kept : bool
         Take what was measured before and run nothing.
+
+    Returns
+    -------
+    list of Level
+        Volumes and times by both methods.
     """
     path = _Keep.of(pictures).place({"levels": LEVELS})
     if path.is_file():

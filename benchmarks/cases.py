@@ -109,6 +109,18 @@ def quick(*, scenes: Sequence[str] = ("*",), profiles: Sequence[str] = PROFILES,
 
     A solid, a printed phantom by both methods, the same on a real bench, thin roots.
 
+    Parameters
+    ----------
+    scenes, profiles : sequence of str
+        Patterns of names; the cases that fit one are kept.
+    methods : sequence of Method
+        Methods that are kept.
+
+    Returns
+    -------
+    list of Case
+        The cases, in a fixed order.
+
     Raises
     ------
     UserError
@@ -144,6 +156,20 @@ def ladder(
 
     Plants are photographed in two rings, phantoms (solids and printed roots) in one. Clean pictures of these have
     nothing that a seed could change, so that they are there once.
+
+    Parameters
+    ----------
+    scenes, profiles : sequence of str
+        Patterns of names; the cases that fit one are kept.
+    seeds : sequence of int
+        Each draws other plants and disturbances.
+    methods : sequence of Method
+        Methods that are kept.
+
+    Returns
+    -------
+    list of Case
+        The cases, in a fixed order.
 
     Raises
     ------

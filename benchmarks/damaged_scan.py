@@ -83,7 +83,22 @@ class Scan:
         return float(np.arctan2(y, x))
 
     def wall_patch(self, k: int, azimuth_rad: tuple[float, float], z_mm: tuple[float, float]) -> Light:
-        """Return the share (H, W) of each pixel that a patch of the canister's wall covers, near or far."""
+        """Return the share (H, W) of each pixel that a patch of the canister's wall covers, near or far.
+
+        Parameters
+        ----------
+        k : int
+            Number of the view.
+        azimuth_rad : (2,) float
+            From where to where round the canister, canister frame.
+        z_mm : (2,) float
+            From which height to which.
+
+        Returns
+        -------
+        (H, W) float32 array
+            0 to 1.
+        """
         azimuth = np.linspace(*azimuth_rad, 16)
         height = np.linspace(*z_mm, 12)
         around, along = np.meshgrid(azimuth, height)
@@ -119,7 +134,22 @@ class Scan:
 
 
 def over(light: Light, share: Light, grey: float) -> Light:
-    """Return a picture (H, W) with something of one grey over a share (H, W) of its pixels."""
+    """Return a picture (H, W) with something of one grey over a share (H, W) of its pixels.
+
+    Parameters
+    ----------
+    light : (H, W) float32 array
+        The picture.
+    share : (H, W) float32 array
+        How much of each pixel is covered, 0 to 1.
+    grey : float
+        Light of what covers, 1 at full scale.
+
+    Returns
+    -------
+    (H, W) float32 array
+        The covered picture.
+    """
     return np.asarray(light * (1.0 - share) + grey * share)
 
 

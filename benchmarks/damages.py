@@ -39,6 +39,15 @@ def catalogue(scan: Scan, other: Scan) -> tuple[Damage, ...]:
 def measure(names: Sequence[str] | None, *, scene: str, say: Callable[[str], None]) -> list[Record]:
     """Spoil a scan in each way, or in those named, and reconstruct it.
 
+    Parameters
+    ----------
+    names : sequence of str or None
+        Damages to try; None for all.
+    scene : str
+        Library scene whose clean scan is spoilt.
+    say : callable
+        Hears every verdict.
+
     Returns
     -------
     list of dict

@@ -60,10 +60,19 @@ def compare(
 
     Parameters
     ----------
+    metrics : sequence of Metric
+        The run's.
+    baseline : Baseline
+        What the run is held against.
     crashed : mapping of str or None
         What went wrong, by case; each is a failure whatever the baseline holds.
     scatter : Scatter or None
         By how much numbers move with the last bits: the tolerance of those it knows.
+
+    Returns
+    -------
+    list of Finding
+        A verdict each.
     """
     findings = [
         Finding(key=case, verdict="CRASHED", baseline=None, value=None, unit="", note=why.strip().splitlines()[-1] if why.strip() else "")
@@ -149,6 +158,15 @@ def read_baseline(path: Path) -> Baseline:
 
 def write_baseline(path: Path, metrics: Sequence[Metric], *, about: Mapping[str, Any]) -> None:
     """Record a run as the new baseline.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    metrics : sequence of Metric
+        The run's.
+    about : Mapping[str, Any]
+        How the run was made: versions, device, commit.
 
     Raises
     ------

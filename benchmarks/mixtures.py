@@ -150,6 +150,15 @@ def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) 
 
     What was measured before with this code is kept.
 
+    Parameters
+    ----------
+    numbers : sequence of int
+        Which mixtures, each drawn from its number.
+    device : str
+        What computes.
+    say : callable
+        Hears every mixture's outcome.
+
     Returns
     -------
     list of dict

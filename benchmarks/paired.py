@@ -77,7 +77,22 @@ class Difference:
 
 
 def difference(before: Sequence[float], after: Sequence[float], *, name: str, unit: str, smaller_is_better: bool) -> Difference:
-    """Compare two equally long, non-empty series of paired numbers."""
+    """Compare two equally long, non-empty series of paired numbers.
+
+    Parameters
+    ----------
+    before, after : (N,) float
+        Values of the same things in both runs, in the same order.
+    name, unit : str
+        Of the number.
+    smaller_is_better : bool
+        Which change is a gain.
+
+    Returns
+    -------
+    Difference
+        Mean difference with its interval, gains and losses, and the sign test's probability.
+    """
     a, b = np.asarray(before, np.float64), np.asarray(after, np.float64)
     change = b - a
     low = high = math.nan
@@ -130,6 +145,18 @@ def _what(record: Record) -> tuple[Any, ...]:
 
 def compare(a: Mapping[tuple[Any, ...], Record], b: Mapping[tuple[Any, ...], Record], *, method: str) -> str:
     """Return as text what changed from run A to run B in the cases of one method that both have.
+
+    Parameters
+    ----------
+    a, b : mapping of tuple to dict
+        Records of both runs by what was run.
+    method : str
+        Cases of this method are compared.
+
+    Returns
+    -------
+    str
+        A line for each number.
 
     Raises
     ------

@@ -29,10 +29,17 @@ def rounded(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
     Parameters
     ----------
+    dataset_folder : Path
+        The dataset, left as it is.
     folder : path
         Where to; the truth in it is a link to the dataset's own.
     seed : int
         1, 2, ...: each rounds otherwise. Picture k does not depend on those before it.
+
+    Returns
+    -------
+    Dataset
+        The written dataset.
     """
 
     def one(number: int, frame: Frame, image: Grey) -> tuple[Frame, Grey]:
@@ -86,8 +93,17 @@ def lossy(dataset_folder: Path, folder: Path, *, seed: int) -> Dataset:
 
     Parameters
     ----------
+    dataset_folder : Path
+        The dataset, left as it is.
+    folder : Path
+        New folder.
     seed : int
         1, 2, ...: which of the pictures.
+
+    Returns
+    -------
+    Dataset
+        The written dataset.
     """
     count = len(load_dataset(dataset_folder).frames)
     chosen = set(np.random.default_rng(seed).choice(count, max(1, count // MIRRORED), replace=False).tolist())

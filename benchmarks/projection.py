@@ -18,14 +18,44 @@ _LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 
 
 def snell(direction: Array, normal: Array, ratio: float) -> Array:
-    """Refract unit directions (N, 3) at unit normals that face the incoming rays; ratio is n_from / n_to."""
+    """Refract unit directions (N, 3) at unit normals that face the incoming rays; ratio is n_from / n_to.
+
+    Parameters
+    ----------
+    direction : (N, 3) array
+        Unit vectors along the rays.
+    normal : (N, 3) array
+        Unit normals, against the rays.
+    ratio : float
+        n_from / n_to.
+
+    Returns
+    -------
+    (N, 3) array
+        Unit vectors beyond; NaN where all is reflected.
+    """
     cosine = -np.sum(direction * normal, axis=1, keepdims=True)
     refracted: Array = ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal
     return refracted
 
 
 def meet(origin: Array, direction: Array, radius_mm: float) -> Array:
-    """Return the first intersections (N, 3) with a cylinder about z; NaN for a miss."""
+    """Return the first intersections (N, 3) with a cylinder about z; NaN for a miss.
+
+    Parameters
+    ----------
+    origin : (3,) or (N, 3) array
+        Where the rays begin, mm.
+    direction : (N, 3) array
+        Unit vectors.
+    radius_mm : float
+        Of the cylinder.
+
+    Returns
+    -------
+    (N, 3) array
+        Points on the cylinder, mm.
+    """
     a = np.sum(direction[:, :2] ** 2, axis=1)
     b = np.sum(origin[:, :2] * direction[:, :2], axis=1)
     c = np.sum(origin[:, :2] ** 2, axis=1) - radius_mm**2
@@ -35,7 +65,22 @@ def meet(origin: Array, direction: Array, radius_mm: float) -> Array:
 
 
 def into_water(origin: Array, direction: Array, optics: refraction.Optics) -> tuple[Array, Array]:
-    """Trace rays from the camera (3,) into the water: entry points and unit directions (N, 3), canister frame."""
+    """Trace rays from the camera (3,) into the water: entry points and unit directions (N, 3), canister frame.
+
+    Parameters
+    ----------
+    origin : (3,) array
+        The camera's centre, canister frame, mm.
+    direction : (N, 3) array
+        Unit vectors, canister frame.
+    optics : refraction.Optics
+        Canister and water.
+
+    Returns
+    -------
+    (N, 3), (N, 3) arrays
+        Entry points (mm) and unit directions in the water.
+    """
     at = meet(np.broadcast_to(origin, direction.shape), direction, optics.outer_radius_mm)
     turned = snell(direction, at * [1, 1, 0] / optics.outer_radius_mm, 1.0 / optics.n_wall)
     at = meet(at, turned, optics.inner_radius_mm)
@@ -51,7 +96,24 @@ def random_view(rng: np.random.Generator, camera: Camera = _LENS) -> cameras.Vie
 
 
 def points_on_rays(view: cameras.View, optics: refraction.Optics, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Return random pixels (N, 2) that see water, and on each one's brute-force ray a random water point (N, 3)."""
+    """Return random pixels (N, 2) that see water, and on each one's brute-force ray a random water point (N, 3).
+
+    Parameters
+    ----------
+    view : cameras.View
+        Camera and pose.
+    optics : refraction.Optics
+        Canister and water.
+    rng : np.random.Generator
+        Draws pixels and depths.
+    count : int
+        How many.
+
+    Returns
+    -------
+    (N, 2), (N, 3) arrays
+        Pixels, and points (mm, canister frame) whose image they are.
+    """
     width, height = view.camera.image_wh
     px = rng.uniform([0, 0], [width, height], (count, 2))
     px = px[cameras.water_lines(view, optics, px)[1]]
@@ -65,6 +127,22 @@ def images_swept(view: cameras.View, optics: refraction.Optics, points: Array, r
     """Count the images (N,) of points at the camera's own height.
 
     A dense sweep of horizontal rays over the canister's width finds them.
+
+    Parameters
+    ----------
+    view : cameras.View
+        Camera and pose.
+    optics : refraction.Optics
+        Canister and water.
+    points : (N, 3) array
+        Points at the camera's height, canister frame, mm.
+    rays : int
+        How many rays are swept over the canister.
+
+    Returns
+    -------
+    (N,) int array
+        Images of each point.
     """
     centre = view.centre_mm
     inward = -centre[:2] / np.linalg.norm(centre[:2])

@@ -79,7 +79,22 @@ def draws(count: int) -> list[tuple[int, tuple[str, ...]]]:
 
 
 def run_all(count: int, *, say: Callable[[str], None], workers: int = 2) -> list[FaultRun]:
-    """Make so many runs, shared between processes; says what goes wrong, and how it goes every hundred runs."""
+    """Make so many runs, shared between processes; says what goes wrong, and how it goes every hundred runs.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    say : callable
+        Hears what goes wrong.
+    workers : int
+        Processes.
+
+    Returns
+    -------
+    list of FaultRun
+        How each ended.
+    """
     found: list[FaultRun] = []
     with ProcessPoolExecutor(max_workers=workers) as pool:
         for run in pool.map(run_one, *zip(*draws(count), strict=True), chunksize=5):
@@ -155,7 +170,22 @@ def _run(twin: Twin, folder: Path) -> tuple[str, str, list[str]]:
 
 
 def scan_of(twin: Twin, folder: Path, *, resume: bool = False) -> Dataset:
-    """Scan an emulated rig."""
+    """Scan an emulated rig.
+
+    Parameters
+    ----------
+    twin : Twin
+        The emulated rig, with its scene.
+    folder : Path
+        Dataset to write.
+    resume : bool
+        Finish what was stopped there.
+
+    Returns
+    -------
+    Dataset
+        The dataset.
+    """
     scene = twin.calibrated_scene()
     devices = open_devices(twin.rig, scene, clock=twin.clock, camera=twin.open_camera())
     try:

@@ -80,6 +80,22 @@ class Growth:
 def measure(axes: Sequence[str] | None, *, quick: bool, device: str, say: Say) -> list[Growth]:
     """Run every point of some axes, or of all.
 
+    Parameters
+    ----------
+    axes : sequence of str or None
+        Names of axes; None for all.
+    quick : bool
+        Take the small points.
+    device : str
+        What computes.
+    say : Say
+        Hears every point's cost.
+
+    Returns
+    -------
+    list of Growth
+        Points and exponents, an axis each.
+
     Raises
     ------
     UserError

@@ -50,9 +50,17 @@ class Scatter:
 
         Parameters
         ----------
+        key : str
+            Of the metric.
+        baseline : float
+            Its value in the baseline, in the metric's unit.
         estimate : float
-            The least change that matters, whatever the scatter. Rounding as it is played here is no more than a guess
-            at other processors': two of them parted by 2e-6 of a sphere's volume, of which the range is 1e-6 here.
+            Tolerance where nothing was measured.
+
+        Returns
+        -------
+        float
+            In the metric's unit.
         """
         if key not in self.ranges:
             return estimate
@@ -69,7 +77,24 @@ def normal_range(count: int) -> float:
 
 
 def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: str, say: Say) -> list[Run]:
-    """Run cases on pictures that are changed otherwise each time: `ROUNDED`, or ``lossy`` (`benchmarks.perturb`)."""
+    """Run cases on otherwise rounded pictures.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        What to run.
+    runs : int
+        How often; the seeds are 1 to this.
+    device : str
+        What computes.
+    say : Say
+        Hears how far it is.
+
+    Returns
+    -------
+    dict, dict
+        Values by key of the metric, and why what crashed did.
+    """
     found = []
     for seed in range(1, runs + 1):
         say(f"run {seed} of {runs}")
@@ -105,6 +130,15 @@ def table(values: Mapping[str, Sequence[float]]) -> str:
 
 def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[str, Any]) -> None:
     """Record the scatter of some numbers; others that the file holds stay.
+
+    Parameters
+    ----------
+    path : Path
+        JSON file.
+    values : Mapping[str, Sequence[float]]
+        The metric's values in all runs, by key.
+    about : Mapping[str, Any]
+        How the runs were made.
 
     Raises
     ------

@@ -15,7 +15,22 @@ RECONSTRUCTED = Pictures(scene="printed_8ml")
 
 
 def measure(*, quick: bool, device: str, say: Say) -> Run:
-    """Time one rendered view and whole reconstructions; a job that fails is recorded and the rest go on."""
+    """Time one rendered view and whole reconstructions; a job that fails is recorded and the rest go on.
+
+    Parameters
+    ----------
+    quick : bool
+        Once, with coarse voxels alone.
+    device : str
+        What computes.
+    say : Say
+        Hears every job's time.
+
+    Returns
+    -------
+    Run
+        Seconds and memory, and what crashed.
+    """
     run = Run()
     repeats = 1 if quick else 3
     if not datasets.is_ready(RECONSTRUCTED):

@@ -48,6 +48,20 @@ def images_at_height(at: tank.TankView, points_mm: Array, *, rays: int = 4001) -
     """Count the images (N,) of points in a level camera's own plane, the canister upright, by a sweep of rays.
 
     A point has an image between two neighbouring rays when it lies to the left of one and to the right of the other.
+
+    Parameters
+    ----------
+    at : tank.TankView
+        The level camera before the tank.
+    points_mm : (N, 3) array
+        Points in the camera's plane, mm.
+    rays : int
+        How many rays are swept over the canister.
+
+    Returns
+    -------
+    (N,) int array
+        Images of each point.
     """
     q = np.linspace(-0.7, 0.7, rays)  # 44 degrees to either side, more than any tank fills
     line, enters = tank.trace(at, q, np.zeros_like(q))

@@ -23,7 +23,22 @@ from rhizotwin.scenes.monitor import Monitor
 
 
 def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: float) -> Result:
-    """Reconstruct a dataset by the thesis's method into ``result_folder``."""
+    """Reconstruct a dataset by the thesis's method into ``result_folder``.
+
+    Parameters
+    ----------
+    dataset_folder : Path
+        Pictures and scene.
+    result_folder : Path
+        New folder.
+    voxel_mm : float
+        Edge of the voxels.
+
+    Returns
+    -------
+    Result
+        What was written.
+    """
     monitor, dataset = Monitor(), load_dataset(dataset_folder)
     pictures = read_pictures(dataset, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)

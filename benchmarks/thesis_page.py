@@ -53,8 +53,19 @@ def measure(profile: str, *, device: str, say: Say, only_kept: bool) -> list[Rec
 
     Parameters
     ----------
+    profile : str
+        Disturbances of the pictures.
+    device : str
+        What computes.
+    say : Say
+        Hears how far it is.
     only_kept : bool
         Take what was measured before and run nothing.
+
+    Returns
+    -------
+    list of dict
+        A record for each plant and method.
     """
     if only_kept:
         found = [accuracy.kept(case, device=device) for case in plant_cases(profile)]
@@ -85,7 +96,24 @@ def plants(records: Sequence[Record]) -> list[Plant]:
 
 
 def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted]) -> list[Path]:
-    """Write the page (Markdown) and its figures beside it, and return their paths."""
+    """Write the page (Markdown) and its figures beside it, and return their paths.
+
+    Parameters
+    ----------
+    path : Path
+        The page; figures get its name with what they show.
+    found : sequence of Plant
+        Plants by both methods.
+    levels : sequence of Level
+        Volume and time by voxel.
+    counted : sequence of Counted
+        The thesis's assumptions, one by one.
+
+    Returns
+    -------
+    list of Path
+        The page and its figures.
+    """
     figures: dict[str, Callable[[Any], None]] = {
         "volume_by_level": lambda axis: _volume_by_level(axis, levels),
         "time_by_level": lambda axis: _time_by_level(axis, levels),
@@ -106,8 +134,19 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
 
     Parameters
     ----------
+    found : sequence of Plant
+        Plants by both methods.
+    levels : sequence of Level
+        Volume and time by voxel.
+    counted : sequence of Counted
+        The thesis's assumptions, one by one.
     figures : sequence of str
         Files of figures 3.10, 5.3 and 4.1.
+
+    Returns
+    -------
+    str
+        Markdown.
     """
     by_level, time, growth = figures
     parts = [

@@ -96,7 +96,22 @@ class Page:
     @classmethod
     @contextmanager
     def shown(cls, browser: Any, result: Path, dataset: Path | None) -> Iterator[Page]:
-        """Start the command and show its page; whatever happens, leave no process behind."""
+        """Start the command and show its page; whatever happens, leave no process behind.
+
+        Parameters
+        ----------
+        browser : Browser
+            Playwright's.
+        result : Path
+            Folder of the result.
+        dataset : Path or None
+            Folder of its pictures; None without.
+
+        Returns
+        -------
+        iterator of Page
+            The page, once.
+        """
         page = cls(result, dataset)
         try:
             page.show(browser)
@@ -161,7 +176,24 @@ class Page:
 
 
 def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say: Say) -> Run:
-    """Measure the viewer and the report of results; what fails is recorded and the rest go on."""
+    """Measure the viewer and the report of results; what fails is recorded and the rest go on.
+
+    Parameters
+    ----------
+    results : sequence of Path
+        Folders.
+    dataset : Path or None
+        Folder of their pictures; None without.
+    repeats : int
+        How often a number is measured; the median counts.
+    say : Say
+        Hears every number.
+
+    Returns
+    -------
+    Run
+        Seconds and memory, and what failed.
+    """
     run = Run()
     with browsers.chromium() as browser:
         from playwright.sync_api import Error as BrowserError

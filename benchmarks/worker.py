@@ -81,7 +81,22 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
 
 
 def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
-    """Return the seconds of a reconstruction by stage."""
+    """Return the seconds of a reconstruction by stage.
+
+    Parameters
+    ----------
+    dataset_folder : Path
+        Pictures and scene.
+    voxel_mm : float
+        Edge of the voxels.
+    working : Path
+        Empty folder for the result.
+
+    Returns
+    -------
+    dict
+        Seconds by stage.
+    """
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.results.result_files import read_summary
     from rhizotwin.recon.settings import Settings
@@ -102,8 +117,21 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
 
     Parameters
     ----------
+    dataset_folder : Path
+        Pictures and scene.
+    method : str
+        ``coverage`` or ``thesis``.
+    voxel_mm : float
+        Edge of the voxels.
     change : str
         What is done to the dataset before, ``none``, ``rounded:SEED`` or ``lossy:SEED`` (`benchmarks.perturb`).
+    working : Path
+        Empty folder for the result.
+
+    Returns
+    -------
+    dict
+        Score, times and memory.
     """
     from benchmarks import perturb
     from benchmarks.thesis import reconstruct_thesis
