@@ -77,7 +77,7 @@ def normal_range(count: int) -> float:
 
 
 def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: str, say: Say) -> list[Run]:
-    """Run cases on otherwise rounded pictures.
+    """Run cases on pictures that are changed otherwise each time.
 
     Parameters
     ----------
@@ -85,6 +85,8 @@ def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: 
         What to run.
     runs : int
         How often; the seeds are 1 to this.
+    change : str
+        `ROUNDED`, or ``lossy`` (`benchmarks.perturb`); the run's number is its seed.
     device : str
         What computes.
     say : Say
@@ -92,8 +94,8 @@ def measure(cases: Sequence[Case], *, runs: int, change: str = ROUNDED, device: 
 
     Returns
     -------
-    dict, dict
-        Values by key of the metric, and why what crashed did.
+    list of Run
+        A run for each seed, with the metrics that came from pictures.
     """
     found = []
     for seed in range(1, runs + 1):

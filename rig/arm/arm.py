@@ -34,7 +34,22 @@ Counts = dict[int, int]
 
 
 def open_arm(port: Wire, part: ArmPart, clock: Clock) -> "ServoArm":
-    """Return the arm on an open port, with the protocol that the rig file names; nothing is sent yet."""
+    """Return the arm on an open port, with the protocol that the rig file names; nothing is sent yet.
+
+    Parameters
+    ----------
+    port : Wire
+        Its line.
+    part : ArmPart
+        Protocol, joints and limits.
+    clock : Clock
+        For the waits.
+
+    Returns
+    -------
+    ServoArm
+        The arm.
+    """
     bus: ServoBus = LxBus(port, echo=part.echo) if part.protocol == "lx" else LscBoard(port)
     return ServoArm(bus, part, clock)
 

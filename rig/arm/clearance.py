@@ -63,6 +63,20 @@ def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:
 
     The base's column does not move and stands on the floor or on a bar, so that it is only held against canister, pot,
     table and camera. The arm's own pieces keep no margin to each other: nothing sags between them.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Arm, clearances and what stands around.
+    scene : Scene
+        Canister, net pot and panel.
+    joints_deg : (N, 5) array
+        Places of the arm.
+
+    Returns
+    -------
+    Pairs
+        Distances of every pair, and their names.
     """
     part, clearance = arm_of(rig), rig.clearance
     at = frames.apply(rig_from_arm(part), places(part.links_mm, np.deg2rad(joints_deg)))
@@ -108,6 +122,15 @@ def check_path(rig: RigFile, scene: Scene, joints_path_deg: Sequence[Joints]) ->
     Where the arm stands at the beginning may be inside a margin, as long as it touches nothing but the floor, where it
     may lie, and moves away; every other place may not.
 
+    Parameters
+    ----------
+    rig : RigFile
+        Arm, clearances and what stands around.
+    scene : Scene
+        Canister, net pot and panel.
+    joints_path_deg : sequence of Joints
+        Places, the first where the arm stands.
+
     Raises
     ------
     UnsafeError
@@ -131,6 +154,20 @@ def plan_path(rig: RigFile, scene: Scene, start_deg: Joints, goal_deg: Joints) -
     """Return the places to go to one after the other, the goal last.
 
     Straight there if that is clear, or else by way of a drawn-in arm.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Arm, clearances and what stands around.
+    scene : Scene
+        Canister, net pot and panel.
+    start_deg, goal_deg : Joints
+        Where the arm stands, and where it shall.
+
+    Returns
+    -------
+    list of Joints
+        The places after the start.
 
     Raises
     ------

@@ -68,6 +68,22 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
     Equations 3.1 to 3.6 of the thesis with ``r = hypot(x_w, y_w)``, written with atan2 of half angles, which keeps all
     digits where the arm is stretched out. ``elbow`` is the sign of q2: -1 is the thesis's branch. NaN where the wrist
     is out of reach.
+
+    Parameters
+    ----------
+    links_mm : tuple[float, float, float]
+        From shoulder to elbow, wrist and end.
+    x_mm, y_mm : (...) array
+        Place of the end, x upwards as the angles are 0.
+    theta_rad : (...) array
+        Direction of the last link.
+    elbow : int
+        Sign of q2.
+
+    Returns
+    -------
+    (..., 3) array
+        Joint angles, rad.
     """
     l1, l2, l3 = links_mm
     theta = np.asarray(theta_rad, dtype=float)
@@ -86,6 +102,18 @@ def inverse(part: ArmPart, arm_from_cam: Array) -> Branches:
     """Return all joint angles that put the camera's centre where it is wanted.
 
     Its orientation is the nearest to the wanted one.
+
+    Parameters
+    ----------
+    part : ArmPart
+        Its links.
+    arm_from_cam : (..., 4, 4) array
+        Wanted.
+
+    Returns
+    -------
+    Branches
+        Joint angles (..., 4, 5) of two bases by two elbows, and what they leave over.
     """
     base, *links = part.links_mm
     l1, l2, l3 = links
@@ -119,12 +147,19 @@ def newton(part: ArmPart, arm_from_cam: Array, start_rad: Array, *, arm_from_axi
 
     Parameters
     ----------
+    part : ArmPart
+        Its links.
     arm_from_cam : (..., 4, 4) float64 array
         Wanted.
     start_rad : (..., 5) float64 array
         Or (5,) for all targets.
     arm_from_axis : float64 array or None
         A frame about whose z axis the target may be turned at no cost.
+
+    Returns
+    -------
+    Found
+        Angles, and how near they come.
     """
     shape = arm_from_cam.shape[:-2]
     goal = arm_from_cam.reshape(-1, 4, 4)

@@ -32,7 +32,22 @@ _WRITE_TRIES = 4
 
 
 def frame(servo: int, command: int, params: bytes = b"") -> bytes:
-    """Build a frame."""
+    """Build a frame.
+
+    Parameters
+    ----------
+    servo : int
+        Its number on the bus.
+    command : int
+        Number of the command.
+    params : bytes
+        Its bytes.
+
+    Returns
+    -------
+    bytes
+        With head, length and checksum.
+    """
     body = bytes((servo, len(params) + 3, command)) + params
     return HEADER + body + bytes((~sum(body) & 0xFF,))
 
@@ -43,6 +58,22 @@ def find_reply(heard: bytes, servo: int, command: int, size: int) -> bytes | Non
     Whatever else was heard is passed over: garbage, other servos, cut frames, and the echo of the request, whose length
     differs from its reply's. The search looks behind every header, so a cut frame never swallows the whole one that
     follows it.
+
+    Parameters
+    ----------
+    heard : bytes
+        All bytes since the question.
+    servo : int
+        Its number on the bus.
+    command : int
+        Number of the command that was asked.
+    size : int
+        Number of parameters.
+
+    Returns
+    -------
+    bytes or None
+        None while there is none.
     """
     head = HEADER + bytes((servo, size + 3, command))
     at = heard.rfind(head)

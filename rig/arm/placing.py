@@ -27,7 +27,18 @@ ROUNDING_DEG = 1e-6
 
 
 def camera_wanted(ring: Ring) -> Array:
-    """Return ``cam_from_rig`` where a ring of the plan wants the camera."""
+    """Return ``cam_from_rig`` where a ring of the plan wants the camera.
+
+    Parameters
+    ----------
+    ring : Ring
+        Distance, height and tilt.
+
+    Returns
+    -------
+    (4, 4) array
+        The pose, on the rig's +x side.
+    """
     return frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
 
 
@@ -36,6 +47,18 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
 
     Where five joints cannot give the orientation (an arm that does not stand exactly before the table), the camera is
     turned round the table's axis until they can: the canister turns anyway.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
+    cam_from_rig : (4, 4) array
+        Wanted.
+
+    Returns
+    -------
+    Joints
+        The five angles, deg.
 
     Raises
     ------
@@ -67,11 +90,20 @@ def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Ar
 
     Parameters
     ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
     joints_deg : Joints
         What was commanded when the camera was measured.
-    cam_from_rig_wanted : float64 array or None
+    cam_from_rig_measured : (4, 4) array
+        By the markers.
+    cam_from_rig_wanted : (4, 4) array or None
         None: the thesis's correction, which keeps distance and height and makes the image plane tangent to the
         canister.
+
+    Returns
+    -------
+    Joints
+        The five angles, deg.
 
     Raises
     ------
@@ -109,7 +141,18 @@ def arm_of(rig: RigFile) -> ArmPart:
 
 
 def place_of(cam_from_rig: Array) -> tuple[float, float, float]:
-    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera."""
+    """Return distance to the axis (mm), height (mm) and tilt below the horizon (deg) of a camera.
+
+    Parameters
+    ----------
+    cam_from_rig : (4, 4) array
+        Pose of the camera.
+
+    Returns
+    -------
+    tuple of float
+        Distance and height in mm, tilt in degrees.
+    """
     rig_from_cam = frames.invert(cam_from_rig)
     x, y, z = rig_from_cam[:3, 3]
     return float(np.hypot(x, y)), float(z), float(np.rad2deg(np.arcsin(np.clip(-rig_from_cam[2, 2], -1.0, 1.0))))

@@ -78,6 +78,20 @@ def listen(wire: Wire, patience_s: float, find: Callable[[bytes], Found | None])
     """Collect bytes until ``find`` finds something in them or patience ends; return that and all that was heard.
 
     A line that babbles without end is left after a few thousand bytes, so that this returns whatever comes.
+
+    Parameters
+    ----------
+    wire : Wire
+        The line.
+    patience_s : float
+        How long without a finding.
+    find : callable
+        Looks at all bytes so far; None: go on.
+
+    Returns
+    -------
+    (Found or None), bytes
+        What was found, and everything heard.
     """
     clock = wire.clock
     deadline_s = clock.now_s() + patience_s

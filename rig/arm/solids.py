@@ -36,7 +36,7 @@ class Cylinder:
     high_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance of points."""
+        """Return the signed distance (...) of points (..., 3)."""
         z = points_mm[..., 2]
         beside = np.hypot(points_mm[..., 0], points_mm[..., 1]) - self.radius_mm
         return _joined(np.stack([beside, np.maximum(self.low_mm - z, z - self.high_mm)], axis=-1))
@@ -51,7 +51,7 @@ class Box:
     high_mm: tuple[float, float, float]
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance of points."""
+        """Return the signed distance (...) of points (..., 3)."""
         return _joined(np.maximum(np.array(self.low_mm) - points_mm, points_mm - np.array(self.high_mm)))
 
 
@@ -63,12 +63,25 @@ class Floor:
     z_mm: float
 
     def distance_mm(self, points_mm: Array) -> Array:
-        """Return the signed distance of points."""
+        """Return the signed distance (...) of points (..., 3)."""
         return points_mm[..., 2] - self.z_mm
 
 
 def least_distance(solid: Solid, begin: Array, end: Array) -> Array:
-    """Return the least signed distance (...,) of segments (..., 3) to a convex solid, by golden section."""
+    """Return the least signed distance (...,) of segments (..., 3) to a convex solid, by golden section.
+
+    Parameters
+    ----------
+    solid : Solid
+        Convex.
+    begin, end : (..., 3) array
+        Ends of the segments, mm.
+
+    Returns
+    -------
+    (...) array
+        mm, negative within.
+    """
     low, high = np.zeros(begin.shape[:-1]), np.ones(begin.shape[:-1])
 
     def at(t: Array) -> Array:
@@ -87,7 +100,20 @@ def least_distance(solid: Solid, begin: Array, end: Array) -> Array:
 
 
 def point_to_segment(point: Array, begin: Array, end: Array) -> Array:
-    """Return the distance (...,) of points (..., 3) from segments."""
+    """Return the distance (...,) of points (..., 3) from segments.
+
+    Parameters
+    ----------
+    point : (..., 3) array
+        Points, mm.
+    begin, end : (..., 3) array
+        Ends of the segments, mm.
+
+    Returns
+    -------
+    (...) array
+        mm.
+    """
     along = end - begin
     length2 = np.maximum(np.sum(along**2, axis=-1), 1e-12)
     t = np.clip(np.sum((point - begin) * along, axis=-1) / length2, 0.0, 1.0)
