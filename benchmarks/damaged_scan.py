@@ -96,7 +96,7 @@ class Scan:
 
         Returns
         -------
-        (H, W) float32 array
+        (H, W) float64 array
             0 to 1.
         """
         azimuth = np.linspace(*azimuth_rad, 16)
@@ -138,16 +138,16 @@ def over(light: Light, share: Light, grey: float) -> Light:
 
     Parameters
     ----------
-    light : (H, W) float32 array
+    light : (H, W) float64 array
         The picture.
-    share : (H, W) float32 array
+    share : (H, W) float64 array
         How much of each pixel is covered, 0 to 1.
     grey : float
         Light of what covers, 1 at full scale.
 
     Returns
     -------
-    (H, W) float32 array
+    (H, W) float64 array
         The covered picture.
     """
     return np.asarray(light * (1.0 - share) + grey * share)

@@ -44,12 +44,20 @@ def check(
 
     Parameters
     ----------
+    rig : RigFile
+        Devices and where they are.
     scene : Scene
         Strip and camera, for what the pictures must show.
+    clock : Clock
+        For the waits.
     open_camera : callable
         Opens the rig's camera, or the twin's.
+    say : Say
+        Hears the lines.
     folder : path
         Where scans would be written.
+    recorder : Recorder or None
+        Keeps every byte on the wire.
 
     Returns
     -------

@@ -52,12 +52,21 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
     Parameters
     ----------
+    rig : RigFile
+        Devices and where they are.
     scene : Scene
         Its camera says the size and depth of the pictures.
+    clock : Clock
+        For the waits.
     camera : Camera or None
         The twin's; None: the rig file's.
     recorder : Recorder or None
         Keeps every byte on the wire.
+
+    Returns
+    -------
+    Devices
+        To be closed by the caller.
 
     Raises
     ------
@@ -84,7 +93,22 @@ def open_devices(rig: RigFile, scene: Scene, *, clock: Clock, camera: Camera | N
 
 
 def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> tuple[Turntable, Lights]:
-    """Open what turns the table and switches the lights: a Marlin board, or this Raspberry Pi's own pins."""
+    """Open what turns the table and switches the lights: a Marlin board, or this Raspberry Pi's own pins.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Devices and where they are.
+    clock : Clock
+        For the waits.
+    recorder : Recorder or None
+        Keeps every byte on the wire.
+
+    Returns
+    -------
+    Turntable, Lights
+        Open, nothing sent yet.
+    """
     part = rig.turntable
     if part.kind == "hat":
         hat = rig.hat
@@ -100,7 +124,22 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:
-    """Open the arm's port; None for a rig without an arm."""
+    """Open the arm's port; None for a rig without an arm.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Devices and where they are.
+    clock : Clock
+        For the waits.
+    recorder : Recorder or None
+        Keeps every byte on the wire.
+
+    Returns
+    -------
+    Arm or None
+        Open, nothing sent yet.
+    """
     part = rig.arm
     if part is None:
         return None

@@ -30,6 +30,10 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
 
     Parameters
     ----------
+    path : Path or str
+        The file; its folder is made where it is missing.
+    data : bytes
+        Its whole content.
     new : bool
         Refuse to replace a file, also one that appears at this very moment.
 
@@ -68,7 +72,17 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
 
 
 def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
-    """Write a UTF-8 text file atomically; see `write_bytes`."""
+    """Write a UTF-8 text file atomically; see `write_bytes`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file; its folder is made where it is missing.
+    text : str
+        Its whole content.
+    new : bool
+        Refuse to replace a file that is there.
+    """
     write_bytes(path, text.encode("utf-8"), new=new)
 
 

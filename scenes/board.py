@@ -83,6 +83,20 @@ def black_parts(board: CharucoBoard) -> Array:
 def check_board(board: CharucoBoard, *, where: str = "board", text: str = "") -> CharucoBoard:
     """Return the board if it can be drawn and found again.
 
+    Parameters
+    ----------
+    board : CharucoBoard
+        What is to be drawn.
+    where : str
+        What messages call it.
+    text : str
+        The file it is from, to name the line that is wrong.
+
+    Returns
+    -------
+    CharucoBoard
+        The same board.
+
     Raises
     ------
     UserError

@@ -158,6 +158,10 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
 
     Parameters
     ----------
+    dataset : Dataset
+        Folder and scene.
+    frame : Frame
+        Which picture.
     curve : Curve or None
         From numbers to light; None: the file's own word, or where it says none what the scene's camera states.
 
@@ -214,7 +218,22 @@ def read_file(path: Path) -> bytes:
 
 
 def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:
-    """Return the JSON object with a ``schema_version`` that a file's bytes hold; see `read_versioned_json`."""
+    """Return the JSON object with a ``schema_version`` that a file's bytes hold; see `read_versioned_json`.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+    path : Path
+        For messages.
+    version : int
+        The one that can be read.
+
+    Returns
+    -------
+    dict
+        The whole object.
+    """
     try:
         mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:

@@ -55,7 +55,14 @@ def save_scene(scene: Scene, path: str | Path, *, new: bool = False) -> None:
 
     Specimen files are absolute paths.
 
-    With ``new`` a file that is there is not replaced.
+    Parameters
+    ----------
+    scene : Scene
+        Any scene.
+    path : str or Path
+        TOML file to write.
+    new : bool
+        Refuse to replace a file that is there.
     """
     here = Path()
     plants = tuple(replace(plant, specimen=_resolved(plant.specimen, here)) for plant in scene.plants)

@@ -27,7 +27,18 @@ def from_rotation_translation(rotation: Array, translation_mm: Array) -> Array:
 
 
 def translation(x_mm: float, y_mm: float, z_mm: float) -> Array:
-    """Return the 4x4 transform that shifts by (x, y, z) mm."""
+    """Return the transform that shifts by (x, y, z) mm.
+
+    Parameters
+    ----------
+    x_mm, y_mm, z_mm : float
+        Along the axes.
+
+    Returns
+    -------
+    (4, 4) array
+        The transform.
+    """
     return from_rotation_translation(np.eye(3), np.array([x_mm, y_mm, z_mm]))
 
 
@@ -47,7 +58,7 @@ def to_rotvec(a_from_b: Array) -> Array:
 
 
 def invert(a_from_b: Array) -> Array:
-    """Return ``b_from_a`` of a rigid ``a_from_b``."""
+    """Return ``b_from_a`` (4, 4) of a rigid ``a_from_b`` (4, 4)."""
     rotation = a_from_b[:3, :3].T
     return from_rotation_translation(rotation, -rotation @ a_from_b[:3, 3])
 
@@ -58,7 +69,22 @@ def apply(a_from_b: Array, points_b: Array) -> Array:
 
 
 def twisted(points: Array, share: Array, twist_deg: float) -> Array:
-    """Turn points (N, 3) about the z axis, each by its share (N,) of an angle."""
+    """Turn points (N, 3) about the z axis, each by its share (N,) of an angle.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Points.
+    share : (N,) array
+        Of the angle, for each of them.
+    twist_deg : float
+        The angle, counter-clockwise seen from above.
+
+    Returns
+    -------
+    (N, 3) array
+        Turned points.
+    """
     angle_rad = np.deg2rad(twist_deg) * share
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1], points[:, 2]], axis=1)
@@ -67,7 +93,17 @@ def twisted(points: Array, share: Array, twist_deg: float) -> Array:
 def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Array:
     """Return ``cam_from_rig`` of a camera on the +x side whose optical axis crosses the table's axis.
 
-    ``tilt_deg`` is how far the optical axis points below the horizon; ``height_mm`` is the camera's z in the rig frame.
+    Parameters
+    ----------
+    distance_mm, height_mm : float
+        Of the camera's centre, from the table's axis and along z.
+    tilt_deg : float
+        How far the optical axis points below the horizon.
+
+    Returns
+    -------
+    (4, 4) array
+        The pose.
     """
     tilt = np.deg2rad(tilt_deg)
     forward = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
@@ -78,7 +114,7 @@ def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Ar
 
 
 def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]:
-    """Return the distance of the camera centres (mm) and the angle between the orientations (degrees)."""
+    """Return the distance of the camera centres (mm) and the angle (degrees) between two poses (4, 4)."""
     difference = cam_from_x[:3, :3].T @ cam_from_x_true[:3, :3]
     angle_rad = float(np.linalg.norm(Rotation.from_matrix(difference).as_rotvec()))
     centre_mm = invert(cam_from_x)[:3, 3] - invert(cam_from_x_true)[:3, 3]

@@ -36,7 +36,22 @@ def marker_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 
 
 def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm: float, side_mm: float) -> Array:
-    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right, bottom, y downwards."""
+    """Return the black parts of an upright marker as rectangles (N, 4): left, top, right, bottom, y downwards.
+
+    Parameters
+    ----------
+    dictionary, marker_id : str
+        OpenCV's name of the dictionary, and which of its markers.
+    left_mm, top_mm : float
+        Upper left corner.
+    side_mm : float
+        Edge of the marker.
+
+    Returns
+    -------
+    (N, 4) array
+        mm.
+    """
     cells = marker_cells(dictionary, marker_id)
     cell_mm = side_mm / len(cells)
     found = []

@@ -73,6 +73,13 @@ class Monitor:
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
         """Show a bar with the time left.
 
+        Parameters
+        ----------
+        name : str
+            What is done.
+        total, unit : int
+            How many steps, and of what.
+
         Yields
         ------
         callable
@@ -98,6 +105,15 @@ class Monitor:
 
     def each(self, work: Callable[[T], U], name: str, items: Sequence[T], unit: str = "view") -> list[U]:
         """Do something for many items in parallel, with a bar.
+
+        Parameters
+        ----------
+        work : callable
+            What is done for one.
+        name, unit : str
+            What is done, and for what.
+        items : sequence of T
+            One after the other.
 
         Returns
         -------

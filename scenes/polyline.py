@@ -32,5 +32,10 @@ def between(points_mm: Array, way: Array, at: Array) -> Array:
         How far along each of them lies, as `way_mm`.
     at : (M,) float64 array
         Places on the same scale; beyond the ends they are the ends.
+
+    Returns
+    -------
+    (M, 3) array
+        Between its neighbours in proportion.
     """
     return np.stack([np.interp(at, way, points_mm[:, axis]) for axis in range(3)], axis=1)

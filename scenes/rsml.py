@@ -122,7 +122,22 @@ class RsmlFile:
 
 
 def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float | None = None) -> RsmlFile:
-    """Read an RSML file as `read_rsml` does, with what else it says of its roots and its unit."""
+    """Read an RSML file as `read_rsml` does, with what else it says of its roots and its unit.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    unit : str or None
+        Of its coordinates; None: as it says.
+    diameter_mm : float or None
+        Of roots without diameters; None refuses these.
+
+    Returns
+    -------
+    RsmlFile
+        Roots with their parents, unit and resolution.
+    """
     reader = _Reader(Path(path), unit, diameter_mm)
     roots = reader.roots()
     return RsmlFile(

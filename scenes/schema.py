@@ -67,6 +67,20 @@ def to_plain(value: Any) -> Any:
 def from_plain(kind: type[T], mapping: Any, place: Place) -> T:
     """Build a dataclass from a mapping; missing keys take the defaults.
 
+    Parameters
+    ----------
+    kind : type[T]
+        The dataclass.
+    mapping : Any
+        As TOML or JSON gives it.
+    place : Place
+        Where it stands, for messages.
+
+    Returns
+    -------
+    T
+        The dataclass, checked.
+
     Raises
     ------
     UserError

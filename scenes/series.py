@@ -40,6 +40,20 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
     """Return a scene with another plant of the same kind.
 
     Number 0 is the scene's own, unless another ``seed`` is given than its number.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a grown plant.
+    number : int
+        Which of the plants, from 0.
+    seed : int or None
+        Draws the plant; None: the number.
+
+    Returns
+    -------
+    Scene
+        The scene with the other plant.
     """
     plant = grown(scene)
     told = replace(scene.subject, plant=f"{scene.subject.plant or scene.name}-{number + 1}", replicate=number + 1)
@@ -47,7 +61,22 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
 
 
 def treated(scene: Scene, name: str, growth: float) -> Scene:
-    """Return a scene whose roots grow by a factor faster and longer."""
+    """Return a scene whose roots grow by a factor faster and longer.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a grown plant.
+    name : str
+        Of the treatment.
+    growth : float
+        The factor.
+
+    Returns
+    -------
+    Scene
+        The scene with the treated plant.
+    """
     plant = grown(scene)
     orders = tuple(
         replace(order, elongation_mm_per_day=order.elongation_mm_per_day * growth, max_length_mm=order.max_length_mm * growth)
@@ -62,10 +91,19 @@ def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None =
 
     Parameters
     ----------
+    scene : Scene
+        Of a grown plant.
+    day : float
+        The other age.
     grow : Grow
         Grows a plant's centre lines (`sim.growth.grow`).
     like : GrownSpecimen or None
         Plant that has the scene's volume at its age; None: the scene's own. Its radii's factor is kept.
+
+    Returns
+    -------
+    Scene
+        The scene with the plant of that age.
     """
     plant = grown(scene)
     reference = like or plant

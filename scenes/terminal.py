@@ -75,7 +75,20 @@ class OneBar(Monitor):
 
     @contextmanager
     def steps(self, name: str, total: int, unit: str) -> Iterator[Callable[[], None]]:
-        """Move the bar within a stage."""
+        """Move the bar within a stage.
+
+        Parameters
+        ----------
+        name : str
+            The stage.
+        total, unit : int
+            How many steps, and of what.
+
+        Returns
+        -------
+        iterator of callable
+            To be called after each step.
+        """
         with super().steps(name, total, unit) as step:
             done = 0
 

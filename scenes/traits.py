@@ -101,13 +101,19 @@ def measure_traits(
     Parameters
     ----------
     roots : sequence of Root
-        Parents before children, points from base to tip, canister frame (z up); none where no centre lines are known.
+        Parents before children, points from base to tip, canister frame (z up); none where no centre lines are
+        known.
     vertices_mm : (V, 3) float64 array
         Points of the solid's surface.
     volume_mm3, surface_mm2 : float
         Of the solid, overlaps of roots counted once.
     mass_g : float or None
         Mass of the roots, if it was weighed.
+
+    Returns
+    -------
+    Traits
+        Every trait of `scenes.trait_table`; None where centre lines are needed and none are known.
 
     Raises
     ------

@@ -36,15 +36,15 @@ class Curve:
     """Light, of full scale, at equal steps of the number from 0 to full scale; rises."""
 
     def decode(self, numbers: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint16]:
-        """Return light, 65535 at full scale, for numbers of any shape."""
+        """Return light (...), 65535 at full scale, for numbers (...)."""
         return _table(self, int(np.iinfo(numbers.dtype).max))[numbers]
 
     def of(self, share: Array) -> Array:
-        """Return the light for numbers given as shares of full scale."""
+        """Return the light (...) for numbers (...) given as shares of full scale."""
         return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(self.light)), self.light))
 
     def number(self, light: Array) -> Array:
-        """Return the number, of full scale, that stands for some light: `of` undone."""
+        """Return the number (...), of full scale, that stands for some light (...): `of` undone."""
         return np.asarray(np.interp(light, self.light, np.linspace(0.0, 1.0, len(self.light))))
 
     def same(self, other: "Curve") -> bool:

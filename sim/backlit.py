@@ -144,7 +144,22 @@ class Backlit:
         return Way(radiance[0], coverage, course, end, spans, start, heading)
 
     def let_through(self, medium: Any, si: Any, active: Any) -> Any:
-        """Return the share of light that a medium lets through on the way to where it ends."""
+        """Return the share of light that a medium lets through on the way to where it ends.
+
+        Parameters
+        ----------
+        medium : mi.MediumPtr
+            What the ray runs through.
+        si : mi.SurfaceInteraction3f
+            Where the way ends.
+        active : mi.Bool
+            Rays that count.
+
+        Returns
+        -------
+        mi.UnpolarizedSpectrum
+            Beer and Lambert's exp(-sigma_t t).
+        """
         mei = dr.zeros(mi.MediumInteraction3f)
         mei.p, mei.t = si.p, si.t
         _, _, sigma_t = medium.get_scattering_coefficients(mei, active)
@@ -159,7 +174,22 @@ class Backlit:
         return bs, weight, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
 
     def shade(self, si: Any, outside: Any, active: Any) -> Any:
-        """Return the radiance of a matt surface."""
+        """Return the radiance of a matt surface.
+
+        Parameters
+        ----------
+        si : mi.SurfaceInteraction3f
+            Where the surface is met.
+        outside : mi.Bool
+            Whether that is in the air, where the lamps shine.
+        active : mi.Bool
+            Rays that count.
+
+        Returns
+        -------
+        mi.UnpolarizedSpectrum
+            1 is full scale.
+        """
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         lit = si.wi.z > 0.0
         return dr.select(outside, dr.select(lit, albedo * self.lamps.irradiance(si.p, si.n) / dr.pi, 0.0), albedo * AMBIENT)

@@ -63,12 +63,20 @@ def simulate_board(
         Its camera, the working distance of its first ring, and its ``disturbances``: distortion, lens opening, focus
         and noise.
     board : CharucoBoard
+        What was printed.
     folder : Path
         New or empty; appears whole or not at all.
+    pictures : int
+        How many, named board_000.png and on.
     seed : int
         Of poses and noise; picture k does not depend on the pictures before it.
     monitor : Monitor, optional
         Hears how far it is.
+
+    Returns
+    -------
+    BoardPictures
+        The folder, with the true camera and poses.
 
     Raises
     ------
@@ -109,6 +117,20 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
     """Return ``cam_from_board`` of one picture.
 
     The board turned by quarters, tilted every way, somewhere in the field.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and working distance.
+    board : CharucoBoard
+        What must be in the picture.
+    seed, index : int
+        Of the series, and the picture's number in it.
+
+    Returns
+    -------
+    (4, 4) array
+        The pose with most of the board in the field, of `ATTEMPTS`.
     """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm
@@ -151,7 +173,22 @@ def _visible(camera: Camera, cam_from_board: frames.Array, corners_mm: frames.Ar
 
 
 def project(camera: Camera, cam_from_board: frames.Array, points_mm: frames.Array) -> frames.Array:
-    """Project points (N, 3) of the board to pixels (N, 2), centres at integers."""
+    """Project points (N, 3) of the board to pixels (N, 2), centres at integers.
+
+    Parameters
+    ----------
+    camera : Camera
+        Lens and distortion.
+    cam_from_board : (4, 4) array
+        Pose of the board.
+    points_mm : (N, 3) array
+        Points on the board.
+
+    Returns
+    -------
+    (N, 2) array
+        px.
+    """
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     found, _ = cv2.projectPoints(
@@ -207,7 +244,7 @@ class BoardRenderer:
 
 
 def board_picture(board: CharucoBoard) -> NDArray[np.float32]:
-    """Paint the board's reflectance with its white border, row 0 at the top, each texel the mean over its area."""
+    """Paint the board's reflectance (rows, columns), border and all, row 0 at the top, each texel its area's mean."""
     wide_mm, high_mm = (side + 2.0 * BORDER_MM for side in board.size_mm)
     scale = min(TEXELS_PER_MM, MOST_TEXELS / max(wide_mm, high_mm))
     columns, rows = round(wide_mm * scale), round(high_mm * scale)

@@ -27,7 +27,20 @@ class Bounds:
 
 
 def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> Bounds:
-    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins."""
+    """Return where the surfaces of a specimen's roots may be: the water below the grid, less the specimen's margins.
+
+    Parameters
+    ----------
+    specimen : GrownSpecimen
+        With its margins.
+    canister, net_pot : Canister
+        What the water lies between.
+
+    Returns
+    -------
+    Bounds
+        Radius and heights, mm.
+    """
     return Bounds(
         radius_mm=canister.inner_radius_mm - specimen.wall_margin_mm,
         low_z_mm=canister.floor_z_mm + specimen.floor_margin_mm,
@@ -36,7 +49,24 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
 
 
 def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit."""
+    """Turn headings (N, 3) aside before the limits, as on an arc of radius `WALL_TURN_MM` that ends along the limit.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) array
+        Tips, canister frame.
+    heading : (N, 3) array
+        Unit vectors.
+    radii_mm : (N,) array
+        Of the roots there.
+    limits : Bounds
+        Of their surfaces.
+
+    Returns
+    -------
+    (N, 3) array
+        Unit vectors.
+    """
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
     azimuth_rad = np.arctan2(points_mm[:, 1], points_mm[:, 0])
     outward = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
@@ -61,7 +91,22 @@ def steer(points_mm: Array, heading: Array, radii_mm: Array, limits: Bounds) -> 
 
 
 def keep_inside(points_mm: Array, radii_mm: Array, limits: Bounds) -> Array:
-    """Move points (N, 3) that a finite step took past the limits back onto them."""
+    """Move points (N, 3) that a finite step took past the limits back onto them.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) array
+        Axes, canister frame.
+    radii_mm : (N,) array
+        Of the roots there.
+    limits : Bounds
+        Of their surfaces.
+
+    Returns
+    -------
+    (N, 3) array
+        mm.
+    """
     radius_mm = np.hypot(points_mm[:, 0], points_mm[:, 1])
     shrink = np.minimum(1.0, (limits.radius_mm - radii_mm) / np.maximum(radius_mm, 1e-9))
     z_mm = np.clip(points_mm[:, 2], limits.low_z_mm + radii_mm, limits.high_z_mm - radii_mm)

@@ -80,7 +80,24 @@ def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:
 def outer_opacity(
     dirt: OuterDirt, *, seam_rad: float, seam_opacity: float, radius_mm: float, z_range_mm: tuple[float, float], mm_per_texel: float
 ) -> NDArray[np.float32]:
-    """Paint dust, scratches and the seam on an unrolled wall, laid out as by `opacity_map`."""
+    """Paint dust, scratches and the seam on an unrolled wall, laid out as by `opacity_map`.
+
+    Parameters
+    ----------
+    dirt : OuterDirt
+        Dust and scratches.
+    seam_rad, seam_opacity : float
+        Azimuth of the seam, and the light that it absorbs.
+    radius_mm, z_range_mm : float, tuple of float
+        Of the wall, and its lowest and highest z.
+    mm_per_texel : float
+        Edge of a texel.
+
+    Returns
+    -------
+    (rows, columns) float32 array
+        0 to 1.
+    """
     low_mm, high_mm = z_range_mm
     columns, rows = round(2.0 * np.pi * radius_mm / mm_per_texel), max(8, round((high_mm - low_mm) / mm_per_texel))
     fine = 16  # OpenCV draws to a sixteenth of a texel
@@ -104,10 +121,7 @@ def outer_opacity(
 
 
 def near(opacity: NDArray[np.float32], *, reach_texels: int) -> NDArray[np.float32]:
-    """Return 1 where something is painted within a square about a texel, else 0.
-
-    The square reaches so many texels to each side, round the wall's turn.
-    """
+    """Return 1 (rows, columns) where something is painted within a square about a texel, else 0."""
     side = np.ones((2 * reach_texels + 1, 2 * reach_texels + 1), np.uint8)
     painted = np.pad((opacity > 0.0).astype(np.uint8), ((0, 0), (reach_texels, reach_texels)), mode="wrap")
     return np.asarray(cv2.dilate(painted, side)[:, reach_texels : reach_texels + opacity.shape[1]], np.float32)
@@ -130,7 +144,22 @@ def draw_algae(scene: Scene, rng: np.random.Generator) -> tuple[Patch, ...]:
 
 
 def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> tuple[Fibre, ...]:
-    """Draw the felt fibres: 20 to 60 um thick, 2 to 10 mm long, bent at random, hanging from the grid."""
+    """Draw the felt fibres: 20 to 60 um thick, 2 to 10 mm long, bent at random, hanging from the grid.
+
+    Parameters
+    ----------
+    scene : Scene
+        How many, and where the grid and the water are.
+    rng : np.random.Generator
+        Draws them.
+    points : int
+        Of each one's line.
+
+    Returns
+    -------
+    tuple of Fibre
+        Lines and radii.
+    """
     reach_mm = 0.9 * scene.canister.inner_radius_mm
     fibres = []
     for _ in range(scene.disturbances.felt_fibres):
@@ -146,7 +175,22 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
 
 
 def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
-    """Draw the bubbles: 0.2 to 1 mm in radius, ``gap_mm`` of water between them and the wall."""
+    """Draw the bubbles: 0.2 to 1 mm in radius, ``gap_mm`` of water between them and the wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        How many, and where the water is.
+    rng : np.random.Generator
+        Draws them.
+    gap_mm : float
+        Water between a bubble and the wall.
+
+    Returns
+    -------
+    tuple of Bubble
+        Centres and radii.
+    """
     low_mm, high_mm = scene.canister.floor_z_mm + 2.0, min(scene.net_pot.grid_z_mm, scene.water.level_mm) - 2.0
     bubbles = []
     for _ in range(scene.disturbances.bubbles):
@@ -165,11 +209,20 @@ def opacity_map(
 ) -> NDArray[np.float32]:
     """Paint algae films on an unrolled wall.
 
+    Parameters
+    ----------
+    patches : tuple of Patch
+        Films, each round.
+    radius_mm, z_range_mm : float, tuple of float
+        Of the wall, and its lowest and highest z.
+    mm_per_texel : float
+        Edge of a texel.
+
     Returns
     -------
-    opacity : (rows, columns) float32
-        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter of
-        its radius.
+    (rows, columns) float32 array
+        Row 0 at the top, column 0 at azimuth 0, azimuth growing with the column. A film's edge fades over a quarter
+        of its radius.
     """
     low_mm, high_mm = z_range_mm
     columns = max(8, round(2.0 * np.pi * radius_mm / mm_per_texel))

@@ -123,12 +123,42 @@ def grow(specimen: GrownSpecimen, *, canister: Canister | None = None, net_pot: 
 
 
 def length_at(age_days: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the length of a root of some age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1."""
+    """Return the length of a root of some age: k (1 - exp(-r t / k)), Leitner et al. 2010 eq. 1.
+
+    Parameters
+    ----------
+    age_days : (N,) array
+        Since the root came out.
+    max_length_mm : (N,) array
+        Its greatest length, k.
+    elongation_mm_per_day : (N,) array
+        Its first growth rate, r.
+
+    Returns
+    -------
+    (N,) array
+        mm.
+    """
     return max_length_mm * -np.expm1(-elongation_mm_per_day * np.maximum(age_days, 0.0) / max_length_mm)
 
 
 def age_at(length_mm: Array, *, max_length_mm: Array, elongation_mm_per_day: Array) -> Array:
-    """Return the age at which a root has some length below its greatest: the inverse of `length_at`."""
+    """Return the age at which a root has some length below its greatest: the inverse of `length_at`.
+
+    Parameters
+    ----------
+    length_mm : (N,) array
+        Below the greatest.
+    max_length_mm : (N,) array
+        Its greatest length, k.
+    elongation_mm_per_day : (N,) array
+        Its first growth rate, r.
+
+    Returns
+    -------
+    (N,) array
+        days.
+    """
     return -max_length_mm / elongation_mm_per_day * np.log1p(-length_mm / max_length_mm)
 
 

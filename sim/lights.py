@@ -42,7 +42,17 @@ def lights(scene: Scene, world: World) -> dict[str, Any]:
 
 
 def place(scene: mi.Scene, lights: Lights, camera: TrueCamera) -> None:
-    """Move panel and front light to where they stand as seen from the canister of this view."""
+    """Move panel and front light to where they stand as seen from the canister of this view.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        As `sim.optics.build` made it, with lamps.
+    lights : Lights
+        Where they stand in the rig.
+    camera : TrueCamera
+        With the canister's pose in this view.
+    """
     canister_from_rig = frames.invert(camera.rig_from_canister)
     parameters = mi.traverse(scene)
     parameters["panel.to_world"] = mi.Transform4f(canister_from_rig @ rig_from_panel(lights))

@@ -69,7 +69,7 @@ def _read(path: Path) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:
-    """Count the edges that are not passed exactly as often one way as the other, each undirected edge once."""
+    """Count the edges of triangles (F, 3) that are not passed exactly as often one way as the other."""
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys, inverse = np.unique(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1), axis=0, return_inverse=True)
     balance = np.bincount(inverse.ravel(), weights=np.where(a < b, 1.0, -1.0), minlength=len(keys))

@@ -61,6 +61,11 @@ def build(
     dirt_reach_mm : float or None
         The outside is opaque this far about all dirt, so that rays at this distance from each other cannot miss any;
         None: dirt as it is.
+
+    Returns
+    -------
+    mi.Scene
+        All that a camera can see.
     """
     water, wrong = _water_medium(scene), scene.disturbances
     items: dict[str, Any] = {"type": "scene"}
@@ -101,6 +106,11 @@ def fine_things(world: World, solid: SpecimenSolid | None, hairs: Sleeve | None 
     slack_mm : float
         Fibres and bubbles are this much larger than they are, so that rays at this distance from each other cannot miss
         one.
+
+    Returns
+    -------
+    mi.Scene or None
+        For rays that only ask whether there is something.
     """
     items: dict[str, Any] = {"type": "scene"}
     for number, bubble in enumerate(world.bubbles):
@@ -119,6 +129,20 @@ def room_of(world: World, solid: SpecimenSolid | None, *, margin_mm: float) -> R
     """Return the room in the canister that holds the fine things and a margin round them.
 
     It reaches no farther than the canister.
+
+    Parameters
+    ----------
+    world : World
+        Fibres and bubbles.
+    solid : SpecimenSolid or None
+        The specimen; None for none.
+    margin_mm : float
+        On every side.
+
+    Returns
+    -------
+    Room
+        An upright cylinder.
     """
     points = [fibre.points_mm for fibre in world.fibres] + ([solid.vertices] if solid is not None else [])
     points += [
@@ -245,7 +269,22 @@ class Hanging:
 
     @staticmethod
     def of(name: str, vertices: NDArray[np.float64], solid: SpecimenSolid) -> Hanging:
-        """Return vertices (V, 3) that hang from a solid's highest point: what is deeper goes farther, in proportion."""
+        """Return vertices (V, 3) that hang from a solid's highest point: what is deeper goes farther, in proportion.
+
+        Parameters
+        ----------
+        name : str
+            Of the shape in the scene.
+        vertices : (V, 3) array
+            At rest, mm.
+        solid : SpecimenSolid
+            What they hang from, with its lowest tip.
+
+        Returns
+        -------
+        Hanging
+            With the share of the tip's way for each vertex.
+        """
         low, high = solid.extents_min_mm[2], solid.extents_max_mm[2]
         return Hanging(name, vertices, np.clip((high - vertices[:, 2]) / max(float(high - low), 1e-9), 0.0, None))
 
@@ -255,7 +294,19 @@ class Hanging:
 
 
 def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float], twist_deg: float = 0.0) -> None:
-    """Put what hangs where it is in a view."""
+    """Put what hangs where it is in a view.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        As `build` made it.
+    hanging : sequence of Hanging
+        What hangs, as it is at rest.
+    tip_mm : tuple[float, float]
+        How far aside the lowest tip is, x and y.
+    twist_deg : float
+        How far it is turned about the z axis.
+    """
     parameters = mi.traverse(scene)
     for one in hanging:
         parameters[f"{one.name}.vertex_positions"] = np.ascontiguousarray(one.at(tip_mm, twist_deg), dtype=np.float32).ravel()

@@ -54,6 +54,8 @@ def find(specimen: PlacedFile, points_mm: Array, scene: Scene, *, base_mm: Array
         What is told of it.
     points_mm : (N, 3) float64
         Its surface in the file's frame, in mm.
+    scene : Scene
+        Grid and axis.
     base_mm : (M, 3) float64 or None
         Where its axes begin, which tells up from down; None: not known.
 
@@ -109,6 +111,15 @@ def _circle(points_mm: Array) -> tuple[tuple[float, float], float]:
 def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
     """Refuse points (N, 3), in mm in the canister frame, outside the water: inner wall, floor, surface.
 
+    Parameters
+    ----------
+    points_mm : (N, 3) array
+        The surface.
+    scene : Scene
+        Canister, grid and water.
+    what : str
+        What the points are of, for the message.
+
     Raises
     ------
     UserError
@@ -134,7 +145,7 @@ def check_in_water(points_mm: Array, scene: Scene, *, what: str) -> None:
 
 
 def said_size(points_mm: Array) -> str:
-    """Return a specimen's size along x, y and z as text."""
+    """Return the size of points (N, 3) along x, y and z as text."""
     return " x ".join(f"{value:.3g}" for value in np.ptp(points_mm, axis=0))
 
 

@@ -153,12 +153,13 @@ class Renderer:
         stream : int
             Number of the path tracer's random stream, and of the view whose sway the specimen has.
         twist_deg : float or None
-            How far the lowest tips are turned against the pot instead of that sway, in a scene whose specimen sways.
+            How far the lowest tips are turned against the pot instead of that sway, in a scene whose specimen
+            sways.
 
         Returns
         -------
-        image, coverage
-            As from `view`.
+        (H, W), (H, W) float32 arrays
+            Picture and coverage, as from `view`.
         """
         if self.hanging:
             tip_mm = self.world.sway_mm[stream] if twist_deg is None else (0.0, 0.0)
@@ -272,6 +273,11 @@ def lens_cells(side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     orthogonal array of strength 2 (Bush 1952): in any two of the four coordinates the rays are a full lattice, so that
     defocus neither shifts nor sharpens an edge. Sides 2, 6, 8 ... have no such array as simple; there a trace of
     correlation is left.
+
+    Returns
+    -------
+    (side^2,), (side^2,) int arrays
+        Column and row.
     """
     i, j = np.arange(side * side) % side, np.arange(side * side) // side
     if side == 4:  # i + a j and i + (a + 1) j in the field of four elements, where a j is:

@@ -40,6 +40,11 @@ def sensor_dict(
         Diameter of the lens opening (0: pinhole) and depth of the plane in focus.
     samples : int
         Samples a pixel of the independent sampler, for Mitsuba's own integrators.
+
+    Returns
+    -------
+    dict
+        For `mi.load_dict`.
     """
     register()
     width, height = camera.image_wh
@@ -80,7 +85,20 @@ def register() -> None:
 
 
 def undistort(xd: Any, yd: Any, k: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any]:
-    """Invert OpenCV's lens distortion by Newton's method on the two normalised coordinates."""
+    """Invert OpenCV's lens distortion by Newton's method on the two normalised coordinates.
+
+    Parameters
+    ----------
+    xd, yd : mi.Float
+        Distorted coordinates.
+    k : tuple of mi.Float
+        k1, k2, p1, p2, k3.
+
+    Returns
+    -------
+    mi.Float, mi.Float
+        Coordinates of the pinhole.
+    """
     k1, k2, p1, p2, k3 = k
     x, y = mi.Float(xd), mi.Float(yd)
     for _ in range(NEWTON_STEPS):

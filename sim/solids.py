@@ -106,7 +106,7 @@ def _tube_faces(rings: int, sides: int) -> Faces:
 
 
 def pieces(root: Root) -> list[tuple[Array, Array]]:
-    """Cut a root into tubes (points, radii) that cannot cross themselves: at kinks, and where it has turned far."""
+    """Cut a root into tubes of points (N, 3) and radii (N,) that do not cross themselves: at kinks and far turns."""
     apart = np.concatenate([[True], np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1) > 1e-6])
     points_mm, radii_mm = np.asarray(root.points_mm, dtype=np.float64)[apart], np.maximum(root.diameters_mm, LEAST_MM)[apart] / 2.0
     if len(points_mm) < 2:
@@ -140,7 +140,7 @@ def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0) -> manifold3d.M
 
 
 def manifold_of(vertices: Array, faces: Faces) -> manifold3d.Manifold:
-    """Hand a closed surface, double precision kept, to manifold3d; the caller looks at its ``status()``."""
+    """Hand a closed surface (V, 3) of triangles (F, 3) to manifold3d; the caller looks at its ``status()``."""
     mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices, np.float64), tri_verts=np.ascontiguousarray(faces, np.uint64))
     return manifold3d.Manifold(mesh)
 

@@ -17,12 +17,21 @@ MM_PER_TEXEL = 1.0 / 16.0
 def strip_picture(strip: MarkerStrip, net_pot: NetPot, *, mm_per_texel: float = MM_PER_TEXEL) -> NDArray[np.float32]:
     """Paint the strip's reflectance on the unrolled net pot, each texel the mean over its area.
 
+    Parameters
+    ----------
+    strip : MarkerStrip
+        Markers and gaps.
+    net_pot : NetPot
+        What it is glued round.
+    mm_per_texel : float
+        Edge of a texel.
+
     Returns
     -------
-    reflectance : (rows, columns) float32
+    (rows, columns) float32 array
         Row 0 at the net pot's top, column 0 at the seam, azimuth (counter-clockwise from above) growing with the
-        column: seen from outside the picture is not mirrored. Markers lie exactly where `scenes.plan.marker_corners`
-        says.
+        column: seen from outside the picture is not mirrored. Markers lie exactly where
+        `scenes.plan.marker_corners` says.
     """
     around_mm = 2.0 * np.pi * net_pot.outer_radius_mm
     high_mm = net_pot.top_mm - net_pot.skirt_bottom_mm

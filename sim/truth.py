@@ -26,7 +26,22 @@ def write_specimen(folder: Path, solid: SpecimenSolid) -> None:
 
 
 def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, TrueCamera]]) -> Truth:
-    """Return the truth of pictures, each given by its file in the dataset and the camera that really took it."""
+    """Return the truth of pictures, each given by its file in the dataset and the camera that really took it.
+
+    Parameters
+    ----------
+    world : World
+        What was drawn.
+    solid : SpecimenSolid
+        The specimen.
+    taken : Iterable[tuple[str, TrueCamera]]
+        Files with their cameras.
+
+    Returns
+    -------
+    Truth
+        As `scenes.truth.save_truth` writes it.
+    """
     low, high = solid.extents_min_mm, solid.extents_max_mm
     return Truth(
         volume_mm3=solid.volume_mm3,

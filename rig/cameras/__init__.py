@@ -21,6 +21,11 @@ def open_camera(part: CameraPart, *, image_wh: tuple[int, int], bits: int, clock
     clock : Clock
         For the pauses between attempts over the network.
 
+    Returns
+    -------
+    Camera
+        Not open yet.
+
     Raises
     ------
     RigError

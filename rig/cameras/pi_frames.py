@@ -46,6 +46,11 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], image_wh: tuple[int, int], *
     name : str
         The camera's, for messages.
 
+    Returns
+    -------
+    RawMode
+        Size, depth and format of the raw pictures, and how many pixels make one of the wanted.
+
     Raises
     ------
     RigError
@@ -106,6 +111,11 @@ def grey_of_frame(
         What was asked for.
     name : str
         The camera's, for messages.
+
+    Returns
+    -------
+    (H, W) uint16 array
+        Each pixel the mean of a block, its black level taken away, as many bits as the settings say.
 
     Raises
     ------

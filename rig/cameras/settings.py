@@ -22,7 +22,20 @@ class CameraSettings:
 
 
 def settings_of(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> CameraSettings:
-    """Join what the rig file says of the camera with the size and depth that the scene wants."""
+    """Join what the rig file says of the camera with the size and depth that the scene wants.
+
+    Parameters
+    ----------
+    part : CameraPart
+        What the rig file says.
+    image_wh, bits : tuple of int, int
+        Size and depth of the scene's camera.
+
+    Returns
+    -------
+    CameraSettings
+        What the camera is to be set to.
+    """
     return CameraSettings(
         image_wh=image_wh,
         bits=bits,
@@ -35,6 +48,15 @@ def settings_of(part: CameraPart, *, image_wh: tuple[int, int], bits: int) -> Ca
 
 def check_picture(image: Grey, settings: CameraSettings, *, name: str) -> None:
     """Refuse a picture of another size or depth than was asked for.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16 array
+        The picture.
+    settings : CameraSettings
+        What it should be.
+    name : str
+        The camera's, for messages.
 
     Raises
     ------

@@ -74,6 +74,11 @@ def calibrate(paths: Sequence[Path], board: CharucoBoard, *, monitor: Monitor | 
     monitor : Monitor or None
         Hears how far it is.
 
+    Returns
+    -------
+    Calibration
+        Lens, its fit and what a person should know of it.
+
     Raises
     ------
     RigError
@@ -124,10 +129,19 @@ def calibrate_views(
     ----------
     views : dict of BoardView
         The corners, by picture.
+    board : CharucoBoard
+        What was printed.
+    image_wh : tuple[int, int]
+        Size of the pictures.
     bits : int
         Depth of the camera's converter.
     rejected : dict of str or None
         Pictures that were left out before, with the reason.
+
+    Returns
+    -------
+    Calibration
+        Lens, its fit and what a person should know of it.
 
     Raises
     ------

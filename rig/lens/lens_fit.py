@@ -95,6 +95,20 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
     Pictures and corners that do not fit the others are left out; then terms of the model are left out as long as that
     lowers the Bayesian information criterion N ln(residual sum of squares) + p ln N (Schwarz 1978).
 
+    Parameters
+    ----------
+    views : dict[str, BoardView]
+        The corners, by picture.
+    board : CharucoBoard
+        What was printed.
+    image_wh : tuple[int, int]
+        Size of the pictures.
+
+    Returns
+    -------
+    LensFit
+        The lens, poses of the pictures kept, and why others were left out.
+
     Raises
     ------
     RigError

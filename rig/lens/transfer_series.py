@@ -17,6 +17,18 @@ _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A
 def read_series(paths: Sequence[Path], exposures_s: str | None) -> tuple[list[Grey], list[float]]:
     """Read pictures and their exposure times, from a text of numbers with commas or from their EXIF.
 
+    Parameters
+    ----------
+    paths : sequence of Path
+        Pictures of one thing, exposed otherwise.
+    exposures_s : str or None
+        Numbers with commas; None: from EXIF.
+
+    Returns
+    -------
+    list of (H, W) arrays, list of float
+        Pictures and seconds.
+
     Raises
     ------
     UserError

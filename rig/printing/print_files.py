@@ -28,6 +28,20 @@ def write_pages(pages: Sequence[Page], path: Path, *, title: str) -> list[Path]:
 
     One under its own name, several with ``-1``, ``-2``, ... behind the name.
 
+    Parameters
+    ----------
+    pages : sequence of Page
+        What is drawn.
+    path : Path
+        Ends in .pdf or .svg.
+    title : str
+        Of the document.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
     Raises
     ------
     UserError

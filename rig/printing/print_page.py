@@ -123,6 +123,18 @@ def ruler(left_mm: float, top_mm: float, *, upright: bool = False) -> list[Part]
     """Return a ruler of 100 mm.
 
     They lie between the middles of its first line, at ``left_mm`` (upright: ``top_mm``), and its last.
+
+    Parameters
+    ----------
+    left_mm, top_mm : float
+        Its corner, from the page's upper left.
+    upright : bool
+        Whether it runs down the page.
+
+    Returns
+    -------
+    list of Part
+        Lines and numbers.
     """
     parts: list[Part] = []
     for mm in range(int(RULER_MM) + 1):
@@ -148,7 +160,22 @@ def square(left_mm: float, top_mm: float) -> list[Part]:
 
 
 def lines(left_mm: float, top_mm: float, texts: list[str], *, height_mm: float = TEXT_MM) -> list[Part]:
-    """Return lines of text below each other, the first one's capitals beginning at ``top_mm``."""
+    """Return lines of text below each other, the first one's capitals beginning at ``top_mm``.
+
+    Parameters
+    ----------
+    left_mm, top_mm : float
+        Where the first line's capitals begin, from the page's upper left.
+    texts : list of str
+        The lines.
+    height_mm : float
+        Of capitals.
+
+    Returns
+    -------
+    list of Part
+        A text each.
+    """
     return [
         Text(at_mm=(left_mm, top_mm + height_mm * (1.0 + LEADING * number)), text=text, height_mm=height_mm)
         for number, text in enumerate(texts)

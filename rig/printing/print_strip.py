@@ -94,6 +94,11 @@ def strip_pages(scene: Scene, *, paper: Paper, paper_mm: float = 0.1) -> list[Pa
     paper_mm : float
         Thickness of what is printed on.
 
+    Returns
+    -------
+    list of Page
+        A page for each piece, or for several.
+
     Raises
     ------
     UserError

@@ -106,6 +106,8 @@ class ArmStand:
 
         Parameters
         ----------
+        ring : Ring
+            Where the camera is wanted.
         seen : Sighting or None
             What it shows now; None: it cannot be read.
         angle_deg : callable

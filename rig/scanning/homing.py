@@ -51,6 +51,20 @@ def angle_against(cam_from_canister: Array, references: Sequence[Reference], sce
     With ``cam_from_canister = C Rz(angle) S`` for camera C and canister pose S, both constant, the rotation between two
     pictures is the table's alone: errors of these and the strip cancel. Several references lessen the noise of single
     pictures; their median is taken.
+
+    Parameters
+    ----------
+    cam_from_canister : (4, 4) array
+        Now, by the markers.
+    references : sequence of Reference
+        Poses at known angles, from the same place.
+    scene : Scene
+        Which way the table turns.
+
+    Returns
+    -------
+    float
+        deg.
     """
     canister_from_cam = frames.invert(cam_from_canister)
     direction = scene.turntable.direction
@@ -78,14 +92,22 @@ def find_angle(
         What the strip says now; None when it cannot be read.
     references : sequence of Reference
         Earlier pictures by the camera where it stands now, or stood nearly; may be none.
+    scene : Scene
+        Which way the table turns.
     near_deg : float
-        Of all angles that differ by whole turns the one nearest to this is returned, within what the turntable takes.
+        Of all angles that differ by whole turns the one nearest to this is returned, within what the turntable
+        takes.
     given_deg : float or None
         What the person said beforehand, for a strip that cannot be read.
     ask : Ask or None
         None when nobody is there.
     why : str
         Why the strip cannot be read, for messages.
+
+    Returns
+    -------
+    Angle
+        The angle, and where it is from.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class Sighting:
         return float(np.rad2deg(np.arctan2(y, x)))
 
     def cam_from_rig(self, table_deg: float, *, direction: int) -> Array:
-        """Return where the camera stands in the rig's frame when the table is known to stand at an angle."""
+        """Return ``cam_from_rig`` (4, 4) when the table is known to stand at an angle."""
         return self.cam_from_canister @ frames.rotation_z(-direction * np.deg2rad(table_deg))
 
 
@@ -67,7 +67,20 @@ def why_unread(image: Grey, scene: Scene) -> str:
 
 
 def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
-    """Count the markers that a camera sees whole and not too slantwise, on a well-seated strip at table angle 0."""
+    """Count the markers that a camera sees whole and not too slantwise, on a straight strip at table angle 0.
+
+    Parameters
+    ----------
+    scene : Scene
+        Strip, net pot and camera.
+    cam_from_rig : (4, 4) array
+        Pose of the camera.
+
+    Returns
+    -------
+    int
+        Markers.
+    """
     centre = frames.invert(cam_from_rig)[:3, 3]
     width, height = scene.camera.image_wh
     (fx, fy), (cx, cy) = scene.camera.focal_px, scene.camera.principal_px

@@ -107,7 +107,22 @@ def check_markers(image: Grey, scene: Scene) -> str:
 
 
 def check_disk(folder: Path, pictures: int, lens: Lens) -> str:
-    """Refuse to begin what does not fit on the disk: pictures are reckoned as if they could not be compressed."""
+    """Refuse to begin what does not fit on the disk: pictures are reckoned as if they could not be compressed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the pictures go.
+    pictures : int
+        How many.
+    lens : Lens
+        Their size and depth.
+
+    Returns
+    -------
+    str
+        What is free and what is needed, for people.
+    """
     there = folder.absolute()
     while not there.exists():
         there = there.parent

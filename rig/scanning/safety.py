@@ -21,10 +21,17 @@ def make_safe(
 
     Parameters
     ----------
+    devices : Devices
+        Open, or lost on the way.
+    scene : Scene
+        What the arm must not touch.
+    say : Say
+        Hears what failed.
     board, arm : bool
         Whether the board of table and lights, and the arm, were used at all; what was not is left alone.
     finished : bool
-        The table's motor is switched off; otherwise it stays on, so that the angle survives until the scan is taken up.
+        The table's motor is switched off; otherwise it stays on, so that the angle survives until the scan is taken
+        up.
     board_lost : bool
         The board was lost: it is connected once more to switch the lights off.
     arm_failed : bool
@@ -45,7 +52,17 @@ def make_safe(
 
 
 def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = True) -> None:
-    """Park the arm if it is sound and the way is clear, and switch its torque off in any case."""
+    """Park the arm if it is sound and the way is clear, and switch its torque off in any case.
+
+    Parameters
+    ----------
+    arm, rig, scene : Arm
+        The arm, its place of rest, and what it must not touch.
+    say : Say
+        Hears what failed.
+    move : bool
+        False: it is only let go.
+    """
     try:
         parked = move and _attempt("arm: not parked", lambda: park(arm, rig, scene), say, again=False)
         if not parked:
@@ -57,6 +74,11 @@ def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = Tr
 
 def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
     """Move the arm to its place of rest along a checked path.
+
+    Parameters
+    ----------
+    arm, rig, scene : Arm
+        The arm, its place of rest, and what it must not touch.
 
     Raises
     ------

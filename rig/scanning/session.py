@@ -83,7 +83,15 @@ class Session:
         return self._snapshot()
 
     def note(self, event: str, text: str, *, time_s: float) -> None:
-        """Keep an event in the log; it is written with the next frame, or by `save`."""
+        """Keep an event in the log; it is written with the next frame, or by `save`.
+
+        Parameters
+        ----------
+        event, text : str
+            What it was, for programs and for people.
+        time_s : float
+            Since the scan began.
+        """
         said = {"event": event, "text": text, "scan_s": round(time_s, 3), "utc": datetime.now(UTC).isoformat(timespec="seconds")}
         self._dataset = replace(self._dataset, origin={**self._dataset.origin, "log": [*self._dataset.origin["log"], said]})
 
@@ -172,7 +180,8 @@ def take_up(
     Parameters
     ----------
     folder : path
-        New or empty; or left by a scan that was stopped, with ``resume``; held by the caller (`scenes.folders.held`).
+        New or empty; or left by a scan that was stopped, with ``resume``; held by the caller
+        (`scenes.folders.held`).
     scene : Scene
         As given; what stands in the canister is left out of the dataset.
     planned : sequence of View
@@ -183,6 +192,11 @@ def take_up(
         Of the twin's errors.
     resume : bool
         Whether a stopped scan is taken up; without frames in the folder it begins as a new one.
+
+    Returns
+    -------
+    Session
+        With the frames that are there already.
 
     Raises
     ------

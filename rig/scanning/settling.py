@@ -72,7 +72,24 @@ def settling(pictures: Sequence[Grey], times_s: Sequence[float]) -> Settling:
 
 
 def watch(look: Callable[[], Grey], clock: Clock, *, seconds: float = WATCH_S, every_s: float = 0.25) -> tuple[list[Grey], list[float]]:
-    """Take pictures from now on, and return them with the times at which each was begun."""
+    """Take pictures from now on, and return them with the times at which each was begun.
+
+    Parameters
+    ----------
+    look : callable
+        Takes a picture.
+    clock : Clock
+        For the times.
+    seconds : float
+        How long.
+    every_s : float
+        Pause from picture to picture.
+
+    Returns
+    -------
+    list of (H, W) arrays, list of float
+        At least six pictures, and seconds since now.
+    """
     begun_s, pictures, times_s = clock.now_s(), list[Grey](), list[float]()
     while (now_s := clock.now_s() - begun_s) < seconds or len(pictures) < 6:
         times_s.append(now_s)

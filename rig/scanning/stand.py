@@ -32,7 +32,22 @@ class Stand(Protocol):
         """Take a picture and read the strip in it, looking about for it if need be."""
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Correct the place by what the strip shows; return what it shows at the end."""
+        """Correct the place by what the strip shows; return what it shows at the end.
+
+        Parameters
+        ----------
+        ring : Ring
+            Where the camera is wanted.
+        seen : Sighting or None
+            What the strip shows now.
+        angle_deg : callable
+            Reads the table's angle back.
+
+        Returns
+        -------
+        Sighting or None
+            What the strip shows at the end.
+        """
 
     def joints(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
         """Return the joints as commanded and as read now; None without an arm."""
@@ -70,7 +85,22 @@ class Tripod:
         return self._eye.look()
 
     def correct(self, ring: Ring, seen: Sighting | None, angle_deg: Callable[[], float]) -> Sighting | None:
-        """Say where the camera stands, and ask for another try when that is far from the plan."""
+        """Say where the camera stands, and ask for another try when that is far from the plan.
+
+        Parameters
+        ----------
+        ring : Ring
+            Where the camera is wanted.
+        seen : Sighting or None
+            What the strip shows now.
+        angle_deg : callable
+            Reads the table's angle back.
+
+        Returns
+        -------
+        Sighting or None
+            What the strip shows at the end.
+        """
         while True:
             if seen is None:
                 self._note("placed", "camera: where it stands is not known: the strip cannot be read from there")

@@ -184,11 +184,18 @@ class Turning:
 
         Parameters
         ----------
+        fault : BoardFaultError
+            What failed.
         near_deg : float
             The angle that is wanted next.
         again : bool
             Whether this was tried before; a board that only failed to answer is not connected anew the first time,
             since many boards start anew when they are, and forget the angle.
+
+        Returns
+        -------
+        bool
+            Whether the angle had to be found anew.
 
         Raises
         ------

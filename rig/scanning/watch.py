@@ -37,6 +37,10 @@ class Watch:
 
         Parameters
         ----------
+        frame : Frame
+            The picture's place in the plan.
+        image : (H, W) uint8 or uint16 array
+            The picture.
         again : (H, W) uint8 or uint16 array or None
             A second picture at the same stop; None where none was taken.
         """

@@ -51,11 +51,33 @@ class Recorder:
             raise
 
     def record_open(self, t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Note that a port was opened, with its settings."""
+        """Note that a port was opened, with its settings.
+
+        Parameters
+        ----------
+        t_s : float
+            When.
+        device : str
+            Its name, as ``turntable``.
+        url, baud : str
+            Of the port.
+        """
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})
 
     def record(self, t_s: float, device: str, direction: Literal[">", "<"], data: bytes) -> None:
-        """Note bytes that were sent (``>``) or heard (``<``)."""
+        """Note bytes that were sent (``>``) or heard (``<``).
+
+        Parameters
+        ----------
+        t_s : float
+            When.
+        device : str
+            Its name, as ``turntable``.
+        direction : {'>', '<'}
+            To the device, or from it.
+        data : bytes
+            As they were on the wire.
+        """
         self._put({"t_s": round(t_s, 6), "device": device, "dir": direction, "hex": data.hex()})
 
     def close(self) -> None:
@@ -224,6 +246,11 @@ def replay_port(path: Path | str, device: str, *, clock: Clock | None = None, se
         Passed on to the driver; needs virtual time to be quick. None: a `ReplayClock`.
     session : int
         Which session of the file, counted as in a list; the last one by default.
+
+    Returns
+    -------
+    ReplayPort
+        Gives back what the device once said.
 
     Raises
     ------

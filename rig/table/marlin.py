@@ -85,6 +85,11 @@ class MarlinLink:
         optional : bool
             Whether a firmware that does not know the command will do.
 
+        Returns
+        -------
+        list of str
+            Its lines before ``ok``.
+
         Raises
         ------
         NoAnswerError
@@ -103,9 +108,18 @@ class MarlinLink:
 
         Parameters
         ----------
+        text : str
+            The command.
         pattern : Pattern[str]
             Searched for in each line of the answer. It must refuse lines that were cut short; a digit may still be
             wrong.
+        expect_s : float
+            How long it may take.
+
+        Returns
+        -------
+        re.Match[str]
+            The line that answers.
 
         Raises
         ------

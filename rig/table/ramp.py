@@ -6,7 +6,18 @@ from rhizotwin.scenes.frames import Array
 
 
 def move_s(way: float, *, speed: float, acceleration: float) -> float:
-    """Return the seconds of a move from rest to rest; way, speed and acceleration in one unit of length."""
+    """Return the seconds of a move from rest to rest; way, speed and acceleration in one unit of length.
+
+    Parameters
+    ----------
+    way, speed, acceleration : float
+        Of the move, its fastest part, and its ramps.
+
+    Returns
+    -------
+    float
+        s.
+    """
     ramp = min(speed**2 / (2.0 * acceleration), way / 2.0)
     top = np.sqrt(2.0 * acceleration * ramp)
     return float(2.0 * top / acceleration + (way - 2.0 * ramp) / max(top, 1e-12))
@@ -26,8 +37,9 @@ def step_times_s(steps: int, *, speed: float, acceleration: float) -> Array:
 
     Returns
     -------
-    (steps,) float64
-        Seconds; they rise. A move too short for the highest speed turns from speeding up to slowing down in its middle.
+    (steps,) float64 array
+        Seconds; they rise. A move too short for the highest speed turns from speeding up to slowing down in its
+        middle.
 
     Notes
     -----

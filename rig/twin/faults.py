@@ -155,6 +155,11 @@ def draw_faults(
     messages, duration_s, shots : int, float, int
         How many replies (or requests) of a device, seconds and pictures the scan is expected to take: the moment is
         drawn within them.
+
+    Returns
+    -------
+    tuple of Fault
+        In the order of the kinds.
     """
     faults = []
     for kind in map(kind_of, kinds):
@@ -234,7 +239,24 @@ class Pending:
             self._left.clear()
 
     def due(self, device: Device, where: Where, number: int, now_s: float) -> list[Fault]:
-        """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did."""
+        """Return the faults that hit message ``number`` of a device, in their order; `use` says that one did.
+
+        Parameters
+        ----------
+        device : Device
+            What the message is for.
+        where : Where
+            On the wire or in the device.
+        number : int
+            Of the message.
+        now_s : float
+            Time of the twin.
+
+        Returns
+        -------
+        list of Fault
+            None used yet.
+        """
         with self._lock:
             here = [fault for fault in self._left if fault.device == device and kind_of(fault.kind).where == where]
         return [fault for fault in here if _is_due(fault, number, now_s)]

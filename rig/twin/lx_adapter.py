@@ -124,7 +124,22 @@ def checksum(body: bytes) -> int:
 
 
 def frame_of(number: int, command: int, parameters: bytes) -> bytes:
-    """Return a whole frame."""
+    """Return a whole frame.
+
+    Parameters
+    ----------
+    number : int
+        The servo's.
+    command : int
+        Of the reply.
+    parameters : bytes
+        Its bytes.
+
+    Returns
+    -------
+    bytes
+        With head, length and checksum.
+    """
     body = bytes([number, len(parameters) + 3, command]) + parameters
     return b"\x55\x55" + body + bytes([checksum(body)])
 

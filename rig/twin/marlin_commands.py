@@ -76,7 +76,22 @@ class MarlinCommands:
             strip.power_up()
 
     def do(self, name: str, words: Words, now_s: float) -> Answer | None:
-        """Carry a command out; None when there is no such command."""
+        """Carry a command out; None when there is no such command.
+
+        Parameters
+        ----------
+        name : str
+            As ``G0``.
+        words : Words
+            Its letters with numbers.
+        now_s : float
+            Time of the twin.
+
+        Returns
+        -------
+        Answer or None
+            Lines, and when they are printed.
+        """
         if name in _SILENT:
             return Answer()
         return self._table[name](words, now_s) if name in self._table else None

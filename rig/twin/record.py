@@ -69,7 +69,17 @@ class Record:
             self._path = None
 
     def add(self, image: Grey, sight: Sight, time_s: float) -> None:
-        """Remember a picture."""
+        """Remember a picture.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 or uint16 array
+            As the camera stored it.
+        sight : Sight
+            State of the world.
+        time_s : float
+            When.
+        """
         shot = TakenShot(pixels=digest_of(image), time_s=time_s, sight=sight)
         self.shots.append(shot)
         self._known[shot.pixels] = shot

@@ -51,7 +51,17 @@ class Swing:
         self._later: list[_Piece] = []
 
     def turn(self, seconds: float, speed_deg_per_s: float, gain_deg_per_s2: float) -> None:
-        """Let the pot turn for a while, from a speed on."""
+        """Let the pot turn for a while, from a speed on.
+
+        Parameters
+        ----------
+        seconds : float
+            How long.
+        speed_deg_per_s : float
+            At the beginning.
+        gain_deg_per_s2 : float
+            By which the speed grows.
+        """
         if not self._moves or seconds <= 0.0:
             return
         last = self._later[-1] if self._later else None

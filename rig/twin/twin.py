@@ -121,6 +121,11 @@ class Twin:
             Its settings; None: those of the rig file, which give the scene's brightness.
         clock, look : Clock or None, Look or None
             For a twin in real time: whose time exposures take, and what takes the picture.
+
+        Returns
+        -------
+        TwinCamera
+            Not open yet.
         """
         return TwinCamera(
             look or self.look, clock or self.clock, part=part or self.rig.camera, nominal=self.rig.camera, pending=self.pending

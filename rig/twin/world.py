@@ -149,14 +149,14 @@ class TwinWorld:
 
     @property
     def cam_from_rig(self) -> frames.Array:
-        """The true pose of the camera."""
+        """The true pose (4, 4) of the camera."""
         if self.rig.arm is None:
             return self.tripod_cam_from_rig
         return kinematics.cam_from_rig(self.rig.arm, self.joints_deg)
 
     @property
     def rig_from_canister(self) -> frames.Array:
-        """Where the canister really is."""
+        """Where the canister really is, (4, 4)."""
         return plan.rig_from_table(self.scene, self.table_deg) @ self.table_from_canister
 
     def sight(self, *, exposure: float = 1.0) -> Sight:
