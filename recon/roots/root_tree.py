@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.roots import hierarchy
+from rhizotwin.recon.roots import hierarchy, thick_lines
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.rsml import Root
@@ -55,11 +55,12 @@ class RootSystem(RootTree):
     """(N,) nodes of ends whose tips are likely none."""
 
     def roots(self) -> tuple[Root, ...]:
-        """Return the branches as roots, parents before children."""
-        number = np.full(len(self.solid), -1)  # the root that each node is of
+        """Return the branches as roots, parents before children, each from where it leaves its parent's inside."""
+        number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm.copy()  # the root that each node is of
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):
-            diameters = 2.0 * self.tubes.radii(k)
+            diameters, own = 2.0 * self.tubes.radii(k), self.tubes.own(k)
+            centre[own] = thick_lines.calmed(self.tubes.centre_mm[nodes], 0.5 * diameters, self.organ[nodes])[-len(own) :]
             for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
                 own = nodes[run]
                 if self.solid[own[0]] or len(own) < 2:
@@ -67,6 +68,6 @@ class RootSystem(RootTree):
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
                 number[own[number[own] < 0]] = len(roots)
                 order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
-                root = Root(points_mm=self.tubes.centre_mm[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
+                root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)
                 roots.append(root)
-        return hierarchy.arrange(roots)
+        return thick_lines.emerged(hierarchy.arrange(roots))
