@@ -27,6 +27,9 @@ TURN_TOLERANCE_DEG = 1.0
 """A single picture tells the table's angle to a few tenths; a wrong direction is 18 degrees off, a wrong gear ratio
 several."""
 BLOCKS_XY = (16, 12)
+LEAST_CONTRAST = 0.3
+"""Dark over bright in a picture with anything before the panel: the pot alone takes nearly all light; an empty panel
+fades by less (`LEAST_EVEN` is for its corners)."""
 LEAST_EVEN = 0.6
 """Darkest over brightest part of the panel: the reconstruction divides it out, but photons are lost."""
 CALIPER_MM = 0.3
@@ -56,6 +59,8 @@ class FirstDay:
         self._scene, self._ask, self._say, self._folder = scene, ask, say, folder
         self._devices = devices
         self._jog = Jog(devices, scene, say=say)
+        self._before_canister = devices.arm is None
+        """Whether the camera stands where it sees strip and water: a tripod does."""
         self.findings: list[Finding] = []
 
     def walk(self, *, wrong_devices: int) -> list[Finding]:
@@ -69,11 +74,12 @@ class FirstDay:
         self._found("devices", wrong_devices == 0, f"{wrong_devices} wrong; see the lines above" if wrong_devices else "all answer")
         steps: list[tuple[str, Callable[[], None]]] = [
             ("lamps", self._lamps),
+            *[(f"joint {k + 1}", self._joint_step(k)) for k in range(len(JOINTS))],
+            ("arm", self._arm),
             ("focus", self._focus),
             ("strip", self._strip),
             ("panel", self._panel),
             ("table", self._table),
-            *[(f"joint {k + 1}", self._joint_step(k)) for k in range(len(JOINTS))],
             ("calipers", self._calipers),
         ]
         try:
@@ -99,9 +105,39 @@ class FirstDay:
             "as a person sees them",
         )
 
+    def _arm(self) -> None:
+        """Bring the camera before the canister, once every joint is known to go the right way."""
+        if self._devices.arm is None:
+            self._note(Finding(step="arm", verdict="skipped", text="this rig has no arm"))
+            return
+        if any(one.verdict != "ok" for one in self.findings if one.step.startswith("joint")):
+            self._note(
+                Finding(step="arm", verdict="skipped", text="it goes nowhere before all joints are ok; put them right and walk again")
+            )
+            return
+        ring = self._scene.plan.rings[0]
+        where = f"{ring.distance_mm:g} mm from the axis, {ring.height_mm:g} mm above the rim"
+        if not self._yes(f"A hand on the switch: may the arm bring the camera before the canister ({where})?"):
+            self._note(Finding(step="arm", verdict="skipped", text="not moved"))
+            return
+        self._jog.do(["go", f"{ring.distance_mm:g}", f"{ring.height_mm:g}", f"{ring.tilt_deg:g}"])
+        self._before_canister = self._yes("Does the camera look squarely at the canister, strip and water in the picture?")
+        self._found("arm", self._before_canister, f"as a person sees it: {where}")
+
+    def _out_of_place(self, step: str) -> bool:
+        """Skip a step whose picture would not show the canister."""
+        if not self._before_canister:
+            self._note(Finding(step=step, verdict="skipped", text="the camera does not stand before the canister"))
+        return not self._before_canister
+
     def _focus(self) -> None:
+        if self._out_of_place("focus"):
+            return
         image = self._jog.shot()
         write_bytes(self._folder / "focus.png", encode_png(image))
+        if contrast(image) < LEAST_CONTRAST:
+            self._found("focus", False, "nothing dark stands before the panel: bring pot, strip and canister into the picture (focus.png)")
+            return
         width_px, cell_px = edge_width_px(image), self._cell_px()
         sharp = width_px < 0.5 * cell_px
         text = f"the sharpest edges are {width_px:.1f} px wide, a cell of a marker {cell_px:.1f} px"
@@ -109,6 +145,8 @@ class FirstDay:
         self._found("focus", sharp, text if sharp else text + cure, edge_px=width_px, cell_px=cell_px)
 
     def _strip(self) -> None:
+        if self._out_of_place("strip"):
+            return
         image = self._jog.shot()
         seen = read_strip(image, self._scene)
         if seen is not None:
@@ -121,6 +159,8 @@ class FirstDay:
             self._found("strip", False, why_unread(image, self._scene))
 
     def _panel(self) -> None:
+        if self._out_of_place("panel"):
+            return
         self._jog.do(["lights", "1", "0"])
         image = self._jog.shot()
         write_bytes(self._folder / "panel.png", encode_png(image))
@@ -269,6 +309,12 @@ def edge_width_px(image: Grey) -> float:
     slope = np.abs(numbers[:, 2:] - numbers[:, :-2]) / 2.0
     low, high = np.percentile(numbers, (2.0, 98.0))
     return float((high - low) / max(float(np.percentile(slope, 99.9)), 1e-9))
+
+
+def contrast(image: Grey) -> float:
+    """Return by what share of the bright parts' light (98th percentile) the dark ones (2nd) are darker."""
+    dark, bright = np.percentile(image, (2.0, 98.0))
+    return float(1.0 - dark / max(bright, 1.0))
 
 
 def panel_evenness(image: Grey) -> float:

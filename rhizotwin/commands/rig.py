@@ -36,9 +36,9 @@ def check(
     Connect to every device and take pictures with the lamps off and on. Nothing moves. The exit code is not 0 when
     anything is wrong.
 
-    With --first-day you are walked on through what only a person can see, and things move: lamps, focus, a mirrored
-    strip, the panel's evenness, the table's direction, each joint's direction, and sizes by calipers. The findings are
-    written to a folder, to be sent back.
+    With --first-day you are walked on through what only a person can see, and things move: lamps, each joint's
+    direction, the arm before the canister, focus, a mirrored strip, the panel's evenness, the table's direction, and
+    sizes by calipers. The findings are written to a folder, to be sent back.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.first_day import Finding, FirstDay, edge_width_px, panel_evenness
+from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.rig.twin.twin import Twin
@@ -87,6 +88,28 @@ def test_joints_move_and_come_back(tmp_path: Path) -> None:
     assert [one.verdict for one in joints] == ["ok", "wrong", "ok", "ok", "ok"]
     assert "set sign of arm.joints 2" in joints[1].text
     assert all(one.measured["moved_deg"] == pytest.approx(5.0, abs=1.5) for one in joints)
+
+
+def test_a_sound_rig_with_an_arm_is_brought_before_the_canister(tmp_path: Path) -> None:
+    """A parked arm sees the bare panel: neither strip nor focus can be judged there."""
+    found = walked(tmp_path)
+    assert {one.step: one.verdict for one in found if one.verdict != "skipped"} == dict.fromkeys(
+        ("devices", "lamps", *(f"joint {k}" for k in range(1, 6)), "arm", "focus", "strip", "panel", "table", "calipers"), "ok"
+    )
+    assert "markers turned by" in of(found, "table").text
+
+
+def test_an_arm_goes_nowhere_before_its_joints_are_right(tmp_path: Path) -> None:
+    found = walked(tmp_path, no="the wrist lean")
+    assert [of(found, step).verdict for step in ("joint 4", "arm", "focus", "strip", "panel")] == ["wrong", *["skipped"] * 4]
+    assert of(found, "table").verdict == "ok"
+
+
+def test_focus_is_not_judged_on_a_bare_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Jog, "shot", lambda _: np.rint(np.tile(np.linspace(48000.0, 50000.0, 400), (300, 1))).astype(np.uint16))
+    found = of(walked(tmp_path, rig=RigFile(arm=None)), "focus")
+    assert found.verdict == "wrong"
+    assert "nothing dark stands before the panel" in found.text
 
 
 def test_an_answer_that_is_missing_leaves_the_rig_safe_and_the_report(tmp_path: Path) -> None:
