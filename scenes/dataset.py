@@ -17,7 +17,7 @@ import numpy as np
 
 from rhizotwin.scenes.atomic import json_bytes, write_bytes
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, parsers_words
 from rhizotwin.scenes.folders import tidy
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey, decode_light
@@ -237,7 +237,7 @@ def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any
     try:
         mapping = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is damaged, it is not valid JSON ({error}); restore it or make it again") from error
+        raise UserError(f"{path}: is damaged, it is not valid JSON ({parsers_words(error)}); restore it or make it again") from error
     if not isinstance(mapping, Mapping):
         raise UserError(f"{path}: is damaged, it holds no JSON object; restore it or make it again")
     found = mapping.get("schema_version")

@@ -14,7 +14,7 @@ from typing import Any
 from rhizotwin.scenes import explained
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
-from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.errors import UserError, parsers_words
 from rhizotwin.scenes.model import Disturbances, Scene
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen
@@ -172,7 +172,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     try:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and integers of thousands of digits
-        raise UserError(f"{path}: is not valid TOML: {error}") from error
+        raise UserError(f"{path}: is not valid TOML: {parsers_words(error)}") from error
 
 
 def _listed(folder: Path) -> list[tuple[str, str]]:
