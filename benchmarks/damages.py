@@ -1,4 +1,4 @@
-"""The doubter's trials: one clean scan, spoilt as laboratories spoil theirs, and what is said of each.
+"""Stress tests: one clean scan, spoilt as laboratories spoil theirs, and what is said of each.
 
 A trial fails where the volume is wrong, its interval misses the truth, and it is called trusted all the same.
 """

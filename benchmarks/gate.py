@@ -165,7 +165,7 @@ def write_baseline(path: Path, metrics: Sequence[Metric], *, about: Mapping[str,
         File to write.
     metrics : sequence of Metric
         The run's.
-    about : Mapping[str, Any]
+    about : dict of Any
         How the run was made: versions, device, commit.
 
     Raises

@@ -137,9 +137,9 @@ def write(path: Path, values: Mapping[str, Sequence[float]], *, about: Mapping[s
     ----------
     path : Path
         JSON file.
-    values : Mapping[str, Sequence[float]]
+    values : dict of sequence of float
         The metric's values in all runs, by key.
-    about : Mapping[str, Any]
+    about : dict of Any
         How the runs were made.
 
     Raises

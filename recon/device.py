@@ -42,7 +42,7 @@ _ALIGNED = 64
 
 
 def numbers(values: NDArray[np.generic]) -> Float:
-    """Return mi.Float of an array, flattened."""
+    """Return mi.Float of an array (...), flattened."""
     return mi.Float(_aligned(values, np.dtype(np.float32)))
 
 
@@ -57,7 +57,7 @@ def points(values: NDArray[np.generic]) -> Point3f:
 
 
 def wholes(values: NDArray[np.generic]) -> UInt32:
-    """Return mi.UInt32 of an array of whole numbers, flattened."""
+    """Return mi.UInt32 of an array (...) of whole numbers, flattened."""
     return mi.UInt32(_aligned(values, np.dtype(np.uint32)))
 
 

@@ -184,7 +184,26 @@ def gather(
     settings: Json,
     monitor: Monitor,
 ) -> Result:
-    """Put a result together."""
+    """Put a result together.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Scene and frames.
+    cameras, coverage, solid : Cameras, Coverage, Solid
+        What the stages made.
+    warnings, checked : tuple of str, tuple of Check
+        What a person should know, and what the trust rests on.
+    settings : Json
+        As given, for the record.
+    monitor : Monitor
+        Has the stages' times.
+
+    Returns
+    -------
+    Result
+        The result, not saved.
+    """
     files = [camera.file for camera in cameras.all]
     contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.kind == "root"}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}

@@ -117,7 +117,22 @@ class TrimmedHull:
 
 
 def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> TrimmedHull:
-    """Carve the silhouettes' hull, and trim it to what they need."""
+    """Carve the silhouettes' hull, and trim it to what they need.
+
+    Parameters
+    ----------
+    dataset, cameras, coverage : Dataset, Cameras, Coverage
+        Scene, lines of sight and silhouettes.
+    settings : Settings
+        Voxels and slack.
+    monitor : Monitor
+        Hears how far it is.
+
+    Returns
+    -------
+    TrimmedHull
+        The hull as carved and as trimmed.
+    """
     halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
     finest_mm = settings.voxel_mm / 2**halvings
     carved = carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
@@ -126,14 +141,50 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
 
 
 def find_roots(found: TrimmedHull, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
-    """Find the roots as a tree of tubes; None where there are none."""
+    """Find the roots as a tree of tubes; None where there are none.
+
+    Parameters
+    ----------
+    found : TrimmedHull
+        What bounds the search.
+    coverage : Coverage
+        How much light roots let through.
+    scene : Scene
+        Where plants begin.
+    monitor : Monitor
+        Hears how far it is.
+
+    Returns
+    -------
+    RootTree or None
+        Tubes and solids, not yet divided into roots.
+    """
     carved, trimmed = found.carved, found.trimmed
     seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
     return rooting.find(seen, carved.cameras, trimmed.spheres, carved.water, coverage.attenuation, monitor=monitor)
 
 
 def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the trimmed hull and the tubes, and measure the whole."""
+    """Unite the trimmed hull and the tubes, and measure the whole.
+
+    Parameters
+    ----------
+    found : TrimmedHull
+        Hull and trimmed hull.
+    system : RootSystem or None
+        The roots; None where there are none.
+    coverage : Coverage
+        How far the silhouettes may be trusted.
+    settings : Settings
+        Voxels and limits of trust.
+    monitor : Monitor
+        Hears how far it is.
+
+    Returns
+    -------
+    Solid
+        Voxels, surface, volume and its interval.
+    """
     hull, trimmed = found.carved.hull, found.trimmed
     # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
     moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
@@ -171,7 +222,7 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
     terms = (
         *(() if told is None else told.terms),
         *solid_uncertainty.estimate(carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
-        sight.beyond_sight(carved.bank, carved.maps, leaves, carved.water),
+        sight.occluded(carved.bank, carved.maps, leaves, carved.water),
         wall_contact.wall_contact(thick.leaves, carved.water),
         solid_uncertainty.water(volume_mm3),
         *bare_uncertainty.terms(
@@ -235,7 +286,25 @@ def measure(
     untrimmed_mm3: float,
     monitor: Monitor,
 ) -> Solid:
-    """Gather leaves into voxels, draw the surface, and find the extents."""
+    """Gather leaves into voxels, draw the surface, and find the extents.
+
+    Parameters
+    ----------
+    hull : Hull
+        As carved, with its lattice.
+    leaves : Leaves
+        Of the solid.
+    voxel_mm : float
+        Edge of the voxels that are given out.
+    budget : Budget
+        What the volume may be off by.
+    bounds_mm3 : tuple of float
+        Least and greatest volume that the silhouettes allow.
+    untrimmed_mm3 : float
+        What of the solid was not trimmed.
+    monitor : Monitor
+        Hears how far it is.
+    """
     warnings: tuple[str, ...] = ()
     with monitor.stage("surface"):
         voxels = _voxels(leaves, voxel_mm)

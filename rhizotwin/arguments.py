@@ -61,7 +61,22 @@ def output(metavar: str) -> Parameter:
 
 
 def whole(text: str, low: int, high: int, what: str) -> int:
-    """Read a whole number within limits; ``what`` says them."""
+    """Read a whole number within limits; ``what`` says them.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+    low, high : int
+        Least and greatest.
+    what : str
+        Says the limits, in complaints.
+
+    Returns
+    -------
+    int
+        The number.
+    """
     try:
         value = int(text)
     except ValueError:
@@ -72,7 +87,22 @@ def whole(text: str, low: int, high: int, what: str) -> int:
 
 
 def between(text: str, limits: tuple[float, float], unit: str, units: str | None = None) -> float:
-    """Read a number within limits; ``unit`` and its plural name it in complaints."""
+    """Read a number within limits; ``unit`` and its plural name it in complaints.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+    limits : tuple of float
+        Least and greatest.
+    unit, units : str, (str or None)
+        One and many, in complaints.
+
+    Returns
+    -------
+    float
+        The number.
+    """
     try:
         value = float(text)
     except ValueError:

@@ -89,6 +89,22 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
     """Return the rig that a command names, with its scene.
 
     The twin's pictures are sketches unless the errors say how they are rendered.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, or ``twin``.
+    scene : str or None
+        Library scene or scene file; None: the usual one.
+    errors : TwinErrors
+        What is wrong with the twin.
+    plan : str or None
+        Whose rings are taken; None: the scene's.
+
+    Returns
+    -------
+    Bench
+        Rig, scene, and how its devices are opened.
     """
     if rig != TWIN:
         from rhizotwin.rig.clock import SystemClock

@@ -23,7 +23,30 @@ def change_scene(
     image_wh: tuple[int, int] | None = None,
     profile: str | None = None,
 ) -> Scene:
-    """Return a scene with what is changed in it, each value and all together checked."""
+    """Return a scene with what is changed in it, each value and all together checked.
+
+    Parameters
+    ----------
+    scene : Scene
+        As loaded.
+    specimen : Path or None
+        Mesh or traced roots that stand in the canister.
+    specimen_unit, specimen_diameter_mm : (str or None), (float or None)
+        Of traced roots whose file does not say.
+    placing : Placing or None
+        How the specimen is put.
+    views : int or None
+        In each ring.
+    image_wh : tuple of int or None
+        Size of the pictures; the lens follows.
+    profile : str or None
+        Where the disturbances come from.
+
+    Returns
+    -------
+    Scene
+        Checked as a whole.
+    """
     is_rsml = specimen is not None and specimen.suffix.lower() in _RSML_SUFFIXES
     for option, value in (("--specimen-unit", specimen_unit), ("--specimen-diameter-mm", specimen_diameter_mm)):
         if value is not None and not is_rsml:

@@ -77,7 +77,22 @@ class Pictures(Cameras):
         return [int(place) for place in np.argsort(shown)[::-1][:count]]
 
     def drawn(self, place: int, lines: Mapping[int, Line], colours: Mapping[int, tuple[int, int, int]], *, thickness: int = 1) -> Colour:
-        """Return a picture, enlarged where it is small, with both flanks of roots drawn over it."""
+        """Return a picture, enlarged where it is small, with both flanks of roots drawn over it.
+
+        Parameters
+        ----------
+        place : int
+            Number of the picture.
+        lines, colours : dict of Line, dict of tuple of int
+            Roots and their colours, by number.
+        thickness : int
+            Of the strokes, px.
+
+        Returns
+        -------
+        (H, W, 3) uint8 array
+            RGB.
+        """
         image, scale = _enlarged(self.picture(place))
         if not lines:
             return image
@@ -91,7 +106,24 @@ class Pictures(Cameras):
         return image
 
     def with_outline(self, place: int, mesh: Mesh, colour: tuple[int, int, int], *, thickness: int = 1) -> Colour:
-        """Return a picture, enlarged where it is small, with the outline of a surface drawn over it."""
+        """Return a picture, enlarged where it is small, with the outline of a surface drawn over it.
+
+        Parameters
+        ----------
+        place : int
+            Number of the picture.
+        mesh : Mesh
+            Canister frame.
+        colour : tuple of int
+            RGB.
+        thickness : int
+            Of the strokes, px.
+
+        Returns
+        -------
+        (H, W, 3) uint8 array
+            RGB.
+        """
         image, scale = _enlarged(self.picture(place))
         corners = scale * (self.pixels(place, mesh.vertices_mm)[mesh.faces] + 0.5) - 0.5
         seen = corners[np.isfinite(corners).all(axis=(1, 2))]

@@ -44,10 +44,8 @@ def check(
 
     Parameters
     ----------
-    rig : RigFile
-        Devices and where they are.
-    scene : Scene
-        Strip and camera, for what the pictures must show.
+    rig, scene : RigFile, Scene
+        Devices; strip and camera, for what the pictures must show.
     clock : Clock
         For the waits.
     open_camera : callable

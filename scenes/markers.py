@@ -40,7 +40,7 @@ def black_rectangles(dictionary: str, marker_id: int, *, left_mm: float, top_mm:
 
     Parameters
     ----------
-    dictionary, marker_id : str
+    dictionary, marker_id : str, int
         OpenCV's name of the dictionary, and which of its markers.
     left_mm, top_mm : float
         Upper left corner.

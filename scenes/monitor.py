@@ -77,7 +77,7 @@ class Monitor:
         ----------
         name : str
             What is done.
-        total, unit : int
+        total, unit : int, str
             How many steps, and of what.
 
         Yields

@@ -81,7 +81,7 @@ class OneBar(Monitor):
         ----------
         name : str
             The stage.
-        total, unit : int
+        total, unit : int, str
             How many steps, and of what.
 
         Returns

@@ -110,11 +110,6 @@ def measure_traits(
     mass_g : float or None
         Mass of the roots, if it was weighed.
 
-    Returns
-    -------
-    Traits
-        Every trait of `scenes.trait_table`; None where centre lines are needed and none are known.
-
     Raises
     ------
     ValueError

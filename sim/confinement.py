@@ -33,7 +33,7 @@ def bounds(specimen: GrownSpecimen, *, canister: Canister, net_pot: NetPot) -> B
     ----------
     specimen : GrownSpecimen
         With its margins.
-    canister, net_pot : Canister
+    canister, net_pot : Canister, NetPot
         What the water lies between.
 
     Returns

@@ -302,7 +302,7 @@ def sway(scene: mi.Scene, hanging: Sequence[Hanging], tip_mm: tuple[float, float
         As `build` made it.
     hanging : sequence of Hanging
         What hangs, as it is at rest.
-    tip_mm : tuple[float, float]
+    tip_mm : tuple of float
         How far aside the lowest tip is, x and y.
     twist_deg : float
         How far it is turned about the z axis.

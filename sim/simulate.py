@@ -63,11 +63,6 @@ def simulate(
     monitor : Monitor, type of tqdm, callable or None
         Hears of every view, and may stop the work; what is finished stays and is taken up by the next run.
 
-    Returns
-    -------
-    Dataset
-        The finished dataset.
-
     Raises
     ------
     CannotContinueError

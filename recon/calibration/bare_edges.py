@@ -59,7 +59,20 @@ def _runs(bright: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def find_edges(stack: Stack, bare: NDArray[np.float32]) -> tuple[Edges, float]:
-    """Find the canister's outer edges in every view, and where the water is; with how well the width is known, px."""
+    """Find the canister's outer edges in every view, and where the water is; with how well the width is known, px.
+
+    Parameters
+    ----------
+    stack : (V, H, W) uint8 or uint16 array
+        Pictures.
+    bare : (H, W) float32 array
+        The empty panel.
+
+    Returns
+    -------
+    Edges, float
+        The edges, and how well the width is known, px.
+    """
     height, width = bare.shape
     panel = float(np.quantile(bare, 0.95))  # lights and their reflections cover less than the rest
     profile = np.median(bare[height // 4 : 3 * height // 4], axis=0)

@@ -63,8 +63,6 @@ class MarkerFit:
     """(8, 8), from the residual picture."""
     blur_px: float
     """Standard deviation of the blur, the pixel's own (0.29) included."""
-    correlation: float
-    """Between the picture and the fitted pattern."""
     bend: float = 0.0
     """By how much greys half-way between the marker's black and white are brighter than half-way, as a share of the
     contrast.
@@ -129,7 +127,6 @@ def fit_marker(
         corners_px=corners * window.scale_px + window.centre_px,
         covariance_px2=corners_from_h @ covariance[:8, :8] @ corners_from_h.T * window.scale_px**2,
         blur_px=blur * window.scale_px,
-        correlation=correlation,
         bend=bend,
     )
 

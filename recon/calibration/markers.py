@@ -50,8 +50,6 @@ class Markers:
     """(M,) as in `MarkerFit`; None where corners were not measured."""
     blur_px: Array | None = None
     """(M,) blur of the markers, the pixel's own included."""
-    blurred: int = 0
-    """Markers that were named, but whose corners could not be measured, and which are left out."""
     foreign: tuple[int, ...] = ()
     """Ids of the dictionary that the strip does not have, of markers as large as the strip's in this picture."""
     diagnosis: str | None = None
@@ -113,7 +111,6 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         return Markers(
             ids=np.zeros(0, np.int64),
             corners_px=np.zeros((0, 4, 2)),
-            blurred=len(ids),
             diagnosis=_why_none(image, strip, blurred=len(ids), foreign=foreign),
         )
     return Markers(
@@ -122,7 +119,6 @@ def detect_markers(image: Picture, strip: MarkerStrip, *, measure: bool = True) 
         covariance_px2=np.stack([fit.covariance_px2 for fit in found.values()]),
         bend=np.array([fit.bend for fit in found.values()]),
         blur_px=np.array([fit.blur_px for fit in found.values()]),
-        blurred=len(ids) - len(found),
         foreign=tuple(foreign),
     )
 

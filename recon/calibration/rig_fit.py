@@ -67,12 +67,12 @@ class Rig:
     """(R, 2) standard deviation of ``own`` on each axis: rad and mm."""
 
     def rig_pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` of a view without its own movement."""
+        """Return ``cam_from_canister`` (4, 4) of a view without its own movement."""
         turned = frames.rotation_z(float(self.angle_rad[view])) @ self.table_from_canister
         return np.asarray(self.cam_from_rig[self.ring[view]] @ turned)
 
     def pose(self, view: int) -> Array:
-        """Return ``cam_from_canister`` of a view."""
+        """Return ``cam_from_canister`` (4, 4) of a view."""
         return np.asarray(self.own[view] @ self.rig_pose(view))
 
 

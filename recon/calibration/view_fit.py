@@ -100,12 +100,21 @@ def linearise(
 
     Parameters
     ----------
+    seen : Sightings
+        Corners and their places on the strip.
+    cam_from_canister : (4, 4) array
+        The pose.
     inset_px : float
         How much larger on each side the markers' images are than they should be (shared by all pictures).
     focal_scale : float
         Factor on the camera's focal lengths (shared by all pictures).
     scale : float
         Factor on the corners' standard deviations.
+
+    Returns
+    -------
+    Linearised
+        Residuals, Jacobian and weights.
     """
     count, camera = len(seen.px), seen.camera.focused(focal_scale)
     cam = frames.apply(cam_from_canister, seen.points_mm.reshape(-1, 3))
@@ -132,11 +141,7 @@ def linearise(
 
 
 def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
-    """Return ``cam_from_canister`` from one picture alone, or None where there is no solution.
-
-    SQPNP (Terzakis & Lourakis 2020) starts it; where its residuals are large, RANSAC does; Gauss-Newton over the
-    corners ends it. ``polish`` weighs the corners by their covariance and lets outliers go.
-    """
+    """Return ``cam_from_canister`` (4, 4) from one picture alone, or None where there is no solution."""
     points, px = seen.points_mm.reshape(-1, 3), seen.px.reshape(-1, 2)
     camera, lens = matrix(seen.camera), np.array(seen.camera.distortion)
     ok, rotvec, shift = cv2.solvePnP(points, px, camera, lens, flags=cv2.SOLVEPNP_SQPNP)

@@ -263,7 +263,7 @@ def _smooth_surface(background: Image, inside: Mask, sure: Mask, settings: Cover
 
 
 def bright_enough(background: Image, inside: Mask, settings: CoverageSettings = CoverageSettings()) -> Mask:
-    """Return the pixels of ``inside`` whose background is bright enough to tell root from none."""
+    """Return the pixels (H, W) of ``inside`` whose background (H, W) is bright enough to tell root from none."""
     if not inside.any():
         return inside
     return inside & (background > settings.dim * np.quantile(background[inside], _BRIGHT))

@@ -145,11 +145,7 @@ def above_noise(opacity: Image, seen: Mask, settings: CoverageSettings = Coverag
 
 
 def thesis(image: Image, seen: Mask) -> Silhouette:
-    """Silhouette of T3.4.2: Otsu's threshold, joined with hysteresis on Sobel edges, then opened.
-
-    Otsu's threshold and the hysteresis levels are those of the seen part of the picture (the thesis gives no numbers;
-    the high level is Otsu's threshold of the edge strength and the low level half of it).
-    """
+    """Return the silhouette (H, W) of T3.4.2: Otsu's threshold, joined with hysteresis on Sobel edges, then opened."""
     if not seen.any():
         return Silhouette(np.zeros(image.shape, np.float32), seen)
     dark = image < filters.threshold_otsu(image[seen])
@@ -175,7 +171,7 @@ _LEVELS = outline_level(np.linspace(0.0, 1.0, 1025))
 """`outline_level`, tabulated."""
 
 
-def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
+def signed_distance(silhouette: Silhouette) -> Image:
     """Return the signed distance to the outline in pixels, positive inside, (2 H, 2 W) on the half-pixel grid.
 
     Where the picture says nothing, and within a pixel of it, the value is `UNSEEN_PX`; elsewhere the unseen counts as
@@ -185,8 +181,8 @@ def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
     blurred = cv2.GaussianBlur(silhouette.coverage, (0, 0), _BLUR_PX)
     fine = cv2.resize(blurred, size, interpolation=cv2.INTER_CUBIC)
     peak = cv2.dilate(fine, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
-    level = np.maximum(_LEVELS[np.clip(peak * 1024.0, 0, 1024).astype(np.int32)], floor * 0.5)
-    level[peak < floor] = 1.0
+    level = np.maximum(_LEVELS[np.clip(peak * 1024.0, 0, 1024).astype(np.int32)], _FLOOR * 0.5)
+    level[peak < _FLOOR] = 1.0
     value = fine - level
     unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     value[unseen] = 1.0
@@ -196,11 +192,7 @@ def signed_distance(silhouette: Silhouette, *, floor: float = _FLOOR) -> Image:
 
 
 def level_distance(value: Image) -> Image:
-    """Return the signed distance (in samples) to the zero level of a picture, exact to first order beside it.
-
-    Beside the outline the distance is that to the plane through the linearly interpolated crossings,
-    ``1 / sqrt(1 / ax^2 + 1 / ay^2)``; farther away it is carried over from the nearest sample beside the outline.
-    """
+    """Return the signed distance (H, W), in samples, to a picture's zero level, exact to first order beside it."""
     inside = value > 0
     if inside.all() or not inside.any():
         return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)

@@ -210,7 +210,24 @@ def _bubbles(dark: Image, views: Image, least: float) -> Mask:
 
 
 def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[Image, Mask]:
-    """Return a picture's opacity (H, W) without the films, and where it is not hidden by bubbles."""
+    """Return a picture's opacity (H, W) without the films, and where it is not hidden by bubbles.
+
+    Parameters
+    ----------
+    opacity : (H, W) float32 array
+        Of the picture.
+    seen : (H, W) bool array
+        Where it tells anything.
+    where : Crossings
+        Where its pixels cross the wall.
+    wall : Wall
+        Films and bubbles.
+
+    Returns
+    -------
+    (H, W) float32 array, (H, W) bool array
+        Opacity and where it tells anything.
+    """
     film = sum(look_up(wall.film, where.column[side], where.row[side]) for side in (0, 1))
     bubble = sum(look_up(wall.bubbles.astype(np.float32), where.column[side], where.row[side]) for side in (0, 1))
     free = 1.0 - (1.0 - opacity) * np.exp(film)

@@ -108,13 +108,41 @@ def least_votes(count: int) -> int:
 
 
 def look(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, active: Bool) -> tuple[projection.Projected, Float, Bool]:
-    """Project points into a view and read its distance map: (projection, distance in px, whether the picture tells)."""
+    """Project points into a view and read its distance map.
+
+    Parameters
+    ----------
+    bank : ViewBank
+        Views.
+    maps : DistanceMaps
+        Of the same views.
+    view, point, active : UInt32, Point3f, Bool
+        Number of the view and point, a lane each, and lanes that count.
+
+    Returns
+    -------
+    Projected, mi.Float, mi.Bool
+        The projection, the distance in px, and whether the picture tells.
+    """
     p = projection.project(bank, view, point, active)
     return p, *read(maps, view, p.px, p.seen)
 
 
 def read(maps: DistanceMaps, view: UInt32, px: Vector2f, active: Bool) -> tuple[Float, Bool]:
-    """Read a view's distance map: (distance in px, whether the picture tells)."""
+    """Read a view's distance map.
+
+    Parameters
+    ----------
+    maps : DistanceMaps
+        Of all views.
+    view, px, active : UInt32, Vector2f, Bool
+        Number of the view and pixel, a lane each, and lanes that count.
+
+    Returns
+    -------
+    mi.Float, mi.Bool
+        The distance in px, and whether the picture tells.
+    """
     seen = active & maps.holds(px)
     distance = maps.at(view, px, seen)
     return distance, seen & (distance < TELLS_PX)

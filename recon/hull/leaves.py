@@ -26,7 +26,7 @@ class Grid:
 
     @staticmethod
     def over(low_mm: Array, high_mm: Array, size_mm: float) -> Grid:
-        """Cover a box with a lattice whose planes x = 0 and y = 0 are node faces."""
+        """Cover a box between two corners (3,) with a lattice whose planes x = 0 and y = 0 are node faces."""
         levels = max(0, int(np.floor(np.log2(_COARSEST_MM / size_mm))))
         coarse = size_mm * 2**levels
         first = np.floor(np.asarray(low_mm) / coarse)
@@ -61,7 +61,7 @@ class Leaves:
         return np.asarray(self.occupancy.astype(np.float64) * self.size.astype(np.float64) ** 3)
 
     def some(self, chosen: NDArray[np.generic] | slice) -> Leaves:
-        """Return those that a mask, numbers or a slice choose."""
+        """Return those that a mask (N,), numbers (M,) or a slice choose."""
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
 
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:

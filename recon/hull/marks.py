@@ -46,8 +46,22 @@ class Marks:
     scale: Float
     """mi.Float, ... and px per mm in that view."""
 
-    def again(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
-        """Hear one more view of nodes that none has found empty yet."""
+    def add_view(self, distance: Float, seen: Bool, clear: Bool, reach: Float, slack_px: Float, px_per_mm: Float) -> None:
+        """Add one more view of nodes that none has found empty yet.
+
+        Parameters
+        ----------
+        distance, seen : Float, Bool
+            In px, and whether the view tells it.
+        clear : Bool
+            Whether the whole node lies clear of where the view is blind.
+        reach : Float
+            Half of the node's picture, px.
+        slack_px : Float
+            Uncertainty of outlines.
+        px_per_mm : Float
+            At the node.
+        """
         open_ = ~self.empty
         seen &= open_
         self.partial |= seen & (distance < reach + slack_px)
@@ -93,7 +107,7 @@ def mark_nodes(
         for part, mark in zip(parts, marks, strict=True):
             px = p.px + mi.Vector2f(dr.dot(p.du, part), dr.dot(p.dv, part))
             distance, seen = distance_maps.read(maps, view, px, p.seen & ~mark.empty)
-            mark.again(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
+            mark.add_view(distance, seen, p.clear_mm > 1.5 * half_mm + dr.norm(part), reach, slack_px, px_per_mm)
             if ignore_blindness:
                 mark.empty |= ~seen
         return view + 1, marks
@@ -122,6 +136,24 @@ def partly_seen(bank: ViewBank, maps: DistanceMaps, point: Point3f, half_mm: Flo
     """Tell which nodes have a corner that enough views see, though too few see the centre.
 
     The edge of the blind zone cuts them.
+
+    Parameters
+    ----------
+    bank, maps : ViewBank, DistanceMaps
+        Views and their distance maps.
+    point : mi.Point3f
+        Centres of the nodes.
+    half_mm : Float
+        Half of the nodes' edge.
+    asked : Bool
+        Nodes to look at.
+    min_votes : int
+        Views that are enough.
+
+    Returns
+    -------
+    mi.Bool
+        False for nodes not asked.
     """
     result = dr.zeros(mi.Bool, dr.width(point))
     chosen = dr.compress(asked)

@@ -147,7 +147,7 @@ def _across(points: Array) -> Array:
 
 
 def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> Spheres:
-    """Move points across their curve to where the largest spheres fit into all silhouettes; return these."""
+    """Move points (N, 3) across their curve to where the largest spheres fit into all silhouettes; return these."""
     if not len(points):
         return Spheres(points, np.zeros(0))
     everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))

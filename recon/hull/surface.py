@@ -45,7 +45,17 @@ def to_voxels(leaves: Leaves, units: int) -> tuple[NDArray[np.int32], NDArray[np
 
 
 def paint(volume: NDArray[np.float32], index: NDArray[np.int32], size: NDArray[np.int32], occupancy: NDArray[np.float32]) -> None:
-    """Write leaves into a dense block, clipped to it; one vectorised write a leaf size."""
+    """Write leaves into a dense block, clipped to it; one vectorised write a leaf size.
+
+    Parameters
+    ----------
+    volume : (X, Y, Z) float32 array
+        The block, written into.
+    index, size : (N, 3), (N,) int32 array
+        Lowest cell and edge of each leaf, in cells of the block.
+    occupancy : (N,) float32 array
+        What is written.
+    """
     for edge in np.unique(size):
         chosen = size == edge
         offset = np.stack(np.meshgrid(*[np.arange(edge)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -87,6 +97,22 @@ def surface(
     """Return the surface at half occupancy as a closed mesh in the canister frame, mm.
 
     Marching cubes, brick by brick.
+
+    Parameters
+    ----------
+    index, size : (N, 3), (N,) int32 array
+        Lowest voxel and edge of each leaf, in voxels.
+    occupancy : (N,) float32 array
+        0 to 1.
+    origin_mm : (3,) array
+        Of voxel 0, canister frame.
+    voxel_mm : float
+        Edge of a voxel.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Without vertices where nothing is at least half full.
     """
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     for corner, block in _bricks(index, size, occupancy):

@@ -134,7 +134,20 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
 
 
 def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
-    """Return how far (...) lines run, horizontally, from the canister's outer wall to the inside of a tank's back."""
+    """Return how far (...) lines run, horizontally, from the canister's outer wall to the inside of a tank's back.
+
+    Parameters
+    ----------
+    view, optics : View, Optics
+        Camera, and the tank that is looked through.
+    near, line : Approach, refraction.WaterLine
+        Lines of sight before the canister and in the water.
+
+    Returns
+    -------
+    (...) array
+        mm.
+    """
     at = through_tank(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
     heading = 2.0 * line.heading_rad - near.heading_rad  # the way out is the way in, mirrored

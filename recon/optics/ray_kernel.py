@@ -101,7 +101,24 @@ def by_tank_rays(ray: Ray, line: window.Line, at: tuple[Float, Float, Float]) ->
 
 
 def follow(o: Optics, n_w: Float, near: Near, at: tuple[Float, Float, Float], b: Float, p: Float) -> Ray:
-    """Follow rays through wall and water to points in the azimuth frame."""
+    """Follow rays through wall and water to points in the azimuth frame.
+
+    Parameters
+    ----------
+    o, n_w : Optics, Float
+        Walls, and the water's index, which may differ from lane to lane.
+    near : Near
+        Rays at the outer wall.
+    at : (3,) mi.Float
+        The points, mm.
+    b, p : Float
+        Impact parameter in air and p_z.
+
+    Returns
+    -------
+    Ray
+        Misses of the points with derivatives by b and p.
+    """
     x, y, z = at
     r_o, r_i = o.outer_radius_mm, o.inner_radius_mm
     p2 = p * p
@@ -158,7 +175,22 @@ def pixel_in_open(parameter: list[Float], b: Float, p: Float, ray: Ray) -> Pixel
 
 
 def through_lens(parameter: list[Float], direction: tuple[Float, ...], by_1: tuple[Float, ...], by_2: tuple[Float, ...]) -> Pixel:
-    """Return the pixels of directions before the camera's turn, whose derivatives by two unknowns are given."""
+    """Return the pixels of directions before the camera's turn, whose derivatives by two unknowns are given.
+
+    Parameters
+    ----------
+    parameter : list of mi.Float
+        Of the camera, as `ViewBank` packs it.
+    direction : (3,) mi.Float
+        Any length.
+    by_1, by_2 : (3,) mi.Float
+        Its derivatives.
+
+    Returns
+    -------
+    Pixel
+        px, with derivatives by both.
+    """
     r = parameter[:9]
     (cx, cy, cz), (cx_b, cy_b, cz_b), (cx_p, cy_p, cz_p) = (
         [r[3 * i] * d[0] + r[3 * i + 1] * d[1] + r[3 * i + 2] * d[2] for i in range(3)] for d in (direction, by_1, by_2)

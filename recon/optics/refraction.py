@@ -29,6 +29,10 @@ _NEWTON_STEPS = 12
 _START = 0.9
 """Share of the largest impact parameter that Newton's steps begin within: farther out the first one may leave the
 range."""
+_SCANNED = 96
+"""Steps of `images`' scan; pairs of images that lie within one are found by `_near_fold`."""
+_MOST_IMAGES = 3
+"""A point has two images in the marginal zone beyond 0.75 of the radius, elsewhere one; one more would be seen."""
 _CLOSE_MM = 1e-7
 """Newton's steps end where every ray passes its point this near: far below the 3e-4 mm that the fast kernel asks
 for."""
@@ -109,12 +113,25 @@ def within(optics: Optics, approach: Approach, share: float = 1.0) -> Approach:
 
 
 def inside(optics: Optics, approach: Approach, share: float = 1.0) -> NDArray[np.bool_]:
-    """Tell which lines pass within a share of the water's width."""
+    """Tell which lines (...) pass within a share of the water's width."""
     return np.asarray(np.abs(approach.b_mm) < share * reach_mm(optics, approach.p_z))
 
 
 def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z: Array) -> Approach:
-    """Return rays that come through the air from a camera at (rho, 0, z_cam)."""
+    """Return rays (...) that come through the air from a camera at (rho, 0, z_cam).
+
+    Parameters
+    ----------
+    rho_mm, z_cam_mm : (...) array or float
+        Place of the camera.
+    b_mm, p_z : (...) array
+        Impact parameter and rise of the rays.
+
+    Returns
+    -------
+    Approach
+        Where they meet the canister's outside.
+    """
     climb = p_z / np.sqrt(1.0 - p_z**2)
     foot_z = z_cam_mm + climb * np.sqrt(rho_mm**2 - b_mm**2)
     return Approach(b_mm=b_mm, p_z=p_z, heading_rad=np.pi - np.arcsin(b_mm / rho_mm), foot_z_mm=foot_z)
@@ -177,7 +194,7 @@ def follow(optics: Optics, approach: Approach) -> WaterLine:
 
 
 def enters(optics: Optics, line: WaterLine) -> NDArray[np.bool_]:
-    """Tell which lines enter the water through the wall."""
+    """Tell which lines (...) enter the water through the wall."""
     with np.errstate(invalid="ignore"):
         inside = (line.entry_z_mm < optics.water_z_mm) & (line.entry_z_mm > optics.floor_z_mm) & (line.outer_z_mm > optics.bottom_z_mm)
         inside &= np.isfinite(line.heading_rad)
@@ -230,9 +247,7 @@ def _side(optics: Optics, rho: float, z_cam: float, w: Array, points: Array) -> 
     return np.sum(points[..., :2] * line.nu, axis=-1) - line.b_mm, p_z
 
 
-def images(
-    optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array, *, samples: int = 96, max_images: int = 3
-) -> tuple[Array, Array, NDArray[np.int64]]:
+def images(optics: Optics, rho_mm: float, z_cam_mm: float, points_mm: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     """Find every image of water points in one camera: all rays that reach them (brute scan of w, then bisection).
 
     Parameters
@@ -242,15 +257,15 @@ def images(
 
     Returns
     -------
-    w, p_z : (N, max_images) float64 array
+    w, p_z : (N, 3) float64 array
         NaN where there are fewer images; ordered by w.
     count : (N,) int64 array
         Number of images.
     """
     n = len(points_mm)
-    grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, samples + 1)) * optics.w_limit
-    at = np.repeat(points_mm[:, None, :], samples + 1, axis=1)
-    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, samples + 1)), at)[0]
+    grid = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _SCANNED + 1)) * optics.w_limit
+    at = np.repeat(points_mm[:, None, :], len(grid), axis=1)
+    f = _side(optics, rho_mm, z_cam_mm, np.broadcast_to(grid, (n, len(grid))), at)[0]
     row, cell = np.nonzero(np.signbit(f[:, :-1]) != np.signbit(f[:, 1:]))
     low, high = grid[cell], grid[cell + 1]
     f_low = f[row, cell]
@@ -265,10 +280,10 @@ def images(
         f_mid, p_z = _side(optics, rho_mm, z_cam_mm, middle, points_mm[row])
         same = np.signbit(f_mid) == np.signbit(f_low)
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    found_w = np.full((n, max_images), np.nan)
-    found_p = np.full((n, max_images), np.nan)
+    found_w = np.full((n, _MOST_IMAGES), np.nan)
+    found_p = np.full((n, _MOST_IMAGES), np.nan)
     rank = np.arange(len(row)) - np.searchsorted(row, row, side="left")
-    keep = rank < max_images
+    keep = rank < _MOST_IMAGES
     line = trace(optics, rho_mm, z_cam_mm, 0.5 * (low + high), p_z)
     keep &= enters(optics, line)
     found_w[row[keep], rank[keep]] = 0.5 * (low + high)[keep]
@@ -330,7 +345,22 @@ def _near_fold(
 
 
 def direction_in_air(rho_mm: float, outer_radius_mm: float, w: Array, p_z: Array) -> Array:
-    """Return the unit directions (..., 3) of camera rays in the azimuth frame from their invariants."""
+    """Return the unit directions (..., 3) of camera rays in the azimuth frame from their invariants.
+
+    Parameters
+    ----------
+    rho_mm : float
+        Distance of the camera from the axis.
+    outer_radius_mm : float
+        Of the canister.
+    w, p_z : (...) array
+        Impact parameter over the radius, and rise.
+
+    Returns
+    -------
+    (..., 3) array
+        Unit vectors.
+    """
     h_a = np.sqrt(1.0 - p_z**2)
     d_y = w * outer_radius_mm * h_a / rho_mm
     return np.stack([-np.sqrt(h_a**2 - d_y**2), d_y, p_z], axis=-1)

@@ -108,7 +108,7 @@ def approach(at: TankView, q_y: Array, q_z: Array) -> tuple[Approach, NDArray[np
 
 
 def trace(at: TankView, q_y: Array, q_z: Array) -> tuple[WaterLine, NDArray[np.bool_]]:
-    """Follow camera rays through the tank into the water: the lines there, and which enter it by front and wall."""
+    """Follow camera rays (...) through the tank into the water: lines there, and which enter it by front and wall."""
     line, through = approach(at, q_y, q_z)
     with np.errstate(invalid="ignore"):
         water = refraction.follow(at.optics, line)

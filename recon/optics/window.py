@@ -73,7 +73,22 @@ def straight(tank: Tank, at: Place, point: Point3f) -> Pair:
 
 
 def line(tank: Tank, at: Place, q_y: Float, q_z: Float, *, bottom_z_mm: float) -> Line:
-    """Follow rays through the front."""
+    """Follow rays through the front.
+
+    Parameters
+    ----------
+    tank, at : Tank, Place
+        The tank, and how it stands to the camera.
+    q_y, q_z : Float
+        Sideways components of the ray in air, tank's frame.
+    bottom_z_mm : float
+        Underside of the canister.
+
+    Returns
+    -------
+    Line
+        Lines in the tank's liquid with derivatives by q_y and q_z.
+    """
     n, q = tank.n_liquid, (q_y, q_z)
     q2 = q_y * q_y + q_z * q_z
     ia_air, ia_wall = dr.rsqrt(1 - q2), dr.rsqrt(tank.n_wall**2 - q2)

@@ -35,6 +35,17 @@ class Shape:
 def measure(shape: Shape, planted: Planted, plants: Sequence[Plant], whole: Subject) -> tuple[OfPlant, ...]:
     """Divide a shape among plants: every part of it is of the plant whose root's skin is nearest.
 
+    Parameters
+    ----------
+    shape : Shape
+        Voxels, surface and volume.
+    planted : Planted
+        Roots with their plants.
+    plants : sequence of Plant
+        In the scene.
+    whole : Subject
+        What the pot has in common.
+
     Returns
     -------
     tuple of OfPlant

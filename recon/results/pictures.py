@@ -29,19 +29,21 @@ TRUTH_RGB = (0.42, 0.62, 0.80)
 """Blue: told from ochre by everybody."""
 UNSEEN_RGB = np.array([0.85, 0.35, 0.45])
 """Red, over grey pictures."""
+_VIEWS_SHOWN = 4
+"""Beside each other on a page's width."""
 SHRINK = 2
 """Renderings are made this much finer than shown, then averaged."""
 PANEL_PX = 640
 """Height of a rendering."""
 
 
-def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset, *, count: int = 4) -> Figure | None:
+def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
     """Draw a few views, evenly over the scan: the picture above its silhouette, what says nothing tinted red."""
     used = [view for view in summary["views"] if view["used"]]
     used = [view for view in used if picture_path(result_folder / "silhouettes", view["file"]).is_file()]
     if not used:
         return None
-    chosen = [used[i] for i in np.unique(np.linspace(0, len(used), min(count, len(used)), endpoint=False).astype(int))]
+    chosen = [used[i] for i in np.unique(np.linspace(0, len(used), min(_VIEWS_SHOWN, len(used)), endpoint=False).astype(int))]
     width, height = dataset.scene.camera.image_wh
     drawn = figure(3.6 * len(chosen), 7.2 * height / width + 0.9)
     axes = drawn.subplots(2, len(chosen), squeeze=False)
@@ -189,7 +191,7 @@ def _canister_outline(axes: Axes, scene: Scene) -> None:
     )
 
 
-def shape_near(shape: Mesh, scene: Scene, *, title: str = "") -> Figure:
+def shape_near(shape: Mesh, scene: Scene, *, title: str) -> Figure:
     """Draw the shape close up, from the front and from the side, to one scale in mm."""
     sides = (shading.FRONT, shading.SIDE)
     boxes = [_box(shape.vertices_mm, side) for side in sides]
@@ -217,10 +219,24 @@ def shape_close_up(shape: Mesh) -> Figure:
     return drawn
 
 
-def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str = "") -> Figure:
+def shape_and_truth(shape: Mesh, truth: Mesh, scene: Scene, *, title: str) -> Figure:
     """Draw the shape, the truth and the distance between them, from two sides.
 
     The upper row is from the front, the lower one from the side, close up.
+
+    Parameters
+    ----------
+    shape, truth : Mesh
+        In the canister frame.
+    scene : Scene
+        Canister and net pot, drawn behind.
+    title : str
+        Above the picture.
+
+    Returns
+    -------
+    Figure
+        Two rows of two pictures.
     """
     points = np.concatenate([shape.vertices_mm, truth.vertices_mm])
     sides = (shading.FRONT, shading.SIDE)
@@ -290,6 +306,20 @@ def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: 
     """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing.
 
     One point a pixel of the picture.
+
+    Parameters
+    ----------
+    found : shading.Raster
+        The shape as it is drawn.
+    side, box, px_mm : shading.Side, Box, float
+        From where, what part, and the edge of a pixel.
+    truth : Mesh
+        What the distance is to.
+
+    Returns
+    -------
+    (H, W) array
+        mm.
     """
     row, column = np.nonzero(found.hit)
     _, first, number = np.unique((row // SHRINK) * found.hit.shape[1] + column // SHRINK, return_index=True, return_inverse=True)

@@ -47,7 +47,7 @@ Triple = tuple[float, float, float]
 
 
 def triple(values: NDArray[np.float64]) -> Triple:
-    """Return three numbers as a tuple."""
+    """Return three numbers (3,) as a tuple."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 

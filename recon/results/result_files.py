@@ -178,7 +178,17 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
 
 
 def check_same_scan(dataset_sha256: str, scene: str, where: Path | str, dataset: Dataset) -> None:
-    """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells."""
+    """Raise a UserError where a result was not made from this dataset, as the hash of its manifest tells.
+
+    Parameters
+    ----------
+    dataset_sha256, scene : str
+        What the result says.
+    where : Path or str
+        Of the result, for the message.
+    dataset : Dataset
+        What is to be shown or scored with it.
+    """
     if dataset_sha256 != dataset.sha256:
         raise UserError(
             f"{where} was not reconstructed from {dataset.folder} as it is now (its scene was {scene!r}); "

@@ -68,7 +68,22 @@ def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
 
 
 def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a ``result.json`` with its surface and roots; without a mass, with its own."""
+    """Measure the traits of a ``result.json`` with its surface and roots; without a mass, with its own.
+
+    Parameters
+    ----------
+    summary : Json
+        ``result.json``.
+    surface, roots : Mesh, sequence of Root
+        Of the same result.
+    mass_g : float or None
+        Mass of the roots; None: the summary's own.
+
+    Returns
+    -------
+    Traits
+        Of the whole pot.
+    """
     return of_shape(
         surface,
         roots,

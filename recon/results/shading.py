@@ -29,7 +29,7 @@ class Side:
 
     @property
     def axes(self) -> Floats:
-        """Rows: right, up, towards the eye."""
+        """(3, 3) rows: right, up, towards the eye."""
         return np.array([self.right, self.up, np.cross(self.right, self.up)])
 
 
@@ -141,6 +141,24 @@ def shade(
     Light falls from the upper left; hollows behind nearer parts are darkened, far parts fade a little towards white.
     ``colour`` is one RGB or one a pixel (H, W, 3); with ``flat`` there is little shading and no fading, so that colours
     that carry numbers can be read.
+
+    Parameters
+    ----------
+    raster : Raster
+        What is met, where and how deep.
+    colour : (3,) or (H, W, 3) array
+        One RGB, or one a pixel.
+    px_mm : float
+        Edge of a pixel.
+    shrink : int
+        Pixels that are averaged, each way.
+    flat : bool
+        Little shading and no fading, so that colours can be read.
+
+    Returns
+    -------
+    (H / shrink, W / shrink, 4) array
+        0 to 1.
     """
     light = np.array([-0.45, 0.65, 0.75], np.float32)
     light /= np.linalg.norm(light)

@@ -13,14 +13,44 @@ _SMALL_CLASS = 0.02
 
 
 def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> Floats:
-    """Return ``count`` points (count, 3) in mm, evenly distributed over the area of a mesh (V, 3), (F, 3)."""
+    """Return ``count`` points (count, 3) in mm, evenly distributed over the area of a mesh (V, 3), (F, 3).
+
+    Parameters
+    ----------
+    vertices_mm, faces : (V, 3), (F, 3) array
+        The mesh.
+    count : int
+        How many points.
+    rng : np.random.Generator
+        Draws them.
+
+    Returns
+    -------
+    (count, 3) array
+        mm.
+    """
     return sample_faces(vertices_mm, faces, count=count, rng=rng)[0]
 
 
 def sample_faces(
     vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the same points, and the face (count,) that each lies on."""
+    """Return the same points, and the face (count,) that each lies on.
+
+    Parameters
+    ----------
+    vertices_mm, faces : (V, 3), (F, 3) array
+        The mesh.
+    count : int
+        How many points.
+    rng : np.random.Generator
+        Draws them.
+
+    Returns
+    -------
+    (count, 3), (count,) arrays
+        Points in mm, and their faces.
+    """
     a, b, c = (np.asarray(vertices_mm, np.float64)[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if not len(faces) or not area.sum() > 0.0:
@@ -40,6 +70,18 @@ def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Float
     Ericson, Real-Time Collision Detection (2005), 5.1.5.
 
     Equal to the smallest of the distances to the three edges, and to the plane where the foot lies inside.
+
+    Parameters
+    ----------
+    p : (N, 3) array
+        Points.
+    a, b, c : (N, 3) array
+        Corners of each one's triangle.
+
+    Returns
+    -------
+    (N,) array
+        In the unit of the points.
     """
 
     def to_edge(start: Floats, end: Floats) -> Floats:

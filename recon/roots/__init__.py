@@ -1,4 +1,4 @@
 """From coverage to a tree of tubes and one solid.
 
-Density, tracing, linking, ghosts, thick organs, and parent assignment.
+Density, tracing, linking, ghosts, taproot and hypocotyl, and parent assignment.
 """

@@ -76,7 +76,7 @@ class Cells:
         return np.asarray(ndimage.label(block, np.ones((3, 3, 3)))[0][at], np.int64)
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
-        """Return some of the cells, by mask or number."""
+        """Return some of the cells, by mask (N,) or number (M,)."""
         return replace(self, index=self.index[which], shadow_mm2=self.shadow_mm2[which])
 
 
@@ -99,7 +99,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     Parameters
     ----------
     solid : Cells
-        Cells of thick organs, which cover all that is behind them.
+        Cells of taproot and hypocotyl, which cover all that is behind them.
 
     Returns
     -------
@@ -111,9 +111,9 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     number = np.arange(len(cells.index))
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
-    prints = Footprints.of(evidence, cells.centre_mm)
+    footprints = Footprints.of(evidence, cells.centre_mm)
     thick = [Footprints.of(evidence, solid.centre_mm)] if len(solid.index) else []
-    table = Table(prints, Windows.around(prints, *thick))
+    table = Table(footprints, Windows.around(footprints, *thick))
     every = range(evidence.bank.count)
     coverage = table.windows.cut(evidence, evidence.coverage)
     covered = dr.zeros(mi.Float, int(table.windows.begin[-1]))

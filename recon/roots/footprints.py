@@ -44,7 +44,7 @@ class Windows:
     @staticmethod
     def around(*several: Footprints) -> Windows:
         """Lay windows one after the other that hold all footprints, their four pixels each."""
-        bounds = [prints.bounds() for prints in several]
+        bounds = [footprints.bounds() for footprints in several]
         low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
         size = np.maximum(high - low + 2, 0)  # none where nothing is seen
         return Windows(low, size, np.concatenate([[0], np.cumsum(size.prod(axis=1))]))
@@ -126,23 +126,23 @@ class Footprints:
 class Table:
     """Footprints with the windows that they are looked up in."""
 
-    def __init__(self, prints: Footprints, windows: Windows) -> None:
-        self.prints, self.windows = prints, windows
+    def __init__(self, footprints: Footprints, windows: Windows) -> None:
+        self.footprints, self.windows = footprints, windows
         self._low = [numbers(windows.low[:, axis]) for axis in (0, 1)]
         self._width, self._begin = mi.UInt32(windows.size[:, 0].astype(np.uint32)), mi.UInt32(windows.begin.astype(np.uint32))
         dr.eval(self._low, self._width, self._begin)
 
     def chosen(self, kept: UInt32) -> Table:
         """Return those of some cells, by number (mi.UInt32)."""
-        return Table(self.prints.chosen(kept), self.windows)
+        return Table(self.footprints.chosen(kept), self.windows)
 
     def _at(self, view: UInt32) -> tuple[Float, Float, UInt32, UInt32, Float]:
         """Return column and row within the window, its begin and width, and the area, of all cells in a view."""
-        prints = self.prints
-        lane = view * dr.opaque(mi.UInt32, prints.count) + dr.arange(mi.UInt32, prints.count)
-        place, area = dr.gather(mi.UInt32, prints.place, lane), mi.Float(dr.gather(mi.Float16, prints.px2_a_mm2, lane))
+        footprints = self.footprints
+        lane = view * dr.opaque(mi.UInt32, footprints.count) + dr.arange(mi.UInt32, footprints.count)
+        place, area = dr.gather(mi.UInt32, footprints.place, lane), mi.Float(dr.gather(mi.Float16, footprints.px2_a_mm2, lane))
         u, v = (
-            mi.Float(steps) / prints.steps_a_px - dr.gather(mi.Float, low, view)
+            mi.Float(steps) / footprints.steps_a_px - dr.gather(mi.Float, low, view)
             for steps, low in zip((place & 0xFFFF, place >> 16), self._low, strict=True)
         )
         return u, v, dr.gather(mi.UInt32, self._begin, view), dr.gather(mi.UInt32, self._width, view), area
@@ -184,12 +184,12 @@ class Table:
             value = bilinear(pictures, begin - first, width, u, v, seen)
             return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
 
-        count = self.prints.count
+        count = self.footprints.count
         _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)
         return total / dr.maximum(votes, 1.0)
 
     def _loop(self, views: range, state: tuple[Kernel, ...], body: Callable[..., tuple[Kernel, ...]]) -> tuple[Kernel, ...]:
         end = dr.opaque(mi.UInt32, views.stop)
-        begin = dr.opaque(mi.UInt32, views.start, self.prints.count)
+        begin = dr.opaque(mi.UInt32, views.start, self.footprints.count)
         found: tuple[Kernel, ...] = dr.while_loop((begin, *state), lambda view, *_: view < end, body)
         return found

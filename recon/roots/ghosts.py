@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLANK_PX = 1.0
-"""The spheres that stand for thick organs are not as precise as tubes, nor is the end at the rim of
+"""The spheres that stand for taproot and hypocotyl are not as precise as tubes, nor is the end at the rim of
 sight: this much about them is theirs."""
 _EXPLAINED = 0.5
 """A branch ends where it explains less than this of what would be unexplained without it, where it covers: it is a
@@ -53,7 +53,7 @@ docs/decisions/tubes-for-thin-roots.md)."""
 def flanked(tubes: Tubes, organ: Mask) -> Mask:
     """Tell the nodes (N,) about which `FLANK_PX` more belong to them.
 
-    Thick organs, and the top, where the plant goes out of sight.
+    Taproot and hypocotyl, and the top, where the plant goes out of sight.
     """
     top = np.zeros(len(organ), bool)
     top[tubes.branches[0][0]] = True
@@ -166,7 +166,7 @@ def uncertain_ends(tubes: Tubes, visible: Array, proved: Proof, organ: Mask) -> 
     for (k, line), weak in zip(ends, evidence < _CERTAIN, strict=True):
         if weak and _length(tubes, line) < _LONG_MM:
             gone[line[1:]] = ~organ[line[1:]]
-        if _is_bulge(tubes, k, line):  # on thick organs too
+        if _is_bulge(tubes, k, line):  # on taproot and hypocotyl too
             gone[line[1:]] = True
     return gone
 

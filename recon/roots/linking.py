@@ -68,7 +68,7 @@ def link(tubes: Tubes, uncertain: Mask | None = None) -> tuple[Tubes, Mask]:
     Changes that are tried: a tip goes on in a branch that begins there; two tips meet, and one of their branches is
     turned round; a tip takes over what follows of a branch that it runs into, of which what came before ends there, or
     goes on in a third that begins there, or is dropped because it runs beside the first; a branch goes on in its child,
-    and what followed becomes the child. Whose lateral a root is, `hierarchy` settles at the end.
+    and what followed becomes the child. Its parent is assigned at the end (`hierarchy`).
 
     Parameters
     ----------

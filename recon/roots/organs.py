@@ -1,4 +1,4 @@
-"""Thick organs among the tubes.
+"""Taproot and hypocotyl among the tubes.
 
 Which of a tree's nodes they are, and the spheres of the trimmed hull that give their radii and axes.
 """
@@ -27,7 +27,7 @@ from rhizotwin.recon.tubes.tubes import SPACING_MM, Tubes
 Mask = NDArray[np.bool_]
 
 LEAST_PX = 3.0
-"""Roots of a larger radius are thick organs."""
+"""Roots of a larger radius are organs that the hull measures: taproot, hypocotyl, storage roots."""
 _TO_CORNER = 3.0**0.5
 """A solid's corner lies so many radii of its largest sphere from its centre, at most: that of a cube."""
 _GAP_NODES = 3
@@ -52,7 +52,7 @@ def thick(core: Cells, spheres: Spheres, least_mm: float) -> Cells:
 
 
 def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.bool_]:
-    """Tell where (V, H, W) thick organs lie in all pictures: what a picture shows there is explained by them.
+    """Tell where (V, H, W) taproot and hypocotyl lie in all pictures: what a picture shows there is explained by them.
 
     Parameters
     ----------
@@ -75,16 +75,25 @@ def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.b
 
 
 def thicken(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest sphere.
+    """Give the nodes of taproot and hypocotyl the radius of the nearest sphere.
 
     A branch that runs within the core for more than the organ's width is the organ itself; others only begin inside it.
+
+    Parameters
+    ----------
+    start : Tubes
+        As traced.
+    core, spheres : Cells, Spheres
+        Cells deep inside full coverage, and the largest spheres there.
+    near_mm : float
+        Within this of a core lies the whole organ.
 
     Returns
     -------
     tubes : Tubes
         With the organs' radii.
     buried : (N,) bool array
-        Nodes inside thick organs.
+        Nodes inside taproot and hypocotyl.
     organ : (N,) bool array
         Those of them that belong to the organ's own centre line.
     """
@@ -105,19 +114,26 @@ def thicken(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tupl
 
 
 def centred(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tuple[Tubes, Mask, Mask]:
-    """Give the nodes of thick organs the radius of the nearest sphere, and its centre sideways of the organ.
+    """Give the nodes of taproot and hypocotyl the radius of the nearest sphere, and its centre sideways of the organ.
 
     Where some pictures end at an organ, at the rim of sight, its core is torn, and the path through it strays towards
     the flank.
 
     Parameters
     ----------
+    start : Tubes
+        As traced.
     core : Cells
         Of organs only, as from `thick`.
+    spheres : Spheres
+        The largest in the core.
+    near_mm : float
+        Within this of a core lies the whole organ.
 
     Returns
     -------
-    As from `thicken`.
+    Tubes, (N,) bool array, (N,) bool array
+        As from `thicken`.
     """
     wide, buried, organ = thicken(start, core, spheres, near_mm)
     if not organ.any():

@@ -58,10 +58,10 @@ def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
     trees = [part for tree in trees for part in _divided(tree, at_mm)]
     owners = [_owner(tree, at_mm) for tree in trees]
     missing = tuple(plant.plant for k, plant in enumerate(plants) if k not in owners)
-    owners, doubtful = _nearest(trees, owners, at_mm)
+    owners, uncertain = _nearest(trees, owners, at_mm)
     made: list[Root] = []
     unsure: list[bool] = []
-    for tree, owner, is_open in zip(trees, owners, doubtful, strict=True):
+    for tree, owner, is_open in zip(trees, owners, uncertain, strict=True):
         arranged = hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots
         first = len(made)
         made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1, plant=plants[owner].plant) for root in arranged]
@@ -147,7 +147,7 @@ def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tupl
     for tree, owner in zip(trees, owners, strict=True):
         if owner >= 0:
             held[owner] += [root.points_mm for root in tree.roots]
-    found, doubtful = list(owners), [False] * len(trees)
+    found, uncertain = list(owners), [False] * len(trees)
     away = np.full((len(trees), len(at_mm)), np.inf)
     free = [k for k, owner in enumerate(owners) if owner < 0]
     reach = [cKDTree(np.concatenate(points)) for points in held]
@@ -158,11 +158,11 @@ def _nearest(trees: Sequence[Tree], owners: Sequence[int], at_mm: Array) -> tupl
         free.remove(k)
         found[k] = owner = int(np.argmin(away[k]))
         others = np.delete(away[k], owner)
-        doubtful[k] = bool(others.min() < _SURE * away[k, owner])
+        uncertain[k] = bool(others.min() < _SURE * away[k, owner])
         grown = cKDTree(np.concatenate([root.points_mm for root in trees[k].roots]))
         for other in free:  # what is torn off it hangs on it
             away[other, owner] = min(away[other, owner], float(grown.query(_ends(trees[other]))[0].min()))
-    return found, doubtful
+    return found, uncertain
 
 
 def _ends(tree: Tree) -> Array:

@@ -36,7 +36,7 @@ class Proof:
     """Its own squared coverage: what it explains where nothing else does."""
 
     def of(self, nodes: NDArray[np.bool_]) -> Proof:
-        """Return that of some of the nodes."""
+        """Return that of some of the nodes (N,)."""
         return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
 
 
@@ -51,6 +51,22 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference:
 
     With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the
     difference without the node is d + u c: it explains (d + u c)^2 - d^2.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What the pictures say.
+    tubes, at : Tubes, Nodes
+        The tree, and where its nodes lie in the pictures.
+    depth, difference : Float
+        Of the drawn tubes, as `tube_picture.compared` gives them.
+    blur_px : float
+        Of the pictures.
+
+    Returns
+    -------
+    Proof
+        (N,) for each of its fields.
     """
     cut = Sections.of(evidence, tubes, at)
     if cut is None:

@@ -80,9 +80,9 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     Parameters
     ----------
     organ : (N,) bool array
-        Nodes of thick organs.
+        Nodes of taproot and hypocotyl.
     cells : Cells
-        Search space, thick organs left out.
+        Search space, taproot and hypocotyl left out.
     px_a_mm : float
         Scale in the middle of the water.
     """

@@ -24,15 +24,15 @@ class RootTree:
 
     tubes: Tubes
     buried: Mask
-    """(N,) nodes within thick organs, whose shape the trimmed hull gives."""
+    """(N,) nodes within taproot or hypocotyl, whose shape the trimmed hull gives."""
     organ: Mask
-    """(N,) nodes that are thick organs: they are not fitted."""
+    """(N,) nodes of taproot and hypocotyl: they are not fitted."""
     solid: Mask
     """(N,) nodes in what no root explains: spheres, boxes and bulbs."""
     core_mm: Array
-    """(M, 3) points deep inside thick organs."""
+    """(M, 3) points deep inside taproot and hypocotyl."""
     margin_mm: float
-    """Within this of a core point lies the whole of a thick organ."""
+    """Within this of a core point lies the whole of a taproot or hypocotyl."""
     px_a_mm: float
     attenuation: TubeAttenuation
     """How much light roots let through, and how blurred the pictures are."""

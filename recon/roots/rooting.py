@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLANK_PX = 0.5
-"""About `CORE_PX` and this beyond a core point lies the flank of a thick organ."""
+"""About `CORE_PX` and this beyond a core point lies the flank of a taproot or hypocotyl."""
 _BEYOND_PX = 1.25
-"""Beyond `CORE_PX` about a core point, the rest of a thick organ's flank: half a pixel of outline, and its swelling."""
+"""Beyond `CORE_PX` about a core point, the rest of a taproot's flank: half a pixel of outline, and its swelling."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 """Standard deviations of blurs that are tried, beside the square pixel's own."""
 _BLUR_VIEWS = 24
@@ -115,7 +115,7 @@ def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, m
 def _first_fit(
     seen: Evidence, start: Tubes, core: Cells, spheres: Spheres, near_mm: float, px_a_mm: float
 ) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Fit the traced tubes beside the thick organs.
+    """Fit the traced tubes beside taproot and hypocotyl.
 
     Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are organs.
     """
@@ -131,7 +131,7 @@ def _first_fit(
 def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
     """Estimate how much root is in each cell.
 
-    Return the cells that hold any, those of thick organs last, and their depth (N,), mm.
+    Return the cells that hold any, those of taproot and hypocotyl last, and their depth (N,), mm.
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm

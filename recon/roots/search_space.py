@@ -1,4 +1,4 @@
-"""Where roots may be, and where thick organs are for certain: carved out of the water in cells."""
+"""Where roots may be, and where taproot and hypocotyl are for certain: carved out of the water in cells."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def px_a_mm(seen: Evidence, water: Water) -> float:
 
 
 def carve_cells(seen: Evidence, water: Water, px_a_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells]:
-    """Carve where roots may be, and where thick organs are for certain, out of the water.
+    """Carve where roots may be, and where taproot and hypocotyl are for certain, out of the water.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class Settling:
     """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and linked."""
 
     seen: Evidence
-    """Beside thick organs."""
+    """Beside taproot and hypocotyl."""
     whole: Evidence
     """With them."""
     core: Cells
@@ -46,7 +46,7 @@ class Settling:
     """Scale in the middle of the water."""
 
     def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
-        """Return the tree at rest, with the nodes (N,) that are buried in thick organs and those that are organs."""
+        """Return the tree at rest, the nodes (N,) buried in taproot and hypocotyl, and those that are its axis."""
         tree, _, organ = organs.centred(tree, self.core, self.spheres, self.near_mm)
         tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
         tree = tips.placed(self.whole, tree, self.blur_px, self.px_a_mm)
@@ -78,7 +78,7 @@ class Settling:
         return self.ended(tree, residual, organ)
 
     def alone(self, tree: Tubes, organ: Mask) -> tuple[Tubes, Mask]:
-        """Return a tree without the tubes that the others, fitted without them, can do without; and its organs."""
+        """Return a tree without the tubes that the others, fitted without them, can do without; and its organs (N,)."""
         proved = proof.find(self.seen, tree, self.blur_px)
         unproven = ghosts.unproven(tree, proved, organ)
         others = tree.staying(unproven)

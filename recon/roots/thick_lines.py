@@ -1,6 +1,6 @@
 """The lines of what is thick: without what no view shows of them.
 
-A line through a thick organ follows the middles of spheres, and wanders where many of these are as large.
+A line through a taproot or hypocotyl follows the middles of spheres, and wanders where many of these are as large.
 
 No view shows where a lateral begins within a storage root, and a path along the middle of what is wide is longer than
 any root. The tissue of such an organ is laid down about laterals that were there before: they begin near its skin.
@@ -30,8 +30,8 @@ times as thick, the roots of the printed phantom, that never were young, 1.2 to 
 
 
 _CALM_RADII = 0.5
-"""Lines of thick organs are averaged over so many of their radii to both sides: half as far as the views can tell one
-sphere in them from the next. A line that bends with a radius of five of its own becomes 0.2 % shorter."""
+"""Lines of taproot and hypocotyl are averaged over so many of their radii to both sides: half as far as the views can
+tell one sphere in them from the next. A line that bends with a radius of five of its own becomes 0.2 % shorter."""
 _CALM_SAMPLES = 9
 """Of that way: its ends are no farther apart than nodes in organs of up to 5 mm."""
 
@@ -42,7 +42,7 @@ def calmed(line_mm: Array, radius_mm: Array, organ: NDArray[np.bool_]) -> Array:
     Parameters
     ----------
     radius_mm, organ : (N,) float64 and bool arrays
-        Radius of each node, and whether it is a thick organ: others were fitted to the pictures.
+        Radius of each node, and whether it is taproot or hypocotyl: others were fitted to the pictures.
     """
     way = polyline.way_mm(line_mm)
     half = np.where(organ, np.minimum(_CALM_RADII * radius_mm, np.minimum(way, way[-1] - way)), 0.0)

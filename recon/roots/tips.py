@@ -46,7 +46,7 @@ def placed(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Tubes
     Parameters
     ----------
     seen : Evidence
-        With the thick organs in it.
+        With taproot and hypocotyl in it.
     px_a_mm : float
         Scale in the middle of the water.
     """

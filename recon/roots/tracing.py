@@ -34,11 +34,11 @@ _BRIDGE = 0.125
 _DENSE = 0.25
 """Density, 1/mm, from which a cell must belong to a branch."""
 _IN_CORE, _BY_DEPTH = 10.0, 100.0
-"""Density given to cells inside thick organs, and its rise with depth, a mm: paths keep to their middle."""
+"""Density given to cells inside taproot and hypocotyl, and its rise with depth, a mm: paths keep to their middle."""
 CLAIM_CELLS = 1.5
 """Cells this near to a traced root are its own."""
 _CORE_CLAIM_MM = 0.65
-"""Cells this far beyond the core about a path in a thick organ are claimed with it."""
+"""Cells this far beyond the core about a path in a taproot or hypocotyl are claimed with it."""
 _LEAST_MM = 1.0
 """A root shorter than this is not traced."""
 _TOP_MM, _RISE_MM = 1.0, 6.0
@@ -98,8 +98,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     cells : Cells
         Search space with shadows.
     depth_mm : (N,) float64 array
-        Depth of the cells in the cores of thick organs, as from `core_depth`; cells that lie outside of a core but not
-        as far as the lowest of the depths belong to the organ and bear no tips.
+        Depth of the cells in the cores of taproot and hypocotyl, as from `core_depth`; cells that lie outside of a core
+        but not as far as the lowest of the depths belong to the organ and bear no tips.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> i
 
 
 def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
-    """Return the highest cells of a plant; where its laterals alone reach a little higher, those of its thick organ."""
+    """Return the highest cells of a plant; where its laterals alone reach a little higher, its organ's."""
     highest = float(height_mm[plant].max())
     core_mm = float(height_mm[plant[depth_mm[plant] > 0.0]].max(initial=-np.inf))
     if highest - _RISE_MM < core_mm < highest - _TOP_MM:
@@ -164,7 +164,7 @@ def _smooth(cells: Cells) -> Array:
 
 
 def graph(cells: Cells, density: Array) -> csr_matrix:
-    """Join each cell with its 26 neighbours at the cost of the way between their centres."""
+    """Join each cell (N,) with its 26 neighbours at the cost of the way between their centres: (N, N)."""
     low = cells.index.min(axis=0) - 1
     box = Box(low.astype(np.int64), cells.index.max(axis=0).astype(np.int64) - low + 2)
     place = box.number(cells.index)
@@ -226,7 +226,7 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
         if fresh < max(least_mm, claim_mm[tip]):
             left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
             continue
-        # in thick organs the spheres are large: a few of them cover the way
+        # in taproot and hypocotyl the spheres are large: a few of them cover the way
         for cell in line[_apart(centre[line], claim_mm[line])]:
             left[tree.query_ball_point(centre[cell], claim_mm[cell])] = -1.0
         owned[line] = True
@@ -246,7 +246,7 @@ def _apart(line: Array, claim_mm: Array) -> list[int]:
 
 
 def first_radius(path: Path) -> Array:
-    """Guess radii along a path: the shadow of a millimetre of root is its diameter."""
+    """Guess radii (N,) along a path: the shadow of a millimetre of root is its diameter."""
     way = np.gradient(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1))]))
     share = gaussian_filter1d(path.shadow_mm2, 3.0, mode="nearest") / gaussian_filter1d(way, 3.0, mode="nearest")
     radius: Array = np.clip(0.5 * share, *_THIN_MM)

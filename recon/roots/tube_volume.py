@@ -1,4 +1,4 @@
-"""One solid from tubes and thick organs.
+"""One solid from taproot, hypocotyl and tubes.
 
 The tubes' volume painted into the finest nodes of the trimmed hull's lattice.
 """
@@ -29,12 +29,12 @@ _SLACK_PX = 0.05
 
 @dataclass(frozen=True)
 class United:
-    """Thick organs and tubes as one solid."""
+    """Taproot, hypocotyl and tubes as one solid."""
 
     leaves: Leaves
     """On the lattice of the trimmed hull."""
     thick: Trimmed
-    """The thick organs and solids alone."""
+    """Taproot, hypocotyl and solids alone."""
     thinner_mm3: float
     """What the tubes lose where all radii are smaller by `_SLACK_PX`."""
     thicker_mm3: float
@@ -42,7 +42,7 @@ class United:
 
 
 def unite(trimmed: Trimmed, system: RootSystem) -> United:
-    """Unite thick organs and solids, the part of a trimmed hull within a margin of core points, with tubes.
+    """Unite taproot, hypocotyl and solids, the part of a trimmed hull within a margin of core points, with tubes.
 
     Where both are, a node is as full as the fuller of the two.
     """

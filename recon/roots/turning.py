@@ -28,7 +28,7 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
     Parameters
     ----------
     branches : list of Index or None
-        Node numbers of each, None where one is gone; changed in place, and returned.
+        Node numbers (n,) of each, None where one is gone; changed in place, and returned.
     """
     centre = tubes.centre_mm
     owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm

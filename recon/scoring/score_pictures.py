@@ -197,7 +197,24 @@ def _along(one: Mask, other: Mask) -> tuple[tuple[float, float], NDArray[np.floa
 
 
 def gather(scene: str, files: Sequence[str], found: Sequence[Compared], *, known: int) -> PictureScore:
-    """Put the comparisons of pictures together."""
+    """Put the comparisons of pictures together.
+
+    Parameters
+    ----------
+    scene : str
+        Its name.
+    files : sequence of str
+        Of the pictures, in order.
+    found : sequence of Compared
+        A comparison each.
+    known : int
+        Pictures that the result was made from, left out.
+
+    Returns
+    -------
+    PictureScore
+        Of all together, and of each.
+    """
 
     def share(parts: Sequence[tuple[float, float]]) -> float:
         near, whole = np.sum(parts, axis=0)

@@ -103,11 +103,11 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
     return voxels, carved
 
 
-def compare_surfaces(shape: Mesh, truth: Mesh, *, samples: int = SURFACE_SAMPLES) -> SurfaceScore:
+def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
     """Compare two surfaces by the distance of points on each to the other; the points are the same at every call."""
     rng = np.random.default_rng(0)
-    on_shape = surface_distance.sample_surface(shape.vertices_mm, shape.faces, count=samples, rng=rng)
-    on_truth = surface_distance.sample_surface(truth.vertices_mm, truth.faces, count=samples, rng=rng)
+    on_shape = surface_distance.sample_surface(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)
+    on_truth = surface_distance.sample_surface(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)
     to_truth = surface_distance.distances(on_shape, truth.vertices_mm, truth.faces)
     to_shape = surface_distance.distances(on_truth, shape.vertices_mm, shape.faces)
     both = np.concatenate([to_truth, to_shape])

@@ -60,6 +60,22 @@ def compare_poses(cameras: Sequence[Camera], truth: Truth, lens: model.Camera, *
     """Return the pose errors of the used views of a result; None where no view was used.
 
     ``centre_mm`` is the specimen's centre (3,) in the canister frame, where shifts of the frame are stated.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        Of the result.
+    truth : Truth
+        Poses of the same files.
+    lens : model.Camera
+        To see a telecentric camera as a pinhole.
+    centre_mm : (3,) array
+        The specimen's centre in the canister frame, where shifts of the frame are stated.
+
+    Returns
+    -------
+    PoseScore or None
+        Shifts and turns, of all and of each.
     """
     true_poses = {view.file: lens.pinhole_pose(np.array(view.cam_from_canister)) for view in truth.views}
     poses = {view.file: view.cam_from_canister for view in cameras if view.used and view.cam_from_canister is not None}

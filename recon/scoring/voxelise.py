@@ -214,6 +214,20 @@ def count_inside(vertices_mm: Floats, faces: NDArray[np.integer], *, origin_mm: 
     """Return the number of voxel centres of the (unbounded) grid inside a closed mesh.
 
     Parameters as `cross_columns`.
+
+    Parameters
+    ----------
+    vertices_mm, faces : (V, 3), (F, 3) array
+        The closed mesh.
+    origin_mm : (3,) array
+        Of voxel 0.
+    voxel_mm : float
+        Edge of a voxel.
+
+    Returns
+    -------
+    int
+        Voxels.
     """
     slabs = _slabs(vertices_mm, faces, origin_mm, voxel_mm)
     return sum(cross_columns(vertices_mm, faces, origin_mm=origin_mm, voxel_mm=voxel_mm, x_range=slab).count for slab in slabs)
@@ -274,6 +288,19 @@ def fraction(
     """Return how much of each box of voxels lies inside a closed mesh, by ``samples``^3 regular points a voxel.
 
     Parameters are those of `count_in_boxes`; ``samples`` is the number of points along a voxel's edge.
+
+    Parameters
+    ----------
+    vertices_mm, faces : (V, 3), (F, 3) array
+        The closed mesh.
+    low, size : (N, 3), (N,) int array
+        Lowest voxel and edge of each box, in voxels.
+    origin_mm : (3,) array
+        Of voxel 0.
+    voxel_mm : float
+        Edge of a voxel.
+    samples : int
+        Points along a voxel's edge.
 
     Returns
     -------

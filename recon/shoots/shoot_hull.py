@@ -31,6 +31,17 @@ def find(
 ) -> tuple[Hull, trimesh.Trimesh]:
     """Carve the hull of silhouettes (V) out of the air above the net pot.
 
+    Parameters
+    ----------
+    drawn, views : (V,)
+        Silhouettes and cameras.
+    scene : Scene
+        Net pot and canister.
+    finest_mm : float
+        Edge of the finest nodes.
+    monitor : Monitor
+        Hears how far it is.
+
     Returns
     -------
     hull : Hull

@@ -40,10 +40,7 @@ class Filled:
 
 
 def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill the union of tubes with points some ``spacing_mm`` apart.
-
-    Where branches overlap, the later one's points are left out.
-    """
+    """Fill the union of tubes, less nodes (N,) that are left out, with points some ``spacing_mm`` apart."""
     filled = fill_each(tubes, spacing_mm, left_out=left_out)
     earlier = np.zeros(len(filled.branch), bool)
     point, other, _ = within(tubes, filled.point_mm, filled.branch)

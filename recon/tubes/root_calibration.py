@@ -51,9 +51,9 @@ LEAST_GAIN = 0.04
 """Nor where it takes less than this share off the distance of the roots from their places.
 
 On a radish 0.0006 took 0.5 %, and the gain grows with the square, so that this is 0.0018. Wide roots that are not quite
-round pull at the index: a print asks for 0.0027 too much with five standard deviations, and gains 0.6 to 0.8 % by it.
-The gain is that of the linear system: tubes that are fitted once more come nearer to their places by some per cent with
-any index, more or less by how the pictures are rounded.
+round bias the index: a printed phantom calls for 0.0027 too much with five standard deviations, and gains 0.6 to 0.8
+% by it. The gain is that of the linear system: tubes that are fitted once more come nearer to their places by some per
+cent with any index, more or less by how the pictures are rounded.
 """
 LEAST_NODES = 100
 """Sixty millimetres of root: fewer come from one or two roots, whose scatter tells no uncertainty."""

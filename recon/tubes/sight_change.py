@@ -94,7 +94,22 @@ QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
-    """Return F1 and F2 (N, 2) in mm of rays of directions (N, 3), camera's frame, at points (N, 3), canister frame."""
+    """Return F1 and F2 (N, 2) in mm of rays of directions (N, 3), camera's frame, at points (N, 3), canister frame.
+
+    Parameters
+    ----------
+    view, optics : View, Optics
+        Camera and canister.
+    directions : (N, 3) array
+        Of the rays, camera's frame.
+    points_mm : (N, 3) array
+        Canister frame.
+
+    Returns
+    -------
+    (N, 2) array
+        mm.
+    """
     at = points_mm @ view.azimuth_from_canister[:3, :3].T
     line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
     beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm

@@ -197,6 +197,17 @@ def refine(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuat
     ----------
     seen : Evidence
         Opacity, with that attenuation.
+    fitted : Tubes
+        Tubes at rest.
+    organ : (N,) bool array
+        Nodes whose radius the hull gives.
+    attenuation : TubeAttenuation
+        As found before.
+
+    Returns
+    -------
+    TubeAttenuation, Tubes
+        With radii that belong to it.
     """
     if attenuation.mu_per_mm is None:
         return attenuation, fitted
@@ -295,7 +306,22 @@ def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _
 
 
 def scaled(fitted: Tubes, organ: Mask, before: float | None, after: float | None) -> Tubes:
-    """Give tubes the radii that absorb as much light from the side with another attenuation; None is opaque."""
+    """Give tubes the radii that absorb as much light from the side with another attenuation; None is opaque.
+
+    Parameters
+    ----------
+    fitted : Tubes
+        With radii that belong to ``before``.
+    organ : (N,) bool array
+        Nodes whose radius the hull gives.
+    before, after : float or None
+        1/mm.
+
+    Returns
+    -------
+    Tubes
+        With radii that belong to ``after``.
+    """
     radius = fitted.radius_mm if before is None else translucent_tube.opaque_radius(fitted.radius_mm, before)
     radius = radius if after is None else translucent_tube.radius_of(radius, after)
     return tubes.moved(fitted, fitted.centre_mm, np.where(organ, fitted.radius_mm, radius))

@@ -56,7 +56,7 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps:
     Parameters
     ----------
     fixed : (N,) bool array
-        Nodes that stay as they are (thick organs, which hide others but are measured otherwise).
+        Nodes that stay as they are (taproot and hypocotyl, which hide others but are measured otherwise).
     blur_px : float
         Standard deviation of the pictures' blur.
 

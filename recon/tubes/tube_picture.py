@@ -48,8 +48,21 @@ FULLEST = 0.995
 """Coverage is kept below one: its optical depth is infinite."""
 
 
+def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float:
+    """Return the part of a pixel, whose shadow is a trapezium, that lies on one side of an edge at x."""
+    x = dr.clip(x, -_FAR_PX, _FAR_PX)
+    ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
+    return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
+
+
 def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Float:
-    """Return the optical depth of tubes, and of what hides them, in all views: mi.Float, (V, H, W) flattened."""
+    """Return the optical depth of tubes, and of what hides them, in all views: mi.Float, (V, H, W) flattened.
+
+    Parameters
+    ----------
+    evidence, tubes, at, blur_px : Evidence, Tubes, Nodes, float
+        Views and what hides the tubes; the tree, and where its nodes lie in the pictures; blur of these.
+    """
     depth = (1.0 - evidence.seen) * _HIDDEN
     dr.eval(depth)
     strips = _Strips.of(evidence, tubes, at)
@@ -73,12 +86,6 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     first, last = (y + dr.minimum(0.0, strips.length * t_y) - reach, y + dr.maximum(0.0, strips.length * t_y) + reach)
     top, bottom = mi.Int32(dr.clip(dr.ceil(first), 0, height)), mi.Int32(dr.clip(dr.floor(last), -1, height - 1))
 
-    def side(x: Float) -> Float:
-        """Return the part of a pixel that lies on one side of an edge."""
-        x = dr.clip(x, -_FAR_PX, _FAR_PX)
-        ramps = [dr.square(dr.maximum(x + shift, 0.0)) for shift in (outer, inner, -inner, -outer)]
-        return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
-
     def covered(v: Int32) -> tuple[Int32, Int32]:
         """Return the first and the last column that are covered in a row."""
         e_y = mi.Float(v) - y
@@ -95,7 +102,9 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         c = mi.Float(0.0)
         for a, b in zip(*strips.layers, strict=True):
             w = (a.half_px + (b.half_px - a.half_px) * part) * cap
-            c += (side(d + w) - side(d - w)) * (a.height + (b.height - a.height) * part)
+            c += (_on_one_side(d + w, outer, inner, per_area) - _on_one_side(d - w, outer, inner, per_area)) * (
+                a.height + (b.height - a.height) * part
+            )
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
         value = _faded(c, before * scale, (beyond - strips.cap_px) * scale, is_tip)
         place = strips.start + mi.UInt32(v * width + u)
@@ -181,7 +190,7 @@ class _Strips:
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
             layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        # the water magnifies sideways: the picture of a ball is an ellipse
+        # the water magnifies sideways: the picture of a sphere is an ellipse
         is_tip = dr.gather(mi.Float, numbers(tubes.segment_neighbours[:, 1] == segments[:, 1]), segment)
         cap_px = is_tip * radius_mm * dr.norm(way.x * du + way.y * dv)
         return _Strips(start, here, way, length, cuts, (half_px[0], half_px[1]), cap_px, (layers[0], layers[1]))
@@ -211,7 +220,22 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
 
 
 def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Float]:
-    """Return the optical depth of tubes, and what they leave `unexplained`, in all views: mi.Float, flattened."""
+    """Return the optical depth of tubes, and what they leave `unexplained`, in all views: mi.Float, flattened.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What the pictures say.
+    tubes, at : Tubes, Nodes
+        The tree, and where its nodes lie in the pictures.
+    blur_px : float
+        Of the pictures.
+
+    Returns
+    -------
+    mi.Float, mi.Float
+        (V, H, W) flattened.
+    """
     depth = optical_depth(evidence, tubes, at, blur_px)
     return depth, unexplained(evidence, depth)
 

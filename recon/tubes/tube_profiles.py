@@ -138,7 +138,7 @@ class ResidualGradient:
     """(N,) share of the nodes' coverage, summed over the views, that nothing hides."""
 
     def of(self, nodes: NDArray[np.int64]) -> ResidualGradient:
-        """Return that of some nodes."""
+        """Return that of some nodes (M,)."""
         return ResidualGradient(*(getattr(self, field.name)[nodes] for field in fields(self)))
 
 
@@ -179,7 +179,7 @@ class Profiles:
     whole: Float
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
-        """Return them, or those of some nodes, as NumPy has them."""
+        """Return them, or those of some nodes (M,), as NumPy has them."""
         views, count = self.shape
         chosen = np.arange(count) if nodes is None else nodes
         place = wholes(np.arange(views)[:, None] * count + chosen)

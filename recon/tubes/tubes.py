@@ -70,7 +70,7 @@ class Tubes:
         return begin, end
 
     def own(self, branch: int) -> Index:
-        """Return the nodes of a branch that are not its parent's."""
+        """Return the nodes (n,) of a branch that are not its parent's."""
         return self.branches[branch] if branch == 0 else self.branches[branch][1:]
 
     @property
@@ -90,7 +90,7 @@ class Tubes:
 
     @property
     def ends(self) -> tuple[Index, ...]:
-        """Return the nodes of each branch's end: from where its last lateral leaves, or from its base, to its tip."""
+        """Return the nodes (n,) of each branch's end: from where its last lateral leaves, or its base, to its tip."""
         bearing = np.zeros(len(self.radius_mm), bool)
         bearing[[nodes[0] for nodes in self.branches[1:]]] = True
         last = (int(np.flatnonzero(bearing[self.own(k)]).max(initial=-1)) + (k > 0) for k in range(len(self.branches)))
@@ -291,12 +291,12 @@ def from_axes(tubes: Tubes) -> Tubes:
 
 
 def moved(tubes: Tubes, centre_mm: Array, radius_mm: Array) -> Tubes:
-    """Return tubes with other centres and radii."""
+    """Return tubes with other centres (N, 3) and radii (N,)."""
     return replace(tubes, centre_mm=centre_mm, radius_mm=radius_mm)
 
 
 def owners(branches: Sequence[Index | None], count: int) -> Index:
-    """Return the branch that each of ``count`` nodes belongs to, -1 where it is in none; some branches may be gone."""
+    """Return the branch (N,) that each of ``count`` nodes belongs to, -1 where it is in none; some may be gone."""
     owner = np.full(count, -1)
     for k, nodes in enumerate(branches):
         if nodes is not None:
@@ -337,7 +337,7 @@ def children_of(branches: Sequence[Index | None], owner: Index) -> dict[int, lis
 
 
 def hanging_order(branches: Sequence[Index | None], count: int) -> list[int]:
-    """Return the branches that hang, by their parents, on the first, parents before children.
+    """Return the numbers (K,) of branches that hang, by their parents, on the first, parents before children.
 
     Parameters
     ----------

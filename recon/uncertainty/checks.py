@@ -51,13 +51,51 @@ def verdict(lost: Sequence[str]) -> str:
 
 
 def stated(name: Name, state: State, value: float | None, unit: str, limits: Limits | None, found: str, advice: str = "") -> Check:
-    """Return a check whose state is known."""
+    """Return a check whose state is known.
+
+    Parameters
+    ----------
+    name, state : Name, State
+        Of the check.
+    value, unit : (float or None), str
+        What was measured; None where nothing was.
+    limits : Limits or None
+        Fair and bad.
+    found : str
+        What was found, by how much: one sentence.
+    advice : str
+        What to do: one sentence.
+
+    Returns
+    -------
+    Check
+        As given.
+    """
     fair, bad = (None, None) if limits is None else limits
     return Check(name=name, state=state, value=value, unit=unit, fair=fair, bad=bad, found=found, advice=advice)
 
 
 def judged(name: Name, value: float, unit: str, limits: Limits, found: str, advice: str) -> Check:
-    """Return a check of a number against its limits; a good one needs no advice."""
+    """Return a check of a number against its limits; a good one needs no advice.
+
+    Parameters
+    ----------
+    name : Name
+        Of the check.
+    value, unit : float, str
+        What was measured.
+    limits : Limits
+        Fair and bad.
+    found : str
+        What was found, by how much: one sentence.
+    advice : str
+        What to do: one sentence.
+
+    Returns
+    -------
+    Check
+        Good, fair or bad.
+    """
     state = state_of(value, *limits)
     return stated(name, state, value, unit, limits, found, "" if state == "good" else advice)
 
@@ -68,7 +106,24 @@ def foremost(*made: Check) -> Check:
 
 
 def untold(name: Name, found: str, advice: str = "", *, unit: str = "", limits: Limits | None = None) -> Check:
-    """Return a check of what the pictures do not show."""
+    """Return a check of what the pictures do not show.
+
+    Parameters
+    ----------
+    name : Name
+        Of the check.
+    found : str
+        Why they do not: one sentence.
+    advice : str
+        What to do: one sentence.
+    unit, limits : str, (Limits or None)
+        Of what would have been measured.
+
+    Returns
+    -------
+    Check
+        With the state ``untold``.
+    """
     return stated(name, "untold", None, unit, limits, found, advice)
 
 

@@ -37,11 +37,25 @@ _WHERE = {
 """How to say where sight ends, by axis and side."""
 
 
-def beyond_sight(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
+def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
     """Return what a shape may have where it is occluded, above as below and to all sides.
 
     Its columns along each axis that end where too few views see go on, at most to where enough of them see again or to
     the water's end. Of the axes the one counts along which most may be hidden.
+
+    Parameters
+    ----------
+    bank, maps : ViewBank, DistanceMaps
+        Views and their distance maps.
+    leaves : Leaves
+        Of the shape.
+    water : Water
+        Where it ends.
+
+    Returns
+    -------
+    Term
+        What there may be more.
     """
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)

@@ -1,4 +1,4 @@
-"""What the silhouettes leave open about thick organs and solid bodies."""
+"""What the silhouettes leave open about taproot, hypocotyl and solid bodies."""
 
 from __future__ import annotations
 

@@ -44,7 +44,24 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
 
 
 def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed: int, device: str) -> list[Job]:
-    """Return a job for every scene, whose names are those of the datasets."""
+    """Return a job for every scene, whose names are those of the datasets.
+
+    Parameters
+    ----------
+    scenes : dict of Scene
+        By name.
+    datasets : str
+        Folder or address of the datasets.
+    profile, seed : str, int
+        As `rhizotwin.front_door.simulate`.
+    device : str
+        What computes.
+
+    Returns
+    -------
+    list of Job
+        One a scene.
+    """
     code = sources.digest(("rhizotwin.sim.simulate",))
     options: dict[str, Any] = {"profile": profile, "seed": seed, "device": device}
     jobs = []

@@ -12,6 +12,22 @@ def vary(
 ) -> dict[str, Scene]:
     """Return every combination by name; nothing varied is the scene itself.
 
+    Parameters
+    ----------
+    scene : Scene
+        Of a grown plant.
+    plants : int
+        How many.
+    days : sequence of float or None
+        Ages; None: the scene's.
+    treatments : Sequence[tuple[str, float]] or None
+        Names, each with its factor of growth; None: the scene's.
+
+    Returns
+    -------
+    dict of Scene
+        By plant, treatment and day.
+
     Raises
     ------
     UserError

@@ -272,6 +272,22 @@ def board_stand(scene: Scene, board: CharucoBoard, measures: Measures, floor_mm:
 
     It brings the board's middle to the height of the first ring's camera.
 
+    Parameters
+    ----------
+    scene : Scene
+        Where the board is to be seen.
+    board : CharucoBoard
+        What stands in it.
+    measures : Measures
+        Paper, screws and play.
+    floor_mm : float
+        Height of what it stands on.
+
+    Returns
+    -------
+    Part
+        One of two.
+
     Raises
     ------
     UserError

@@ -96,5 +96,18 @@ def check_bed(part: Part, bed_mm: tuple[float, float, float]) -> None:
 
 
 def moved(x_mm: float, y_mm: float, z_mm: float, *, turn_deg: float = 0.0) -> Array:
-    """Return the transform that turns about z and then moves."""
+    """Return the transform (4, 4) that turns about z and then moves.
+
+    Parameters
+    ----------
+    x_mm, y_mm, z_mm : float
+        Along the axes.
+    turn_deg : float
+        Counter-clockwise, seen from above.
+
+    Returns
+    -------
+    (4, 4) array
+        The transform.
+    """
     return np.asarray(frames.translation(x_mm, y_mm, z_mm) @ frames.rotation_z(np.deg2rad(turn_deg)))

@@ -20,7 +20,7 @@ Outline: TypeAlias = Sequence[tuple[float, float]]
 
 
 def polygon(points: Outline | Array) -> CrossSection:
-    """Return the outline of corners, in either direction."""
+    """Return the outline of corners (N, 2), in either direction."""
     corners = np.asarray(points, dtype=np.float64)
     x, y = corners.T
     turn = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))

@@ -117,7 +117,22 @@ def without(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
 
 
 def divide(lines: Lines, number: int, at_mm: float, new: int) -> dict[int, Line]:
-    """Cut a root; what lies beyond becomes root ``new`` with the laterals there."""
+    """Cut a root; what lies beyond becomes root ``new`` with the laterals there.
+
+    Parameters
+    ----------
+    lines : Lines
+        By number.
+    number, new : int
+        Of the root, and of what is cut off.
+    at_mm : float
+        Along the root, from its base.
+
+    Returns
+    -------
+    dict of Line
+        All of them.
+    """
     line = lines[number]
     changed = dict(lines)
     changed[number] = replace(line.between(0.0, at_mm), tip_seen=False)

@@ -113,7 +113,7 @@ class Solid:
 
     @classmethod
     def undivided(cls, leaves: Leaves, lines: Sequence[tuple[Array, Array]], *, finest_mm: float | None = None) -> Solid:
-        """Return the voxels of a result and its roots, at once: enough to look at, not to take roots away."""
+        """Return the voxels of a result and its roots (points (N, 3), radii (N,)), at once, to look at only."""
         low, size = leaves.low.astype(np.int64), leaves.size.astype(np.int64)
         volume = leaves.occupancy.astype(np.float64) * size**3 * leaves.voxel_mm**3
         made = cls(low, size, leaves.origin_mm, leaves.voxel_mm, finest_mm or leaves.voxel_mm, volume, list(lines))
@@ -130,7 +130,7 @@ class Solid:
         return polyline.length_mm(self.sources[source][0])
 
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
-        """Add sources, and voxels for what lies outside the others; return their numbers."""
+        """Add roots (points (N, 3), radii (N,)), and voxels for what lies outside the others; return their numbers."""
         first = len(self.sources)
         self.sources += [(np.asarray(points, np.float64), np.asarray(diameters, np.float64)) for points, diameters in lines]
         numbers = list(range(first, len(self.sources)))

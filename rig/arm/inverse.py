@@ -71,7 +71,7 @@ def three_link(links_mm: tuple[float, float, float], x_mm: ArrayLike, y_mm: Arra
 
     Parameters
     ----------
-    links_mm : tuple[float, float, float]
+    links_mm : tuple of float
         From shoulder to elbow, wrist and end.
     x_mm, y_mm : (...) array
         Place of the end, x upwards as the angles are 0.

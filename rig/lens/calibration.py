@@ -131,7 +131,7 @@ def calibrate_views(
         The corners, by picture.
     board : CharucoBoard
         What was printed.
-    image_wh : tuple[int, int]
+    image_wh : tuple of int
         Size of the pictures.
     bits : int
         Depth of the camera's converter.

@@ -97,17 +97,10 @@ def fit_lens(views: dict[str, BoardView], board: CharucoBoard, image_wh: tuple[i
 
     Parameters
     ----------
-    views : dict[str, BoardView]
+    views : dict of BoardView
         The corners, by picture.
-    board : CharucoBoard
-        What was printed.
-    image_wh : tuple[int, int]
-        Size of the pictures.
-
-    Returns
-    -------
-    LensFit
-        The lens, poses of the pictures kept, and why others were left out.
+    board, image_wh : CharucoBoard, tuple of int
+        What was printed, and the size of the pictures.
 
     Raises
     ------

@@ -56,7 +56,7 @@ def leave_arm(arm: Arm, rig: RigFile, scene: Scene, *, say: Say, move: bool = Tr
 
     Parameters
     ----------
-    arm, rig, scene : Arm
+    arm, rig, scene : Arm, RigFile, Scene
         The arm, its place of rest, and what it must not touch.
     say : Say
         Hears what failed.
@@ -77,7 +77,7 @@ def park(arm: Arm, rig: RigFile, scene: Scene) -> None:
 
     Parameters
     ----------
-    arm, rig, scene : Arm
+    arm, rig, scene : Arm, RigFile, Scene
         The arm, its place of rest, and what it must not touch.
 
     Raises

@@ -49,11 +49,6 @@ class Session:
         return self._dataset.folder
 
     @property
-    def complete(self) -> bool:
-        """Whether the scan was finished."""
-        return bool(self._dataset.origin["complete"])
-
-    @property
     def begun_s(self) -> float:
         """Time of the scan that earlier runs used up."""
         return self._begun_s
@@ -192,11 +187,6 @@ def take_up(
         Of the twin's errors.
     resume : bool
         Whether a stopped scan is taken up; without frames in the folder it begins as a new one.
-
-    Returns
-    -------
-    Session
-        With the frames that are there already.
 
     Raises
     ------

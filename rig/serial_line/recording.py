@@ -59,7 +59,7 @@ class Recorder:
             When.
         device : str
             Its name, as ``turntable``.
-        url, baud : str
+        url, baud : str, int
             Of the port.
         """
         self._put({"t_s": round(t_s, 6), "device": device, "open": {"url": url, "baud": baud}})

@@ -1,4 +1,4 @@
-"""The doubter's trials spoil what they say, and only a wrong volume that is called trusted fails."""
+"""The stress tests spoil what they say, and only a wrong volume that is called trusted fails."""
 
 import json
 import math

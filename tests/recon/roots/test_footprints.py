@@ -57,8 +57,8 @@ def shares(px: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def table_of(seen: Evidence, points_mm: np.ndarray) -> Table:
-    prints = Footprints.of(seen, points_mm)
-    return Table(prints, Windows.around(prints))
+    footprints = Footprints.of(seen, points_mm)
+    return Table(footprints, Windows.around(footprints))
 
 
 def test_shadows_fall_where_the_cells_are(seen: Evidence, points_mm: np.ndarray) -> None:
@@ -92,9 +92,9 @@ def test_pictures_are_read_where_cells_are_seen(seen: Evidence, points_mm: np.nd
 
 
 def test_chosen_cells_keep_their_footprints(seen: Evidence, points_mm: np.ndarray) -> None:
-    prints = Footprints.of(seen, points_mm)
-    some = prints.chosen(mi.UInt32([3, 250, 17]))
-    for whole, part in ((prints.place, some.place), (prints.px2_a_mm2, some.px2_a_mm2)):
+    footprints = Footprints.of(seen, points_mm)
+    some = footprints.chosen(mi.UInt32([3, 250, 17]))
+    for whole, part in ((footprints.place, some.place), (footprints.px2_a_mm2, some.px2_a_mm2)):
         np.testing.assert_array_equal(np.array(part).reshape(VIEWS, 3), np.array(whole).reshape(VIEWS, -1)[:, [3, 250, 17]])
 
 

@@ -78,7 +78,7 @@ def test_a_root_that_ends_where_sight_ends_may_go_on(monkeypatch: pytest.MonkeyP
     column = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
     monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(points[:, 2] < -11.5, 10, 0))
     bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)  # only `_votes` looks into them
-    term = sight.beyond_sight(bank, maps, column, Water(70.0, -8.0, -150.0))
+    term = sight.occluded(bank, maps, column, Water(70.0, -8.0, -150.0))
     assert term.less_mm3 == 0.0
     assert term.more_mm3 == pytest.approx(0.9 * (-8.0 - top_mm) * 0.8 * 0.8 if goes_on else 0.0)
 
@@ -102,4 +102,4 @@ def test_a_shape_goes_on_wherever_sight_ends(
     block = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
     monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
     bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)
-    assert sight.beyond_sight(bank, maps, block, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
+    assert sight.occluded(bank, maps, block, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
