@@ -23,6 +23,7 @@ from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.uncertainty import (
     bare_uncertainty,
     canister_uncertainty,
+    diameter_uncertainty,
     shape_checks,
     sight,
     solid_uncertainty,
@@ -201,6 +202,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     with monitor.stage("uncertainty"):
         budget = _budget(found, leaves, system, thick, settings=settings)
         checks = _checks(found, system, budget)
+        roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
     solid = measure(
         hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=thick.kept_mm3, monitor=monitor
     )
@@ -209,7 +211,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     attenuation = system.attenuation
     sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
-    return replace(solid, roots=system.roots(), mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
+    return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
 
 
 def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:

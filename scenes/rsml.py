@@ -33,6 +33,7 @@ _UNITS_MM = {
 }
 _SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
 _TIP_SEEN = "tip-seen"
+_SIGMA = "diameter-sigma"
 _THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
@@ -52,6 +53,8 @@ class Root:
     """Whether its last point is where it ends; False: others hide where it ends or goes on."""
     plant: str = ""
     """Name of the plant that it is of, where there are several; empty: the only one, or not known."""
+    diameter_sigma_mm: Array | None = None
+    """Standard deviation of the diameter at each point (N,); None: not known."""
 
 
 def length_mm(roots: Iterable[Root]) -> float:
@@ -157,7 +160,8 @@ def write_rsml(
     Numbers are written exactly, and as the schema's decimals: without exponents. Each root has the property
     ``parent-node``, the index of its parent's point from which it leaves, which CPlantBox and OpenAlea read; taproots
     have 0 there, because both want a number for every root. Roots whose tips nobody saw have the property ``tip-seen``,
-    false. `read_rsml` gives the roots back depth first, which is their order here only if it was so.
+    false. Standard deviations of diameters are the function ``diameter-sigma``. `read_rsml` gives the roots back depth
+    first, which is their order here only if it was so.
 
     Parameters
     ----------
@@ -189,7 +193,8 @@ def write_rsml(
         for name, text in {"label": moment.sequence, "index": str(moment.index), "unified": "true"}.items():
             ET.SubElement(series, name).text = text
     definitions = ET.SubElement(metadata, "property-definitions")
-    for label, kind, unit in (("diameter", "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", "")):
+    kinds = (("diameter", "real", "mm"), (_SIGMA, "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", ""))
+    for label, kind, unit in kinds:
         definition = ET.SubElement(definitions, "property-definition")
         for name, text in {"label": label, "type": kind, "unit": unit}.items():
             ET.SubElement(definition, name).text = text
@@ -223,9 +228,12 @@ def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
     polyline = ET.SubElement(ET.SubElement(element, "geometry"), "polyline")
     for point in root.points_mm:
         ET.SubElement(polyline, "point", dict(zip("xyz", map(_decimal, point), strict=True)))
-    function = ET.SubElement(ET.SubElement(element, "functions"), "function", {"name": "diameter", "domain": "polyline"})
-    for diameter in root.diameters_mm:
-        ET.SubElement(function, "sample", {"value": _decimal(diameter)})
+    functions = ET.SubElement(element, "functions")
+    for name, values in (("diameter", root.diameters_mm), (_SIGMA, root.diameter_sigma_mm)):
+        if values is not None:
+            function = ET.SubElement(functions, "function", {"name": name, "domain": "polyline"})
+            for value in values:
+                ET.SubElement(function, "sample", {"value": _decimal(value)})
     return element
 
 
@@ -290,7 +298,24 @@ class _Reader:
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
         seen = (rsml_xml.property_of(own, _TIP_SEEN) or "").lower() not in ("false", "0")
-        return Root(points_mm=points_mm, diameters_mm=diameters_mm, order=order, parent=parent, label=label, tip_seen=seen, plant=plant)
+        return Root(
+            points_mm=points_mm,
+            diameters_mm=diameters_mm,
+            order=order,
+            parent=parent,
+            label=label,
+            tip_seen=seen,
+            plant=plant,
+            diameter_sigma_mm=self._sigma(own, points_mm, name),
+        )
+
+    def _sigma(self, own: list[ET.Element], points_mm: Array, name: str) -> Array | None:
+        """Find the standard deviations of a root's diameters (N,), mm; None where the file has none."""
+        for element in own:
+            samples = [child for child in element if rsml_xml.local(child) == "sample"]
+            if rsml_xml.attribute(element, "name") == _SIGMA and samples:
+                return np.abs(self._along(element, samples, points_mm, f"{_SIGMA} of {name}")) * self.step_mm
+        return None
 
     def _diameters(self, own: list[ET.Element], points_mm: Array, name: str) -> Array:
         """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""

@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 
 _BLUR_STEP_PX = 0.1
 """The blur is found to half of this: the spacing of the blurs that are tried."""
-_UNTOLD = 0.25
+UNTOLD = 0.25
 """Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as
 much."""
-_EXPLAINED = 0.03
+EXPLAINED = 0.03
 """Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
 _INSIDE = 0.3
 """Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
@@ -183,7 +183,7 @@ def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) 
     Alike along a branch, independent between branches.
     """
     told = _told(profiles) / max(variance, 1e-9)
-    sigma = 1.0 / np.sqrt(told + 1.0 / (_UNTOLD * tubes.radius_mm) ** 2)
+    sigma = 1.0 / np.sqrt(told + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
     owner = tubes.owner
     return NINETY * float(np.linalg.norm(np.bincount(owner, weights=gain * sigma, minlength=len(tubes.branches))))
 
@@ -212,7 +212,7 @@ class _Rest:
         known = np.array(seen.seen).reshape(count, height, width) > 0
         rest = np.array(difference).reshape(count, height, width)
         drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
-        near = np.stack([cv2.dilate((picture > _EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
+        near = np.stack([cv2.dilate((picture > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
         area, far = float(drawn.sum(dtype=np.float64)), rest * ~near
         if seen.light:  # what does not stand out from the noise is none
             far *= np.stack([picture.coverage > 0.0 for picture in seen.silhouettes])

@@ -52,6 +52,8 @@ class Line:
     """What of the measured sources it is made of, from its base to its tip."""
     tip_seen: bool = True
     label: str = ""
+    sigma_mm: Array | None = None
+    """Standard deviation of its diameters (N,); None: not known."""
 
     @property
     def way_mm(self) -> Array:
@@ -84,12 +86,14 @@ class Line:
             if high > low:
                 pieces.append(piece.between(low, high))
             before += piece.length_mm
-        return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces))
+        sigma = None if self.sigma_mm is None else np.interp(at, way, self.sigma_mm)
+        return replace(self, points_mm=points, diameters_mm=np.interp(at, way, self.diameters_mm), pieces=tuple(pieces), sigma_mm=sigma)
 
     def backward(self) -> Line:
         """Return it from its tip to its base."""
         pieces = tuple(Piece(piece.source, piece.end_mm, piece.begin_mm) for piece in reversed(self.pieces))
-        return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces)
+        sigma = None if self.sigma_mm is None else self.sigma_mm[::-1]
+        return replace(self, points_mm=self.points_mm[::-1], diameters_mm=self.diameters_mm[::-1], pieces=pieces, sigma_mm=sigma)
 
 
 def below(lines: Lines, number: int) -> list[int]:
@@ -224,6 +228,7 @@ def as_roots(lines: Lines) -> tuple[Root, ...]:
                 parent=parent,
                 label=line.label,
                 tip_seen=line.tip_seen,
+                diameter_sigma_mm=line.sigma_mm,
             )
         )
         waiting += sorted((k for k, other in lines.items() if other.parent == number), reverse=True)

@@ -74,7 +74,15 @@ class State:
 def start(solid: Solid, roots: tuple[Root, ...]) -> State:
     """Return a result as it was reconstructed; its roots are the solid's sources, in their order."""
     lines = {
-        k: Line(root.points_mm, root.diameters_mm, root.parent, (Piece(k, 0.0, solid.length_mm(k)),), root.tip_seen, root.label)
+        k: Line(
+            root.points_mm,
+            root.diameters_mm,
+            root.parent,
+            (Piece(k, 0.0, solid.length_mm(k)),),
+            root.tip_seen,
+            root.label,
+            root.diameter_sigma_mm,
+        )
         for k, root in enumerate(roots)
     }
     return State(lines, np.zeros(len(solid.size), bool), {}, len(lines))
@@ -232,10 +240,12 @@ def _joined(state: State, one: int, other: int, solid: Solid) -> State:
         diameters = np.linspace(first.diameters_mm[-1], second.diameters_mm[0], count)
         source = solid.add([(bridge, diameters)])[0]
         between = (Piece(source, 0.0, solid.length_mm(source)),)
+    beyond = slice(0 if between else 1, None)
     whole = replace(
         first,
-        points_mm=np.concatenate([first.points_mm, second.points_mm[0 if between else 1 :]]),
-        diameters_mm=np.concatenate([first.diameters_mm, second.diameters_mm[0 if between else 1 :]]),
+        points_mm=np.concatenate([first.points_mm, second.points_mm[beyond]]),
+        diameters_mm=np.concatenate([first.diameters_mm, second.diameters_mm[beyond]]),
+        sigma_mm=None if first.sigma_mm is None or second.sigma_mm is None else np.concatenate([first.sigma_mm, second.sigma_mm[beyond]]),
         pieces=(*first.pieces, *between, *second.pieces),
         tip_seen=second.tip_seen,
     )
@@ -262,7 +272,7 @@ def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:
             else:
                 source = source_of[number, a, b]
                 pieces.append(Piece(source, 0.0, solid.length_mm(source)))
-        lines[number] = replace(line, points_mm=root.points_mm, diameters_mm=root.diameters_mm, pieces=tuple(pieces))
+        lines[number] = replace(line, points_mm=root.points_mm, diameters_mm=root.diameters_mm, pieces=tuple(pieces), sigma_mm=None)
     return replace(state, lines=lines)
 
 

@@ -3,7 +3,7 @@
 (() => {
   const ORDERS = [[0.35, 0.35, 0.35], [0.12, 0.47, 0.71], [0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.58, 0.4, 0.74], [1, 0.5, 0.05]];
   const VIRIDIS = [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.14]];
-  const AROUND = 6;
+  const AROUND = 6, LEAST_KNOWN = 0.25; // as the viewer has them
   const scaled = (share) => {
     const at = Math.min(Math.max(share, 0), 1) * (VIRIDIS.length - 1), k = Math.min(Math.floor(at), VIRIDIS.length - 2), f = at - k;
     return VIRIDIS[k].map((low, i) => low + f * (VIRIDIS[k + 1][i] - low));
@@ -19,10 +19,10 @@
     for (let k = 0; k < steps.length; k += 3) points.push([0, 1, 2].map((i) => packed.origin[i] + packed.scale * steps[k + i]));
     const solid = { kind: packed.kind, points };
     if (packed.kind === "surface") { solid.faces = new Uint32Array(bytes(packed.faces)); return solid; }
-    const diameters = new Uint16Array(bytes(packed.diameters));
+    const diameters = new Uint16Array(bytes(packed.diameters)), halves = packed.halves ? new Uint16Array(bytes(packed.halves)) : null;
     let first = 0;
     solid.roots = packed.counts.map((count, k) => {
-      const root = { points: points.slice(first, first + count), diameters: Array.from(diameters.slice(first, first + count), (d) => d / 1000), order: packed.orders[k], parent: packed.parents[k] };
+      const root = { points: points.slice(first, first + count), diameters: Array.from(diameters.slice(first, first + count), (d) => d / 1000), halves: halves ? Array.from(halves.slice(first, first + count), (d) => d / 1000) : null, order: packed.orders[k], parent: packed.parents[k] };
       first += count;
       return root;
     });
@@ -30,7 +30,7 @@
   }
 
   function meshed(solid) {
-    // vertices, normals and triangles; of each vertex its order, diameter and height for the colours
+    // vertices, normals and triangles; of each vertex its order, diameter, height and how uncertain its diameter is, for the colours
     const position = [], normal = [], faces = [], tag = [];
     if (solid.kind === "surface") {
       const sums = solid.points.map(() => [0, 0, 0]);
@@ -57,7 +57,7 @@
           const n = [0, 1, 2].map((j) => c * side[j] + s * up[j]);
           position.push(p[0] + radius * n[0], p[1] + radius * n[1], p[2] + radius * n[2]);
           normal.push(...n);
-          tag.push([root.order, root.diameters[k], p[2]]);
+          tag.push([root.order, root.diameters[k], p[2], root.halves ? root.halves[k] / Math.max(root.diameters[k], 1e-6) : 0]);
           if (k > 0) {
             const a = begin + (k - 1) * AROUND, b = a + AROUND, next = (i + 1) % AROUND;
             faces.push(a + i, a + next, b + next, a + i, b + next, b + i);
@@ -74,8 +74,14 @@
     const sorted = mesh.tag.map((t) => t[1]).sort((a, b) => a - b), most = sorted[Math.floor(0.98 * (sorted.length - 1))] || 1;
     let low = Infinity, high = -Infinity;
     for (const t of mesh.tag) { low = Math.min(low, t[2]); high = Math.max(high, t[2]); }
-    const colour = (t) => (by === "order" ? ORDERS[Math.min(t[0], ORDERS.length - 1)] : by === "diameter" ? scaled(t[1] / most) : by === "depth" ? scaled((high - t[2]) / (high - low || 1)) : [0.87, 0.63, 0.36]);
-    return new Float32Array(mesh.tag.flatMap(colour));
+    const colour = (t) => (by === "order" ? ORDERS[Math.min(t[0], ORDERS.length - 1)] : by === "diameter" ? scaled(t[1] / most) : by === "depth" ? scaled((high - t[2]) / (high - low || 1)) : by === "uncertainty" ? scaled(t[3] / LEAST_KNOWN) : [0.87, 0.63, 0.36]);
+    const legend = {
+      order: "grey: main root; blue: laterals; red, green, ...: laterals of laterals",
+      diameter: `violet: 0 mm; yellow: ${most.toPrecision(2)} mm or more`,
+      depth: `violet: ${(-high).toFixed(0)} mm below the rim; yellow: ${(-low).toFixed(0)} mm`,
+      uncertainty: `violet: the diameter is certain; yellow: it may be ${(100 * LEAST_KNOWN).toFixed(0)} % off or more (90 % interval)`,
+    }[by] || "";
+    return { shades: new Float32Array(mesh.tag.flatMap(colour)), legend };
   }
 
   const VERTEX = "attribute vec3 p, n, c; uniform mat4 m; uniform mat3 r; varying vec3 shade; void main() { gl_Position = m * vec4(p, 1.0);"
@@ -103,7 +109,8 @@
     const at = new Float32Array(mesh.position.length);
     for (let k = 0; k < at.length; k++) at[k] = (mesh.position[k] - centre[k % 3]) / size;
     fill("p", at); fill("n", new Float32Array(mesh.normal));
-    let shades = fill("c", colours(mesh, choice.value));
+    const told = box.querySelector(".legend"), first = colours(mesh, choice.value), shades = fill("c", first.shades);
+    told.textContent = first.legend;
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(mesh.faces), gl.STATIC_DRAW);
     let turn = 0.6, tilt = 0.25, near = 0, shift = [0, 0], wanted = false;
@@ -150,7 +157,12 @@
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => held.delete(event.pointerId));
     canvas.addEventListener("wheel", (event) => { event.preventDefault(); near *= Math.exp(-event.deltaY / 600); redraw(); }, { passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    choice.addEventListener("change", () => { gl.bindBuffer(gl.ARRAY_BUFFER, shades); gl.bufferData(gl.ARRAY_BUFFER, colours(mesh, choice.value), gl.STATIC_DRAW); redraw(); });
+    choice.addEventListener("change", () => {
+      const now = colours(mesh, choice.value);
+      gl.bindBuffer(gl.ARRAY_BUFFER, shades); gl.bufferData(gl.ARRAY_BUFFER, now.shades, gl.STATIC_DRAW);
+      told.textContent = now.legend;
+      redraw();
+    });
     new ResizeObserver(redraw).observe(canvas);
     window.addEventListener("beforeprint", draw);
     redraw();

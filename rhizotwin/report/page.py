@@ -167,19 +167,23 @@ def _head(read: _Read) -> str:
 
 def _solid(read: _Read) -> str:
     """Return the shape to turn, and the files to save."""
+    packed = solid.packed(read.roots, read.folder / "shape.ply")
     data = {
         "name": read.name,
         "file": re.sub(r"[^A-Za-z0-9_-]+", "_", read.name) or "result",
         "csv": trait_table.to_csv(read.traits),
-        "solid": solid.packed(read.roots, read.folder / "shape.ply"),
+        "solid": packed,
     }
-    choices = ("order", "diameter", "depth") if read.roots else ("depth", "plain")
+    choices: tuple[str, ...] = ("order", "diameter", "depth") if read.roots else ("depth", "plain")
+    if "halves" in packed:
+        choices += ("uncertainty",)
     options = "".join(f"<option value={choice}>colour by {choice}</option>" for choice in choices)
     saved = ["csv", "stl", *(["rsml"] if read.roots else [])]
     labels = {"csv": "Traits (CSV)", "stl": "Shape as shown (STL)", "rsml": "Centre lines (RSML)"}
     buttons = "".join(f"<button type=button data-file={name}>{labels[name]}</button>" for name in saved)
     return (
         f'<div class=solid><canvas aria-label="the shape, to be turned"></canvas><select aria-label="colour">{options}</select>'
+        "<span class=legend></span>"
         "<p>Drag to turn, scroll or pinch to come nearer, Shift to shift.</p></div>"
         f"<p class=downloads>{buttons}<span class=soft>The exact surface is <code>shape.ply</code> in the result's folder.</span></p>"
         f'<script type="application/json">{_inside_script(data)}</script>'

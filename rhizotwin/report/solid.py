@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results.result_files import Mesh, read_mesh
+from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.simpler import simpler
 
@@ -22,7 +23,8 @@ _LEVELS = 65535
 def packed(roots: Sequence[Root], surface: Path) -> dict[str, Any]:
     """Return roots, or where there are none the surface in a file, as JSON values that `page.js` reads.
 
-    Coordinates are steps of the largest extent over 65535, a few micrometres; diameters steps of 1 micrometre.
+    Coordinates are steps of the largest extent over 65535, a few micrometres; diameters and their 90 % half-widths
+    steps of 1 micrometre. Where the uncertainty of a diameter is not known, there are no half-widths.
     """
     return _lines(roots) if roots else _surface(simpler(read_mesh(surface), MOST_TRIANGLES))
 
@@ -30,13 +32,14 @@ def packed(roots: Sequence[Root], surface: Path) -> dict[str, Any]:
 def _lines(roots: Sequence[Root]) -> dict[str, Any]:
     points = np.concatenate([root.points_mm for root in roots])
     steps, origin, scale = _steps(points)
-    diameters = np.clip(np.round(1000.0 * np.concatenate([root.diameters_mm for root in roots])), 0, _LEVELS).astype("<u2")
-    return {
+    sigmas = [root.diameter_sigma_mm for root in roots if root.diameter_sigma_mm is not None]
+    halves = {"halves": _micrometres([NINETY * sigma for sigma in sigmas])} if len(sigmas) == len(roots) else {}
+    return halves | {
         "kind": "roots",
         "origin": origin,
         "scale": scale,
         "points": _text(steps),
-        "diameters": _text(diameters),
+        "diameters": _micrometres([root.diameters_mm for root in roots]),
         "counts": [len(root.points_mm) for root in roots],
         "orders": [root.order for root in roots],
         "parents": [root.parent for root in roots],
@@ -46,6 +49,10 @@ def _lines(roots: Sequence[Root]) -> dict[str, Any]:
 def _surface(mesh: Mesh) -> dict[str, Any]:
     steps, origin, scale = _steps(mesh.vertices_mm)
     return {"kind": "surface", "origin": origin, "scale": scale, "points": _text(steps), "faces": _text(mesh.faces.astype("<u4"))}
+
+
+def _micrometres(parts_mm: Sequence[NDArray[np.float64]]) -> str:
+    return _text(np.clip(np.round(1000.0 * np.concatenate(parts_mm)), 0, _LEVELS).astype("<u2"))
 
 
 def _steps(points_mm: NDArray[np.float64]) -> tuple[NDArray[np.uint16], list[float], float]:

@@ -45,10 +45,14 @@ class Viewer(Drawing):
             if self.look.click == CLICKS[1]:
                 self._click_voxel(ray, more=more)
                 return
-            hit = picking.root_at(self.shown.strung(), ray)
-            if hit is None:
+            hit = picking.root_at(self.strung(), ray)
+            if hit is None and not self._click_beside(ray):
                 if not more:
                     self.choose_nothing()
+                return
+            if hit is None:
+                self._draw_chosen()
+                self.changed()
                 return
             number, point = hit
             if self.look.click == CLICKS[0]:
@@ -59,7 +63,7 @@ class Viewer(Drawing):
                     if not more:
                         self.voxels.clear()
             elif self.look.click == CLICKS[2]:
-                self.measured = [*self.measured, point][-2:] if len(self.measured) < 2 else [point]
+                self._measure_at(point)
             else:
                 kind = {CLICKS[3]: "cut", CLICKS[4]: "tip", CLICKS[5]: "base"}[self.look.click]
                 self.do(kind, roots=[number], point_mm=tuple(float(x) for x in point))
@@ -67,14 +71,31 @@ class Viewer(Drawing):
             self._draw_chosen()
         self.changed()
 
-    def _click_voxel(self, ray: Ray, *, more: bool) -> None:
+    def _click_beside(self, ray: Ray) -> bool:
+        """Answer a click that meets no root: measure on the shape itself; tell whether that was meant."""
+        if self.look.click != CLICKS[2]:
+            return False
+        hit = self._voxel_at(ray)
+        if hit is not None:
+            self._measure_at(hit[1])
+        return hit is not None
+
+    def _measure_at(self, point_mm: Array) -> None:
+        self.measured = [*self.measured, point_mm] if len(self.measured) < 2 else [point_mm]
+
+    def _voxel_at(self, ray: Ray) -> tuple[int, Array] | None:
+        """Return the row of the voxel that a ray meets first, and where."""
         solid, rows = self.shown.session.measure().solid, self._voxel_rows()
         hit = picking.voxel_at(solid.centre_mm[rows], np.asarray(0.5 * solid.size[rows] * solid.voxel_mm), ray)
+        return None if hit is None else (int(rows[hit[0]]), hit[1])
+
+    def _click_voxel(self, ray: Ray, *, more: bool) -> None:
+        hit = self._voxel_at(ray)
         if not more:
             self.voxels.clear()
             self.roots.clear()
         if hit is not None:
-            self.voxels ^= {int(rows[hit])}
+            self.voxels ^= {hit[0]}
         self._draw_chosen()
         self.changed()
 
@@ -89,8 +110,8 @@ class Viewer(Drawing):
                 inside = screen.inside(self.shown.session.measure().solid.centre_mm[rows], low, high)
                 self.voxels |= {int(row) for row in rows[inside]}
             else:
-                lines = self._clipped(self.shown.session.state.lines)
-                self.roots += [k for k, line in lines.items() if k not in self.roots and screen.inside(line.points_mm, low, high).all()]
+                points = {k: np.concatenate([part.points_mm for part in parts]) for k, parts in self.visible().items()}
+                self.roots += [k for k, at in points.items() if k not in self.roots and screen.inside(at, low, high).all()]
             self._draw_chosen()
         self.changed()
 
@@ -113,9 +134,10 @@ class Viewer(Drawing):
     # corrections
 
     def prepare(self) -> None:
-        """Do what the first correction would wait for."""
-        self.shown.strung()
+        """Do what the first click and the first correction would wait for, and measure what needs no haste."""
+        self.strung()
         _ = self.shown.session.solid
+        self.drawn()
 
     def do(self, kind: str, **what: Any) -> None:
         """Make a correction and show what it comes to."""
@@ -153,12 +175,16 @@ class Viewer(Drawing):
         self.do(kind, roots=self.roots)
 
     def restore(self) -> None:
-        """Bring the root back that was taken away last."""
-        removed = self.shown.session.state.removed
-        if not removed:
-            self.say("no root was taken away")
-            return
-        self.do("restore roots", roots=[list(removed)[-1]])
+        """Bring back what was taken away last and is still away; what was cut of other roots stays cut."""
+        with self.lock:
+            roots, rows = self.shown.session.taken_last()
+            if not roots and not len(rows):
+                self.say("nothing was taken away")
+                return
+            if len(rows):
+                self.do("restore voxels", runs=logs.runs([int(row) for row in rows]))
+            if roots:
+                self.do("restore roots", roots=roots)
 
     def fit_again(self) -> None:
         """Fit the roots to the pictures again."""

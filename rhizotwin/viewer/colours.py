@@ -9,6 +9,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.recon.uncertainty.budget import NINETY
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -17,7 +18,12 @@ ORDERS = ((68, 68, 68), (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103,
 """Taproot first; the last stands for all higher orders."""
 SEEN, UNSEEN = (44, 120, 160), (230, 120, 30)
 THICKEST_PERCENT = 98.0
-CHOICES = ("order", "diameter", "depth", "end seen or not")
+CHOICES = ("order", "diameter", "depth", "uncertainty", "end seen or not")
+OF_ONE = ("uncertainty", "end seen or not")
+"""What a root's colour depends on itself alone for."""
+LEAST_KNOWN = 0.25
+"""Colours by uncertainty end here: what may be farther off is no measurement (`recon.uncertainty.root_uncertainty`)."""
+UNKNOWN = (150, 150, 150)
 
 
 def colouring(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], str]:
@@ -36,6 +42,13 @@ def colouring(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], str]
     if by == "end seen or not":
         legend = "blue: the root's end was seen; orange: others hide where it ends"
         return lambda _, line: _flat(SEEN if line.tip_seen else UNSEEN, line), legend
+    if by == "uncertainty":
+        none = all(line.sigma_mm is None for line in lines.values())
+        return lambda _, line: _uncertain(line), (
+            "not known: made before uncertainties were kept, or drawn by hand"
+            if none
+            else f"violet: the diameter is certain; yellow: it may be {100.0 * LEAST_KNOWN:.0f} % off or more (90 % interval)"
+        )
     if by == "diameter":
         every = np.concatenate([np.zeros(1), *(line.diameters_mm for line in lines.values())])
         most = max(float(np.percentile(every, THICKEST_PERCENT)), 1e-6)
@@ -45,6 +58,16 @@ def colouring(by: str, lines: Lines) -> tuple[Callable[[int, Line], Bytes], str]
     span = max(top - bottom, 1e-6)
     legend = f"violet: {-top:.0f} mm below the rim; yellow: {-bottom:.0f} mm"
     return lambda _, line: _scaled((top - line.points_mm[:, 2]) / span), legend
+
+
+def half_width(line: Line) -> Array | None:
+    """Return the 90 % half-width of a root's diameters (N,), mm; None where it is not known."""
+    return None if line.sigma_mm is None else NINETY * line.sigma_mm
+
+
+def _uncertain(line: Line) -> Bytes:
+    half = half_width(line)
+    return _flat(UNKNOWN, line) if half is None else _scaled(half / np.maximum(line.diameters_mm, 1e-9) / LEAST_KNOWN)
 
 
 def order_of(lines: Lines) -> dict[int, int]:

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
+from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.viewer import colours
 from rhizotwin.viewer.guard import Served
+from rhizotwin.viewer.picking import Strung
 from rhizotwin.viewer.scene3d import Scene3d, field_of_view, quaternion
 from rhizotwin.viewer.shown import Shown
 
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+Parts = Mapping[int, tuple[Line, ...]]
 
 LAYERS = ("roots", "surface", "voxels", "canister", "cameras", "truth")
 CLICKS = ("choose a root", "choose a voxel", "measure", "cut here", "end it here", "plant begins here")
 TRUTH = ("over", "beside", "distance colours")
 _ASIDE_MM = 60.0
+_FAR_MM = 1e9
+"""Beyond everything."""
 
 
 @dataclass
@@ -34,9 +39,19 @@ class Look:
     layers: set[str] = field(default_factory=lambda: {"roots", "canister", "cameras"})
     colour: str = "order"
     truth: str = TRUTH[0]
-    low_mm: float = -1e9
-    high_mm: float = 1e9
+    low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
+    high_mm: Triple = (_FAR_MM, _FAR_MM, _FAR_MM)
+    """What lies outside of these corners is cut away, canister frame."""
     click: str = CLICKS[0]
+
+    @property
+    def whole(self) -> bool:
+        """Tell whether nothing is cut away."""
+        return max(self.low_mm) <= -_FAR_MM and min(self.high_mm) >= _FAR_MM
+
+    def inside(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Tell which points (N, 3) show."""
+        return np.asarray(((points_mm >= self.low_mm) & (points_mm <= self.high_mm)).all(axis=1))
 
 
 class Drawing:
@@ -55,8 +70,12 @@ class Drawing:
         self.measured: list[Array] = []
         self.standing: int | None = None
         """The picture that browsers stand in."""
+        self._visible: tuple[object, Parts] | None = None
+        self._strung: tuple[Parts, Strung] | None = None
         self.on_change: list[Callable[[], None]] = []
         """Called when what the panels say may have changed."""
+        self.on_drawn: list[Callable[[], None]] = []
+        """Called after that, when the scene has followed: for what takes longer."""
         self.told = ""
         """The last sentence to the user."""
         self.load(0)
@@ -95,6 +114,11 @@ class Drawing:
         for follow in self.on_change:
             follow()
 
+    def drawn(self) -> None:
+        """Let follow what takes longer."""
+        for follow in self.on_drawn:
+            follow()
+
     def say(self, text: str) -> None:
         """Tell the user something."""
         self.told = text
@@ -111,13 +135,10 @@ class Drawing:
         self.changed()
         with self.lock, self.served.server.atomic():
             session, look, shown = self.shown.session, self.look, self.shown
-            lines = self._clipped(session.state.lines)
             if "roots" in look.layers and self.standing is None:
                 shade, _ = colours.colouring(look.colour, session.state.lines)
-                key = f"{look.colour} {look.low_mm} {look.high_mm}"
-                if look.colour != "end seen or not":
-                    key += f" {len(session.log.edits)}"
-                self.scene.show_roots(lines, shade, key=key)
+                key = look.colour if look.colour in colours.OF_ONE else f"{look.colour} {len(session.log.edits)}"
+                self.scene.show_roots(self.visible(), shade, key=key)
             self._draw_surface()
             self._draw_voxels()
             if "canister" in look.layers and shown.dataset is not None and "/rig/canister" not in self.scene:
@@ -128,37 +149,56 @@ class Drawing:
             for layer, prefix in (("roots", "/roots"), ("canister", "/rig"), ("cameras", "/cameras")):
                 self.scene.set_visible(prefix, visible=here and layer in look.layers)
             self._draw_chosen()
+        self.drawn()
 
-    def _clipped(self, lines: Any) -> dict[int, Line]:
-        """Return the parts of roots between two heights."""
-        look = self.look
-        if look.low_mm < -1e8 and look.high_mm > 1e8:
-            return dict(lines)
-        found = {}
-        for number, line in lines.items():
-            inside = np.flatnonzero((line.points_mm[:, 2] >= look.low_mm) & (line.points_mm[:, 2] <= look.high_mm))
-            if len(inside) == len(line.points_mm):
-                found[number] = line
-            elif len(inside) > 1:
-                way = line.way_mm
-                found[number] = line.between(float(way[inside[0]]), float(way[inside[-1]]))
-        return found
+    def cut_away(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
+        """Show only what lies between two places along an axis; None: no end."""
+        for name, value, none in (("low_mm", low_mm, -_FAR_MM), ("high_mm", high_mm, _FAR_MM)):
+            corner = list(getattr(self.look, name))
+            corner[axis] = none if value is None else value
+            setattr(self.look, name, tuple(corner))
+        self.refresh()
+
+    def visible(self) -> Parts:
+        """Return the parts of roots that are not cut away."""
+        lines, look = self.shown.session.state.lines, self.look
+        key = (id(lines), look.low_mm, look.high_mm)
+        if self._visible is None or self._visible[0] != key:
+            found = {number: (line,) if look.whole else _parts(line, look.inside(line.points_mm)) for number, line in lines.items()}
+            self._visible = key, {number: parts for number, parts in found.items() if parts}
+        return self._visible[1]
+
+    def strung(self) -> Strung:
+        """Return the nodes of the roots that can be clicked."""
+        parts = self.visible()
+        if self._strung is None or self._strung[0] is not parts:
+            self._strung = parts, Strung.of((number, line) for number, lines in parts.items() for line in lines)
+        return self._strung[1]
 
     def _draw_surface(self) -> None:
         look, shown = self.look, self.shown
         wanted = "surface" in look.layers and self.standing is None
         compared = "truth" in look.layers and self.standing is None and shown.truth is not None
         coloured = compared and look.truth == TRUTH[2]
-        key = (wanted or coloured, coloured, len(shown.session.log.edits), id(shown))
+        key = (wanted or coloured, coloured, len(shown.session.log.edits), id(shown), look.low_mm, look.high_mm)
         if key != getattr(self, "_surface_key", None):
             self._surface_key = key
-            mesh = shown.surface_now() if wanted or coloured else None
+            mesh = self._cut(shown.surface_now()) if wanted or coloured else None
             self.scene.show_surface(mesh, colours=shown.distance_colours(mesh) if mesh is not None and coloured else None)
-        truth_key = (compared and not coloured, look.truth, id(shown))
+        truth_key = (compared and not coloured, look.truth, id(shown), look.low_mm, look.high_mm)
         if truth_key != getattr(self, "_truth_key", None):
             self._truth_key = truth_key
             aside = _ASIDE_MM if look.truth == TRUTH[1] else 0.0
-            self.scene.show_surface(shown.truth if truth_key[0] else None, name="/truth", aside_mm=aside)
+            truth = self._cut(shown.truth) if truth_key[0] and shown.truth is not None else None
+            self.scene.show_surface(truth, name="/truth", aside_mm=aside)
+
+    def _cut(self, mesh: Mesh) -> Mesh | None:
+        """Return what of a surface is not cut away; None where that is nothing."""
+        if self.look.whole:
+            return mesh
+        faces = mesh.faces[self.look.inside(mesh.vertices_mm)[mesh.faces].all(axis=1)]
+        used, index = np.unique(faces, return_inverse=True)
+        return Mesh(vertices_mm=mesh.vertices_mm[used], faces=index.reshape(-1, 3)) if len(faces) else None
 
     def _draw_voxels(self) -> None:
         session, look = self.shown.session, self.look
@@ -173,10 +213,12 @@ class Drawing:
         self.scene.show_voxels(solid.centre_mm[rows], measured.volumes_mm3[rows] / room, solid.voxel_mm)
 
     def _voxel_rows(self) -> NDArray[np.int64]:
-        """Return the voxels that are there and inside the clipping heights."""
+        """Return the voxels that are there and not cut away."""
         measured, look = self.shown.session.measure(), self.look
-        height = measured.solid.centre_mm[: len(measured.volumes_mm3), 2]
-        return np.flatnonzero((measured.volumes_mm3 > 1e-9) & (height >= look.low_mm) & (height <= look.high_mm))
+        there = measured.volumes_mm3 > 1e-9
+        if not look.whole:
+            there &= look.inside(measured.solid.centre_mm[: len(there)])
+        return np.flatnonzero(there)
 
     def _draw_chosen(self) -> None:
         session = self.shown.session
@@ -220,3 +262,13 @@ class Drawing:
         shades = {number: colours.ORDERS[min(orders[number], len(colours.ORDERS) - 1)] for number in lines}
         shades |= dict.fromkeys([number for number in self.roots if number in lines], (255, 170, 0))
         server.scene.set_background_image(pictures.drawn(self.standing, lines, shades), format="jpeg", jpeg_quality=90)
+
+
+def _parts(line: Line, inside: NDArray[np.bool_]) -> tuple[Line, ...]:
+    """Return the stretches of a root whose nodes show."""
+    if inside.all():
+        return (line,)
+    shown = np.flatnonzero(inside)
+    runs = [run for run in np.split(shown, np.flatnonzero(np.diff(shown) > 1) + 1) if len(run) > 1]
+    way = line.way_mm
+    return tuple(line.between(float(way[run[0]]), float(way[run[-1]])) for run in runs)

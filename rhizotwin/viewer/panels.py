@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import PurePosixPath
 from typing import Literal
 
+import numpy as np
 import viser
 
 from rhizotwin.viewer import colours, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import CLICKS, LAYERS, TRUTH
 
+BEST = 3
+"""Pictures offered of a chosen root."""
 _FIRST = {
     "roots": "Roots",
     "surface": "Surface",
@@ -29,6 +33,7 @@ def build(viewer: Viewer) -> None:
     gui.main_panel.dock_right()
     head = gui.add_html("")
     said = gui.add_html("", visible=False)
+    _chosen(viewer)
     if len(viewer.names) > 1:
         _days(viewer)
     tabs = gui.add_tab_group()
@@ -38,6 +43,8 @@ def build(viewer: Viewer) -> None:
         _correct(viewer)
     with tabs.add_tab("Pictures"):
         _pictures(viewer)
+    with tabs.add_tab("Traits"):
+        _traits(viewer)
 
     def follow() -> None:
         session = viewer.shown.session
@@ -59,6 +66,63 @@ def build(viewer: Viewer) -> None:
         viewer.choose_rectangle(screen_of(event.client), event.screen_min, event.screen_max)
 
     viewer.changed()
+
+
+def _chosen(viewer: Viewer) -> None:
+    """Make what tells of the chosen, and of a chosen root in how much detail."""
+    gui = viewer.served.server.gui
+    chosen = gui.add_html("")
+    root = gui.add_html("", visible=False)
+    pictures = [gui.add_button("", visible=False, hint="stand in this picture, with the root drawn over it") for _ in range(BEST)]
+    back = gui.add_button("Back to 3D", visible=False)
+    best: list[int] = []
+
+    for rank, button in enumerate(pictures):
+
+        def stand(_: object, rank: int = rank) -> None:
+            if rank < len(best):
+                viewer.stand(best[rank])
+
+        button.on_click(stand)
+    back.on_click(lambda _: viewer.stand(None))
+
+    def follow() -> None:
+        session = viewer.shown.session
+        lines = session.state.lines
+        there = [k for k in viewer.roots if k in lines]
+        volumes = session.measure().volumes_mm3
+        taken = float(sum(volumes[row] for row in viewer.voxels))
+        told = words.chosen(len(there), sum(lines[k].length_mm for k in there), len(viewer.voxels), taken)
+        if len(viewer.measured) == 2:
+            a, b = viewer.measured
+            told += words.note(f"{float(((a - b) ** 2).sum()) ** 0.5:.2f} mm between the two points")
+        chosen.content = told
+        alone = len(there) == 1
+        if alone:
+            number = there[0]
+            root.content = words.root(number, lines, colours.order_of(lines)[number]) + words.profile(lines[number])
+        root.visible = alone
+        shown = viewer.shown.pictures if alone else None
+        best[:] = [] if shown is None else shown.best_for(lines[there[0]], BEST)
+        for rank, button in enumerate(pictures):
+            button.visible = shown is not None and rank < len(best)
+            if shown is not None and rank < len(best):
+                button.label = f"Seen {('best', 'well', 'well')[rank]} in {PurePosixPath(shown.files[best[rank]]).stem}"
+        back.visible = viewer.standing is not None
+
+    viewer.on_change.append(follow)
+
+
+def _traits(viewer: Viewer) -> None:
+    """Tell the traits as they are now, corrections counted."""
+    told = viewer.served.server.gui.add_html("")
+
+    def follow() -> None:
+        told.content = words.traits(
+            viewer.shown.traits(), corrected=bool(viewer.shown.session.log.edits), summary=viewer.shown.session.summary
+        )
+
+    viewer.on_drawn.append(follow)
 
 
 def _days(viewer: Viewer) -> None:
@@ -96,21 +160,11 @@ def _look(viewer: Viewer) -> None:
 
     by = gui.add_dropdown("Colour by", colours.CHOICES, initial_value=viewer.look.colour)
     legend = gui.add_html("")
-    height = shown.session.measure().solid.centre_mm[:, 2]
-    low, high = float(height.min()) - 1.0, float(height.max()) + 1.0
-    ends = round(low, 1), round(high, 1)
-    clip = gui.add_multi_slider("Heights shown (mm)", min=ends[0], max=ends[1], step=0.1, initial_value=ends)
+    _clip(viewer)
 
     @by.on_update
     def _(_: object) -> None:
         viewer.look.colour = str(by.value)
-        viewer.refresh()
-
-    @clip.on_update
-    def _(_: object) -> None:
-        bottom, top = clip.value
-        viewer.look.low_mm = -1e9 if bottom <= low + 0.1 else float(bottom)
-        viewer.look.high_mm = 1e9 if top >= high - 0.1 else float(top)
         viewer.refresh()
 
     def follow() -> None:
@@ -119,11 +173,27 @@ def _look(viewer: Viewer) -> None:
     viewer.on_change.append(follow)
 
 
+def _clip(viewer: Viewer) -> None:
+    """Make a slider for each direction, which cuts away what lies beyond its ends."""
+    gui = viewer.served.server.gui
+    centre = viewer.shown.session.measure().solid.centre_mm
+    low, high = np.floor(centre.min(axis=0)) - 1.0, np.ceil(centre.max(axis=0)) + 1.0
+    sliders = []
+    for axis, name in ((2, "Heights shown (mm)"), (0, "x shown (mm)"), (1, "y shown (mm)")):
+        ends = float(low[axis]), float(high[axis])
+        slider = gui.add_multi_slider(name, min=ends[0], max=ends[1], step=0.1, initial_value=ends)
+        sliders.append(slider)
+
+        def cut(_: object, axis: int = axis, slider: viser.GuiMultiSliderHandle[float] = slider, ends: tuple[float, float] = ends) -> None:
+            below, above = slider.value
+            viewer.cut_away(axis, None if below <= ends[0] else float(below), None if above >= ends[1] else float(above))
+
+        slider.on_update(cut)
+
+
 def _correct(viewer: Viewer) -> None:
     gui = viewer.served.server.gui
     mode = gui.add_dropdown("A click means", CLICKS)
-    chosen = gui.add_html("")
-    root = gui.add_html("", visible=False)
     undo = gui.add_button_group("History", ("Undo", "Redo", "Save"))
     _edit_buttons(viewer)
     _box(viewer)
@@ -143,20 +213,6 @@ def _correct(viewer: Viewer) -> None:
 
     def follow() -> None:
         session = viewer.shown.session
-        lines = session.state.lines
-        there = [k for k in viewer.roots if k in lines]
-        volumes = session.measure().volumes_mm3
-        taken = float(sum(volumes[row] for row in viewer.voxels))
-        chosen.content = words.chosen(len(there), sum(lines[k].length_mm for k in there), len(viewer.voxels), taken)
-        if len(viewer.measured) == 2:
-            a, b = viewer.measured
-            chosen.content += words.note(f"{float(((a - b) ** 2).sum()) ** 0.5:.2f} mm between the two points")
-        root.visible = len(there) == 1
-        if len(there) == 1:
-            number = there[0]
-            pictures = viewer.shown.pictures
-            best = [] if pictures is None else [pictures.files[k] for k in pictures.best_for(lines[number])]
-            root.content = words.root(number, lines, colours.order_of(lines)[number], best) + words.profile(lines[number])
         count = len(session.log.edits)
         done = f"{count} edit{'' if count == 1 else 's'}: " + "; ".join(edit.do for edit in session.log.edits[-5:])
         log.content = words.note(done if count else "No edits yet.")
@@ -170,7 +226,7 @@ def _edit_buttons(viewer: Viewer) -> None:
     buttons: list[tuple[str, Callable[[], object], str | None, Literal["red"] | None]] = [
         ("Delete", viewer.delete, "take away what is chosen", "red"),
         ("Delete with laterals", lambda: viewer.delete(laterals=True), "take the chosen roots away with all that hangs on them", "red"),
-        ("Bring the last one back", viewer.restore, "bring the root back that was taken away last", None),
+        ("Bring the last one back", viewer.restore, "bring back what was taken away last: a root, roots or voxels", None),
         ("Join two", lambda: viewer.pair("join"), "let the first chosen root go on in the second", None),
         ("Hang on the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
         ("Fit again", viewer.fit_again, "fit centre lines and diameters to the pictures again", None),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.lines import Lines
+from rhizotwin.corrections.lines import Line
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,10 +27,10 @@ class Strung:
     root: Index
 
     @classmethod
-    def of(cls, lines: Lines) -> Strung:
-        """Return the nodes of roots."""
+    def of(cls, lines: Iterable[tuple[int, Line]]) -> Strung:
+        """Return the nodes of roots, or of parts of them, with their numbers."""
         none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
-        parts = [_filled(number, line.points_mm, line.diameters_mm) for number, line in lines.items()]
+        parts = [_filled(number, line.points_mm, line.diameters_mm) for number, line in lines]
         return cls(*(np.concatenate(part) for part in zip(none, *parts, strict=True)))
 
 
@@ -84,8 +85,11 @@ def root_at(strung: Strung, ray: Ray) -> tuple[int, Array] | None:
     return int(strung.root[best]), strung.point_mm[best]
 
 
-def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> int | None:
-    """Return the row of the voxel that a ray meets first, by the slab test of its box; None where it meets none."""
+def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> tuple[int, Array] | None:
+    """Return the row of the voxel that a ray meets first, by the slab test of its box, and where it enters.
+
+    None where it meets none.
+    """
     along, beside = ray.nearness(centre_mm)
     near = np.flatnonzero((along > 0.0) & (beside < np.sqrt(3.0) * half_mm))
     if not len(near):
@@ -95,7 +99,10 @@ def voxel_at(centre_mm: Array, half_mm: Array, ray: Ray) -> int | None:
         second = (centre_mm[near] + half_mm[near, None] - ray.origin_mm) / ray.direction
     enters, leaves = np.fmin(first, second).max(axis=1), np.fmax(first, second).min(axis=1)
     hit = enters <= leaves
-    return int(near[hit][enters[hit].argmin()]) if hit.any() else None
+    if not hit.any():
+        return None
+    first_in = int(np.flatnonzero(hit)[enters[hit].argmin()])
+    return int(near[first_in]), ray.origin_mm + enters[first_in] * ray.direction
 
 
 def _filled(number: int, points_mm: Array, diameters_mm: Array) -> tuple[Array, Array, Index]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import trimesh
 import viser
 from numpy.typing import NDArray
 
-from rhizotwin.corrections.lines import Line, Lines
+from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.root_mesh import tube
@@ -54,15 +54,17 @@ class Scene3d:
         start.look_at, start.fov, start.near, start.far = middle, np.deg2rad(40.0), 1.0, 5000.0
         start.position = middle + np.array([1.15, -0.75, 0.35]) * reach
 
-    def show_roots(self, lines: Lines, colours: Colouring, *, key: str) -> None:
+    def show_roots(self, lines: Mapping[int, Sequence[Line]], colours: Colouring, *, key: str) -> None:
         """Draw roots as tubes; chunks that are as they were stay.
 
         Parameters
         ----------
+        lines : mapping of int to sequence of Line
+            The parts of each root that show.
         key : str
             Changes where the colours do.
         """
-        nodes = sum(len(line.points_mm) for line in lines.values())
+        nodes = sum(len(line.points_mm) for parts in lines.values() for line in parts)
         around = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
         groups: dict[int, list[int]] = {}
         for number in lines:
@@ -71,13 +73,14 @@ class Scene3d:
             self.drop(f"/roots/{gone}")
             del self._chunks[gone]
         for chunk, numbers in groups.items():
-            now = [lines[number] for number in numbers]
+            named = [(number, line) for number in numbers for line in lines[number]]
+            now = [line for _, line in named]
             before = self._chunks.get(chunk)
             if before is not None and before[1] == key and list(map(id, before[0])) == list(map(id, now)):
                 continue
             parts = [tube(line.points_mm, line.diameters_mm, around=around) for line in now]
             shades = []
-            for number, line in zip(numbers, now, strict=True):
+            for number, line in named:
                 colour = colours(number, line)
                 shades += [np.repeat(colour, around, axis=0), colour[[0, -1]]]
             mesh = _joined(parts)

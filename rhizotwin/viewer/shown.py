@@ -18,9 +18,9 @@ from rhizotwin.recon.results import result_files, surface_distance
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.simpler import simpler
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer.picking import Strung
 from rhizotwin.viewer.scene3d import MOST_TRIANGLES
 
 FARTHEST_MM = 1.0
@@ -33,7 +33,7 @@ class Shown:
     def __init__(self, folder: Path, dataset_folder: Path | None) -> None:
         self.session = Session(folder)
         self._given = dataset_folder
-        self._strung: tuple[object, Strung] | None = None
+        self._surface_now: tuple[object, Mesh] | None = None
 
     @property
     def name(self) -> str:
@@ -76,9 +76,23 @@ class Shown:
 
     def surface_now(self) -> Mesh:
         """Return the surface as corrected."""
-        if not self.session.log.edits:
-            return simpler(self.surface, MOST_TRIANGLES)
-        return simpler(corrected.read_mesh(self.session), MOST_TRIANGLES)
+        edits = self.session.log.edits
+        if self._surface_now is None or self._surface_now[0] != edits:
+            whole = corrected.read_mesh(self.session) if edits else self.surface
+            self._surface_now = edits, simpler(whole, MOST_TRIANGLES)
+        return self._surface_now[1]
+
+    def traits(self) -> Traits:
+        """Measure the traits as corrected, from centre lines and voxels; the surface's area is left out."""
+        measured, roots = self.session.measure(), self.session.state.roots()
+        solid, rows = measured.solid, np.flatnonzero(measured.volumes_mm3 > 1e-9)
+        half_mm = 0.5 * solid.voxel_mm * solid.size[rows, None]
+        centre_mm = solid.centre_mm[rows]
+        points = np.concatenate([np.zeros((0, 3)), *(root.points_mm for root in roots), centre_mm - half_mm, centre_mm + half_mm])
+        if not len(points):
+            points = np.zeros((1, 3))
+        mass_g = self.session.summary.get("mass_g") if measured.volume_mm3 > 0.0 else None
+        return measure_traits(roots, points, volume_mm3=measured.volume_mm3, surface_mm2=0.0, mass_g=mass_g)
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
         """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
@@ -86,10 +100,3 @@ class Shown:
             raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
         return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(away / FARTHEST_MM, 0.0, 1.0))), np.uint8)
-
-    def strung(self) -> Strung:
-        """Return the nodes of the roots as they are now."""
-        lines = self.session.state.lines
-        if self._strung is None or self._strung[0] is not lines:
-            self._strung = lines, Strung.of(lines)
-        return self._strung[1]

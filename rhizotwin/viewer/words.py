@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,16 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.session import Measured
+from rhizotwin.report import words as said
 from rhizotwin.scenes.said import ml
+from rhizotwin.scenes.trait_table import DEFINITIONS
+from rhizotwin.scenes.traits import Traits
+from rhizotwin.viewer.colours import half_width
 
 Array = NDArray[np.float64]
+
+NOT_AT_ONCE = ("volume_mm3", "surface_mm2")
+"""Traits that the panel has elsewhere, or that need the surface drawn anew."""
 
 
 def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
@@ -32,22 +38,20 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     return f"<div style='padding:0.3em 0.8em'>{text}</div>"
 
 
-def root(number: int, lines: Lines, order: int, pictures: Sequence[str]) -> str:
-    """Return what a root is: length, order, angles, diameters, the pictures that show it best."""
+def root(number: int, lines: Lines, order: int) -> str:
+    """Return what a root is: length, order, angles, diameters."""
     line = lines[number]
     rows = [
         ("length", f"{line.length_mm:.1f} mm"),
         ("order", f"{order} ({'main root' if order == 0 else 'lateral' if order == 1 else 'lateral of a lateral'})"),
         ("angle to straight down", f"{_to_gravity_deg(line):.0f} degrees, mean over its length"),
-        ("mean diameter", f"{_mean_diameter(line):.2f} mm"),
+        ("mean diameter", _mean_diameter(line)),
         ("laterals", str(sum(other.parent == number for other in lines.values()))),
         ("end", "seen" if line.tip_seen else "hidden by others"),
     ]
     parent = lines.get(line.parent)
     if parent is not None:
         rows.insert(3, ("angle to its parent", f"{_to_parent_deg(line, parent):.0f} degrees"))
-    if pictures:
-        rows.append(("seen best in", ", ".join(html.escape(name) for name in pictures)))
     table = "".join(f"<tr><td style='padding-right:0.8em'>{name}</td><td>{value}</td></tr>" for name, value in rows)
     return f"<div style='padding:0.3em 0.8em'><b>Root {number}</b><table>{table}</table></div>"
 
@@ -62,6 +66,24 @@ def chosen(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
     if voxels:
         parts.append(f"{voxels} voxel{'' if voxels == 1 else 's'}, {volume_mm3:.2f} mm³")
     return f"<div style='padding:0.3em 0.8em'>Chosen: <b>{' and '.join(parts)}</b></div>"
+
+
+def traits(found: Traits, *, corrected: bool, summary: dict[str, Any]) -> str:
+    """Return the traits as they are now; intervals only of what nobody corrected."""
+    rows = []
+    for definition in DEFINITIONS:
+        value = getattr(found, definition.field)
+        name, shown, meaning = said.trait(definition, value)
+        if value is None or definition.field in NOT_AT_ONCE:
+            continue
+        interval = "" if corrected else said.estimated(summary, definition.field)
+        between = f"<br><small>90 % interval {html.escape(interval)}</small>" if interval else ""
+        rows.append(
+            f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
+            f"<td>{html.escape(shown)}{between}</td></tr>"
+        )
+    head = "<b>As corrected</b>" if corrected else "Point at a line for what it means."
+    return f"<div style='padding:0.3em 0.8em'>{head}<table>{''.join(rows)}</table></div>"
 
 
 def note(text: str) -> str:
@@ -93,9 +115,17 @@ def _to_gravity_deg(line: Line) -> float:
     return float(np.rad2deg(np.arccos(np.clip(-step[:, 2] / np.maximum(size, 1e-12), -1.0, 1.0)) @ size / max(size.sum(), 1e-12)))
 
 
-def _mean_diameter(line: Line) -> float:
+def _mean_diameter(line: Line) -> str:
+    """Return the mean diameter with its 90 % half-width: errors along one root go together."""
+    half_mm = half_width(line)
+    text = f"{_mean(line, line.diameters_mm):.2f}"
+    return f"{text} mm" if half_mm is None else f"{text} ± {_mean(line, half_mm):.2f} mm (90 %)"
+
+
+def _mean(line: Line, values: Array) -> float:
+    """Return the mean along a root of values (N,) at its points."""
     _, size = _steps(line)
-    return float((line.diameters_mm[1:] + line.diameters_mm[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))
+    return float((values[1:] + values[:-1]) / 2.0 @ size / max(size.sum(), 1e-12))
 
 
 def _to_parent_deg(line: Line, parent: Line) -> float:

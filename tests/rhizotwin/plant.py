@@ -44,11 +44,11 @@ class Plant:
 def line(
     begin: tuple[float, float, float], end: tuple[float, float, float], *, wide: float, thin: float, count: int = 40
 ) -> dict[str, np.ndarray]:
-    """Return a slightly bent line with its diameters."""
+    """Return a slightly bent line with its diameters, and how uncertain they are."""
     share = np.linspace(0.0, 1.0, count)
     points = np.array(begin) + share[:, None] * (np.array(end) - np.array(begin))
     points[:, 0] += 0.8 * np.sin(np.pi * share)
-    return {"points_mm": points, "diameters_mm": np.linspace(wide, thin, count)}
+    return {"points_mm": points, "diameters_mm": np.linspace(wide, thin, count), "diameter_sigma_mm": np.linspace(0.01, 0.05, count)}
 
 
 def roots(*, fibre: bool = False) -> tuple[Root, ...]:

@@ -298,7 +298,8 @@ def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: s
         parent = data.draw(st.integers(-1, index - 1))
         order = roots[parent].order + 1 if parent >= 0 else 0
         root = Root(points_mm=points, diameters_mm=diameters, order=order, parent=parent, label=f'r{index} <&">ß')
-        roots.append(replace(root, tip_seen=data.draw(st.booleans())))
+        sigma = np.array(data.draw(st.lists(st.floats(0.0, 2.0), min_size=n, max_size=n))) if data.draw(st.booleans()) else None
+        roots.append(replace(root, tip_seen=data.draw(st.booleans()), diameter_sigma_mm=sigma))
     path = tmp_path_factory.mktemp("rsml") / "ours.rsml"
     write_rsml(path, roots)
     found = read_rsml(path)
@@ -308,6 +309,7 @@ def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: s
         other = by_label[root.label]
         np.testing.assert_array_equal(other.points_mm, root.points_mm)
         np.testing.assert_array_equal(other.diameters_mm, root.diameters_mm)
+        np.testing.assert_array_equal(other.diameter_sigma_mm, root.diameter_sigma_mm)
         assert (other.order, other.tip_seen) == (root.order, root.tip_seen)
         assert (found[other.parent].label if other.parent >= 0 else None) == (roots[root.parent].label if root.parent >= 0 else None)
 

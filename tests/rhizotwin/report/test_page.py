@@ -111,7 +111,12 @@ def test_a_browser_draws_the_page_from_disk(browser: Any, plant: plants.Plant, w
     shown.mouse.move(box["x"] + 220, box["y"] + 130)
     shown.mouse.up()
     shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 1", timeout=PATIENCE_MS)
-    assert np.abs(_pixels(canvas).astype(int) - before).mean() > 0.05
+    turned = _pixels(canvas).astype(int)
+    assert np.abs(turned - before).mean() > 0.05
+    shown.get_by_label("colour").select_option("uncertainty")
+    shown.get_by_text("the diameter is certain").wait_for()
+    shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 2", timeout=PATIENCE_MS)
+    assert np.abs(_pixels(canvas).astype(int) - turned).mean() > 0.05
     for kind, beginning in (("csv", b"trait,"), ("rsml", b"<?xml"), ("stl", b"\0" * 80)):
         with shown.expect_download(timeout=PATIENCE_MS) as waiting:
             shown.locator(f"button[data-file={kind}]").click()

@@ -79,10 +79,18 @@ def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewe
     clean = plants.make(tmp_path / "clean")
     page, complaints = opened(browser, viewer)
     page.get_by_role("tab", name="Correct").click()
-    viewer.shown.strung()
+    viewer.strung()
     click_root(page, viewer, 4)
     wait(lambda: viewer.roots == [4], "the click to choose the fibre")
     page.get_by_text("Root 4").wait_for()
+    page.get_by_role("button", name="Seen best in").click()
+    pictures = viewer.shown.pictures
+    assert pictures is not None
+    best = pictures.best_for(viewer.shown.session.state.lines[4])[0]
+    wait(lambda: viewer.standing == best, "the picture that shows it best")
+    page.get_by_role("button", name="Back to 3D").first.click()
+    wait(lambda: viewer.standing is None, "the way back")
+    assert viewer.roots == [4]
     page.get_by_role("button", name="Delete", exact=True).click()
     wait(lambda: 4 not in viewer.shown.session.state.lines, "the fibre to go")
     expected = Session(clean.result).measure().volume_mm3
@@ -115,6 +123,13 @@ def test_the_picture_shows_roots(browser: Any, viewer: Viewer):
 
     with_roots = wait(lambda: blue() if blue() > 1e-3 else 0.0, "roots in the picture")
     page.get_by_role("tab", name="Look").click()
+    page.get_by_role("textbox", name="Colour by").click()
+    page.get_by_role("option", name="uncertainty").click()
+    wait(lambda: viewer.look.colour == "uncertainty", "other colours")
+    page.get_by_text("the diameter is certain").wait_for()
+    viewer.look.colour = "order"
+    viewer.refresh()
+    page.get_by_text("grey: main root").wait_for()
     page.get_by_label("Roots", exact=True).click()
     wait(lambda: "roots" not in viewer.look.layers, "roots to be switched off")
     wait(lambda: blue() < 0.3 * with_roots, "the picture to follow")

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer import app, picking, words
+from rhizotwin.viewer import app, colours, picking, words
 from rhizotwin.viewer.app import Viewer
 from rhizotwin.viewer.drawing import CLICKS
 from tests.rhizotwin import plant as plants
@@ -64,7 +65,10 @@ def plants_length(plant: plants.Plant, number: int) -> float:
 def test_a_click_finds_the_voxel_that_its_ray_enters_first():
     centre = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 5.0, 0.0]])
     half = np.full(3, 0.5)
-    assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.4, 0.0]), np.array([-1.0, 0.0, 0.0]))) == 1
+    hit = picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.4, 0.0]), np.array([-1.0, 0.0, 0.0])))
+    assert hit is not None
+    assert hit[0] == 1
+    assert hit[1] == pytest.approx([2.5, 0.4, 0.0])
     assert picking.voxel_at(centre, half, picking.Ray(np.array([10.0, 0.6, 0.0]), np.array([-1.0, 0.0, 0.0]))) is None
 
 
@@ -118,7 +122,7 @@ def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: View
     assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
     assert said.ml(137070.4, half_mm3=9000.0) == "137.1"
     assert said.ml(58.2967, half_mm3=11.7) == "0.058"
-    assert "<script>" not in words.root(0, viewer.shown.session.state.lines, 0, ["<script>.png"])
+    assert "<script>" not in words.traits(viewer.shown.traits(), corrected=False, summary={"estimates": _told("<script>")})
 
 
 def test_standing_in_a_picture_hides_what_does_not_fit(viewer: Viewer):
@@ -128,3 +132,82 @@ def test_standing_in_a_picture_hides_what_does_not_fit(viewer: Viewer):
     assert viewer.roots == []
     viewer.stand(None)
     assert viewer.standing is None
+
+
+def _told(name: str) -> list[dict]:
+    return [{"name": "tips", "value": 3.0, "interval": [2.0, 4.0], "trusted": False, "verdict": name}]
+
+
+def test_what_is_cut_away_cannot_be_clicked(viewer: Viewer, plant: plants.Plant):
+    point = plant.roots[1].points_mm[30]
+    viewer.cut_away(2, None, float(point[2]) - 2.0)
+    viewer.clicked(ray_to(point))
+    assert viewer.roots != [1]
+    viewer.cut_away(2, None, None)
+    viewer.clicked(ray_to(point))
+    assert viewer.roots == [1]
+
+
+def test_a_cut_shows_both_sides_of_what_it_leaves(viewer: Viewer, plant: plants.Plant):
+    point = plant.roots[1].points_mm[30]
+    whole = viewer.shown.session.state.lines[1]
+    viewer.look.low_mm, viewer.look.high_mm = (-1e9, -1e9, float(point[2]) - 1.0), (1e9, 1e9, float(point[2]) + 1.0)
+    parts = viewer.visible()[1]
+    assert 0.0 < sum(part.length_mm for part in parts) < whole.length_mm
+    shown = np.concatenate([part.points_mm for part in parts])
+    assert np.abs(shown[:, 2] - point[2]).max() <= 1.0
+    surface = viewer._cut(viewer.shown.surface_now())
+    assert surface is not None
+    assert np.abs(surface.vertices_mm[:, 2] - point[2]).max() <= 1.0
+    viewer.cut_away(2, None, None)
+
+
+def test_measuring_needs_no_roots(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(viewer, "strung", lambda: picking.Strung.of([]))  # as a print has none
+    viewer.look.click = CLICKS[2]
+    solid, rows = viewer.shown.session.measure().solid, viewer._voxel_rows()
+    lowest, other = (solid.centre_mm[rows[k]] for k in (solid.centre_mm[rows, 2].argmin(), solid.centre_mm[rows, 0].argmax()))
+    viewer.clicked(ray_to(lowest))
+    viewer.clicked(ray_to(other))
+    assert np.linalg.norm(viewer.measured[0] - viewer.measured[1]) == pytest.approx(np.linalg.norm(lowest - other), abs=1.0)
+
+
+def test_what_was_taken_away_last_comes_back_first(viewer: Viewer):
+    before = viewer.shown.session.measure()
+    viewer.do("delete roots", roots=[1])
+    viewer.do("delete roots", roots=[2, 3])
+    viewer.restore()
+    assert sorted(viewer.shown.session.state.lines) == [0, 2, 3]
+    viewer.restore()
+    assert viewer.shown.session.measure().length_mm == pytest.approx(before.length_mm)
+    rows = viewer._voxel_rows()[:50]
+    viewer.do("delete voxels", runs=[(int(row), 1) for row in rows])
+    viewer.restore()
+    assert not viewer.shown.session.state.gone.any()
+    viewer.restore()
+    assert viewer.told == "nothing was taken away"
+
+
+def test_colours_tell_uncertainty(viewer: Viewer):
+    lines = dict(viewer.shown.session.state.lines)
+    shade, legend = colours.colouring("uncertainty", lines)
+    certain = replace(lines[1], sigma_mm=np.zeros(len(lines[1].points_mm)))
+    assert (shade(1, certain) == [68, 1, 84]).all()  # viridis begins so
+    assert (shade(1, replace(lines[1], sigma_mm=lines[1].diameters_mm)) == [253, 231, 37]).all()
+    assert (shade(1, replace(lines[1], sigma_mm=None)) == colours.UNKNOWN).all()
+    assert "yellow" in legend
+    unknown = {number: replace(line, sigma_mm=None) for number, line in lines.items()}
+    assert "not known" in colours.colouring("uncertainty", unknown)[1]
+    assert "±" in words.root(1, lines, 1)
+    assert "±" not in words.root(1, unknown, 1)
+
+
+def test_traits_follow_corrections(viewer: Viewer):
+    assert viewer.shown.traits().roots == 4
+    assert viewer.shown.traits().total_length_mm == pytest.approx(viewer.shown.session.measure().length_mm)
+    told: list[str] = []
+    viewer.on_drawn.append(lambda: told.append(words.traits(viewer.shown.traits(), corrected=True, summary={})))
+    viewer.do("delete roots", roots=[3])
+    assert viewer.shown.traits().roots == 3
+    assert "<td>3</td>" in told[-1]
+    viewer.undo()

@@ -1,0 +1,65 @@
+"""How far each root's diameter may be wrong, point by point."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from rhizotwin.recon.tubes import tube_fit
+from rhizotwin.recon.tubes.tube_profiles import HostProfiles
+from rhizotwin.recon.uncertainty import diameter_uncertainty
+from rhizotwin.recon.uncertainty.tube_uncertainty import UNTOLD
+from rhizotwin.scenes.rsml import Root
+from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
+
+
+def profiled(width: np.ndarray, width_2: np.ndarray) -> HostProfiles:
+    """Return what views (V, N) say of widths alone."""
+    none = np.zeros(width.shape)
+    return HostProfiles(np.zeros((*width.shape, 3)), np.full(width.shape, 5.0), none, none, width_2, none, width, none, none)
+
+
+def test_it_is_the_jackknife_of_the_fit() -> None:
+    """Against matrices written out, as a least-squares fit without each of the views has them."""
+    tubes, rng = strung(TRUNK[::20], TWIG[::20]), np.random.default_rng(0)
+    nodes, views = len(tubes.radius_mm), 12
+    width_2 = rng.uniform(0.5, 2.0, (views, nodes))
+    told = profiled(rng.normal(0.0, 0.1, (views, nodes)), width_2)
+    normal = np.diag((width_2 * 25.0).sum(axis=0) + tube_fit.LEAST) + sparse.csr_matrix(tube_fit.prior(tubes)).toarray()[3::4, 3::4]
+    step = np.linalg.solve(normal, (told.width * 5.0).T)
+    by_view = np.sqrt(views) * step.std(axis=1)
+    untold = 1.0 / np.sqrt((width_2 * 25.0).sum(axis=0) / 0.01 + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
+    assert diameter_uncertainty.combined(tubes, told, 0.01) == pytest.approx(np.hypot(by_view, untold), rel=1e-6)
+
+
+def test_a_root_that_no_view_shows_is_known_as_roots_of_its_order_are() -> None:
+    tubes = strung(TRUNK[::20])
+    nothing = np.zeros((8, len(tubes.radius_mm)))
+    assert diameter_uncertainty.combined(tubes, profiled(nothing, nothing), 0.01) == pytest.approx(UNTOLD * tubes.radius_mm)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_noise_in_the_pictures_comes_out_in_the_diameters(noise: float) -> None:
+    """Fitted to pictures with noise, diameters miss the truth by what is told or less: what neighbours share is not counted."""
+    true = strung(TRUNK, TWIG, radius_mm=0.25)
+    seen = pictured(true, noise=noise)
+    fitted, _ = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=6)
+    system = at_rest(fitted, px_a_mm=4.0)
+    object.__setattr__(system, "seen", seen)
+    sigma, wrong = diameter_uncertainty.of_radii(system), fitted.radius_mm - 0.25
+    inner = np.ones(len(wrong), bool)
+    inner[[int(nodes[k]) for nodes in fitted.branches for k in (0, 1, -2, -1)]] = False  # ends and forks share pixels
+    assert 0.2 < np.sqrt(np.mean(wrong[inner] ** 2) / np.mean(sigma[inner] ** 2)) < 1.6
+
+
+def test_roots_get_the_uncertainty_of_their_own_nodes() -> None:
+    tubes = strung(TRUNK, TWIG, radius_mm=0.25)
+    system = at_rest(tubes, px_a_mm=4.0)
+    sigma = 2.0 * diameter_uncertainty.of_radii(system)
+    twig = tubes.centre_mm[tubes.branches[1]][::-1]  # whatever the order of the points
+    thick = np.full(len(twig), 0.5)
+    alone, lateral = (Root(points_mm=twig, diameters_mm=thick, order=0, parent=parent) for parent in (-1, 0))
+    for root, first in ((alone, -1), (lateral, -2)):
+        found = diameter_uncertainty.told([root], system)[0].diameter_sigma_mm
+        assert found is not None
+        assert found[1:] == pytest.approx(sigma[tubes.branches[1]][::-1][1:])
+        assert found[0] == pytest.approx(sigma[tubes.branches[1]][first])
