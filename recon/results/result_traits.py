@@ -101,6 +101,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
         "subject": to_plain(subject.of_summary(summary, "result.json")),
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
+        **({"edits": edits} if (edits := edited(summary)) else {}),
         **trait_table.to_json(traits),
         **({"plants": plants} if (plants := [_plant(one) for one in by_plant.of_summary(summary, "result.json")]) else {}),
         "warnings": list(summary["warnings"]),
@@ -117,17 +118,27 @@ def _plant(one: OfPlant) -> Json:
     }
 
 
+def edited(summary: Json) -> str:
+    """Return a person's corrections of a result in a few words; empty where there are none."""
+    edits = summary.get("edits")
+    if not edits:
+        return ""
+    count, moved = int(edits["count"]), 100.0 * float(edits["volume_share"])
+    who = ", ".join(str(name) for name in edits["who"])
+    return f"{count} edit{'' if count == 1 else 's'} by {who}, {moved:+.1f} % of volume"
+
+
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """Return one row a result as CSV, and where several plants are in it, one row a plant.
 
-    It has name, scene, whose it is, traits with their units in the head, the volume's interval, warnings.
+    It has name, scene, whose it is, traits with their units in the head, the volume's interval, edits, warnings.
 
     Parameters
     ----------
     rows : sequence of tuple of str
         (name, summary, traits) of each result.
     """
-    ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "warnings")
+    ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "edits", "warnings")
     head = ["result", "scene", *subject.NAMES, *(d.heading for d in trait_table.DEFINITIONS), *ends]
     table: list[Sequence[Any]] = [head]
     for name, summary, traits in rows:
@@ -135,7 +146,7 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
         for whose, own, (low, high) in each(name, summary, traits):
             values = (getattr(own, d.field) for d in trait_table.DEFINITIONS)
             numbers = [trait_table.written(value) for value in (*values, low, high)]
-            table.append([name, summary["scene"], *subject.as_text(whose).values(), *numbers, trusted, warnings])
+            table.append([name, summary["scene"], *subject.as_text(whose).values(), *numbers, trusted, edited(summary), warnings])
     return trait_table.csv_text(table)
 
 

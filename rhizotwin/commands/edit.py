@@ -45,7 +45,7 @@ def edit(
         raise UserError(f"{output} holds something that is no result; choose a new folder")
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
-    from rhizotwin.recon.results import result_files
+    from rhizotwin.recon.results import result_files, result_traits
     from rhizotwin.report import page, words
     from rhizotwin.scenes.dataset import load_dataset
 
@@ -64,5 +64,5 @@ def edit(
             summary = corrected.write(session, output)
         with bar.stage("page"):
             page.write(output, dataset=dataset)
-    print(f"{corrected.in_words(summary)}: {words.volume(summary)[0]}, in {output}")
+    print(f"{result_traits.edited(summary)}: {words.volume(summary)[0]}, in {output}")
     print(f"next: rhizotwin view {output}")

@@ -77,7 +77,10 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     from rhizotwin.scenes import subject, trait_table
 
     whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
-    print(f"{folder} ({whose}), volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence")
+    volume = f"volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence"
+    print(f"{folder} ({whose}), {volume if summary['volume_trusted'] else 'no volume can be told: ' + summary['volume_verdict']}")
+    if edits := result_traits.edited(summary):
+        print(f"  corrected by hand: {edits}")
     print("\n".join(f"  {line}" for line in trait_table.lines(one)))
     plants = result_traits.each(str(folder), summary, one)
     for who, own, interval in plants if len(plants) > 1 else ():

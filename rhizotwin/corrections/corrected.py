@@ -30,16 +30,6 @@ def share(before_mm3: float, after_mm3: float) -> float:
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
-def in_words(summary: dict[str, Any]) -> str:
-    """Return the corrections of a result in a few words; empty where there are none."""
-    edits = summary.get("edits")
-    if not edits:
-        return ""
-    count, moved = int(edits["count"]), 100.0 * float(edits["volume_share"])
-    who = ", ".join(str(name) for name in edits["who"])
-    return f"{count} edit{'' if count == 1 else 's'} by {who}, {moved:+.1f} % of volume"
-
-
 def write(session: Session, output: Path) -> dict[str, Any]:
     """Write a corrected result as a folder; return the content of its ``result.json``.
 

@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.corrections import corrected
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
 from rhizotwin.recon.results import by_plant, report_tables, result_files, result_traits
@@ -108,9 +107,9 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
         whose = "".join(f"<td>{html.escape(subject.as_text(one.subject)[name])}</td>" for name in told)
         rows.append(
             f"<tr><td>{link}</td><td>{html.escape(one.name)}</td>{whose}<td class=number>{found}</td><td class=number>{interval}</td>"
-            f"<td>{state}</td><td class=number>{length}</td></tr>"
+            f"<td>{state}</td><td class=number>{length}</td><td>{html.escape(result_traits.edited(one.summary))}</td></tr>"
         )
-    names = "".join(f"<th>{name}</th>" for name in ("result", "scene", *told, "volume", "90 % interval", "", "root length (mm)"))
+    names = "".join(f"<th>{name}</th>" for name in ("result", "scene", *told, "volume", "90 % interval", "", "root length (mm)", "edits"))
     head = f"<tr>{names}</tr>"
     table = f"<h1>{len(read)} results</h1><div class=wide><table>{head}{''.join(rows)}</table></div>"
     parts = [f'<div id="result-{place}">{_short(one)}</div>' for place, one in enumerate(read)]
@@ -156,7 +155,7 @@ def _head(read: _Read) -> str:
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
     headline, beside = words.headline(read.summary)
     state, meaning, told = words.light(read.summary)
-    edits = corrected.in_words(read.summary)
+    edits = result_traits.edited(read.summary)
     hand = f"<p class=soft>Corrected by hand: {html.escape(edits)}.</p>" if edits else ""
     return (
         f"<h1>{html.escape(read.name)}</h1>{described}<p class=volume>{headline}</p><p>{beside}</p>{hand}"

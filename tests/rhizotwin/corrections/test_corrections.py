@@ -9,7 +9,7 @@ import pytest
 
 from rhizotwin.corrections import corrected, lines, log
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.scenes.errors import UserError
 from tests.rhizotwin import plant as plants
@@ -181,7 +181,10 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     fresh = Session(tmp_path / "new").measure()
     assert fresh.volume_mm3 == pytest.approx(session.measure().volume_mm3, rel=1e-3)
     assert summary["edits"]["who"] == ["ann", "ben"]
-    assert corrected.in_words(summary).startswith("2 edits by ann, ben, -")
+    told = result_traits.edited(summary)
+    assert told.startswith("2 edits by ann, ben, -")
+    assert told in result_traits.spreadsheet([("a", summary, result_traits.read(tmp_path / "new"))])
+    assert json.loads((tmp_path / "new" / "traits.json").read_text())["edits"] == told
 
 
 def test_the_surface_follows(plant: Plant, tmp_path: Path):
