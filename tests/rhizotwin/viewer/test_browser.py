@@ -123,8 +123,8 @@ def test_the_picture_shows_roots(browser: Any, viewer: Viewer):
 
     with_roots = wait(lambda: blue() if blue() > 1e-3 else 0.0, "roots in the picture")
     page.get_by_role("tab", name="Look").click()
-    page.get_by_role("textbox", name="Colour by").click()
-    page.get_by_role("option", name="uncertainty").click()
+    page.get_by_role("combobox", name="Colour by").click(timeout=60_000)
+    page.get_by_role("option", name="uncertainty").click(timeout=60_000)
     wait(lambda: viewer.look.colour == "uncertainty", "other colours")
     page.get_by_text("the diameter is certain").wait_for()
     viewer.look.colour = "order"
