@@ -183,21 +183,7 @@ def write_rsml(
     """
     path = Path(path)
     document = ET.Element("rsml")
-    metadata = ET.SubElement(document, "metadata")
-    when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
-    entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
-    for name, text in {**entries, "file-key": path.stem}.items():
-        ET.SubElement(metadata, name).text = text
-    if moment is not None:
-        series = ET.SubElement(metadata, "time-sequence")
-        for name, text in {"label": moment.sequence, "index": str(moment.index), "unified": "true"}.items():
-            ET.SubElement(series, name).text = text
-    definitions = ET.SubElement(metadata, "property-definitions")
-    kinds = (("diameter", "real", "mm"), (_SIGMA, "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", ""))
-    for label, kind, unit in kinds:
-        definition = ET.SubElement(definitions, "property-definition")
-        for name, text in {"label": label, "type": kind, "unit": unit}.items():
-            ET.SubElement(definition, name).text = text
+    _describe(document, path.stem, modified, moment)
     scene = ET.SubElement(document, "scene")
     names = list(dict.fromkeys(root.plant for root in roots if root.parent < 0)) or [""]
     plants = {name: ET.SubElement(scene, "plant", {"id": str(k), "label": name or NAMELESS}) for k, name in enumerate(names, start=1)}
@@ -213,6 +199,25 @@ def write_rsml(
         raise ValueError("the parents of some roots form a circle")
     ET.indent(document, " ")
     write_bytes(path, ET.tostring(document, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _describe(document: ET.Element, key: str, modified: datetime | None, moment: Moment | None) -> None:
+    """Say in a document what it is and what its properties mean."""
+    metadata = ET.SubElement(document, "metadata")
+    when = (modified or datetime.now(UTC)).isoformat(timespec="seconds")
+    entries = {"version": "1", "unit": "mm", "resolution": "1", "last-modified": when, "software": "rhizotwin", "user": ""}
+    for name, text in {**entries, "file-key": key}.items():
+        ET.SubElement(metadata, name).text = text
+    if moment is not None:
+        series = ET.SubElement(metadata, "time-sequence")
+        for name, text in {"label": moment.sequence, "index": str(moment.index), "unified": "true"}.items():
+            ET.SubElement(series, name).text = text
+    definitions = ET.SubElement(metadata, "property-definitions")
+    kinds = (("diameter", "real", "mm"), (_SIGMA, "real", "mm"), ("parent-node", "integer", ""), (_TIP_SEEN, "boolean", ""))
+    for label, kind, unit in kinds:
+        definition = ET.SubElement(definitions, "property-definition")
+        for name, text in {"label": label, "type": kind, "unit": unit}.items():
+            ET.SubElement(definition, name).text = text
 
 
 def _element(index: int, root: Root, parent: Root | None) -> ET.Element:
