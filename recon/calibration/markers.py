@@ -14,13 +14,9 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named, marker_cells
 from rhizotwin.scenes.model import MarkerStrip
+from rhizotwin.scenes.reduced import Picture, reduced
 
 Bytes = NDArray[np.uint8]
-Picture = NDArray[np.uint8 | np.uint16]
-
-LONGEST_PX = 2100
-"""Pictures are halved until their longer side is below this for the search; corners are measured in the full
-picture."""
 _ALIKE = 0.7, 1.4
 """Heights of markers of one strip over their median. The nearest is 1 + R / d times as high as those at the flanks (d:
 the camera's distance from the axis, R: the net pot's radius): 1.2 with the thesis's rig, 1.4 where d is 2.5 R."""
@@ -130,12 +126,7 @@ def _search(
 
     The corners are in the full picture.
     """
-    small, shrink = image, 1
-    while max(image.shape) / shrink > LONGEST_PX:
-        shrink *= 2
-    if shrink > 1:
-        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
-    scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
+    small, scale = reduced(image)
     detector = _detector(dictionary, subpix=subpix)
     own: dict[int, Array] = {}
     foreign: dict[int, Array] = {}

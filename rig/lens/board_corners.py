@@ -11,12 +11,8 @@ from rhizotwin.rig.lens.saddle_fit import Saddle, fit_saddle
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.markers import dictionary_named
+from rhizotwin.scenes.reduced import Picture, reduced
 
-Picture = NDArray[np.uint8 | np.uint16]
-
-LONGEST_PX: Final = 2100
-"""Pictures are halved until their longer side is below this for the search; corners are measured in the full
-picture."""
 LEAST_CORNERS: Final = 8
 LEAST_MEASURED: Final = 0.5
 """Share of the named corners that must be measurable."""
@@ -105,12 +101,7 @@ def find_board(image: Picture, board: CharucoBoard) -> BoardView | NoBoard:
 
 def _search(image: Picture, board: CharucoBoard) -> tuple[NDArray[np.int64], Array, int]:
     """Return ids (N,) and rough corners (N, 2) in the full picture, and how many markers were seen."""
-    small, shrink = image, 1
-    while max(image.shape) / shrink > LONGEST_PX:
-        shrink *= 2
-    if shrink > 1:
-        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
-    scale = np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
+    small, scale = reduced(image)
     parameters = cv2.aruco.CharucoParameters()
     parameters.minMarkers = 1  # one marker beside a corner names it; measuring comes after
     detector = cv2.aruco.CharucoDetector(opencv_board(board), parameters)

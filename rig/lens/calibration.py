@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from rhizotwin.rig.errors import RigError
-from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, Picture, find_board
+from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
 from rhizotwin.rig.lens.lens_fit import DROPPED, TERMS, LensFit, fit_lens
 from rhizotwin.scenes import frames, toml_text
 from rhizotwin.scenes.atomic import write_json, write_text
@@ -25,6 +25,7 @@ from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.reduced import Picture
 from rhizotwin.scenes.schema import to_plain
 
 CELLS_WH: Final = (8, 6)

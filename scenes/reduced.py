@@ -1,0 +1,28 @@
+"""Large pictures made smaller for OpenCV's search of markers; their corners are measured in the full picture."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8 | np.uint16]
+
+LONGEST_PX = 2100
+"""Pictures are halved until no side is longer: the Pi HQ camera's 4056 px once, its binned 2028 px not."""
+
+
+def reduced(image: Picture) -> tuple[Picture, NDArray[np.float64]]:
+    """Halve a picture (H, W) until no side is longer than `LONGEST_PX`, by the means over areas.
+
+    Returns
+    -------
+    small : (h, w) uint8 or uint16 array
+        The picture itself where it is small enough.
+    scale : (2,) float64 array
+        W / w and H / h: what lies at x in ``small`` lies at (x + 0.5) scale - 0.5 in the picture.
+    """
+    small, shrink = image, 1
+    while max(image.shape) / shrink > LONGEST_PX:
+        shrink *= 2
+    if shrink > 1:
+        small = cv2.resize(image, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA)
+    return small, np.array([image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]])
