@@ -41,6 +41,15 @@ _ALIGNED = 64
 """Bytes of the widest vector that Dr.Jit loads."""
 
 
+TO_LAST = 1.01
+"""Look-ups stay this far from a picture's width and height: within the last sample, however float32 rounds."""
+
+
+def readable(px: Vector2f, width: int, height: int) -> Bool:
+    """Tell which pixels a bilinear look-up in a picture can read."""
+    return (px.x > 0) & (px.x < width - TO_LAST) & (px.y > 0) & (px.y < height - TO_LAST)
+
+
 def numbers(values: NDArray[np.generic]) -> Float:
     """Return mi.Float of an array (...), flattened."""
     return mi.Float(_aligned(values, np.dtype(np.float32)))

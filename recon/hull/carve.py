@@ -30,6 +30,10 @@ _BLIND_MM = 2.5
 """Larger nodes that too few views see are cut: some of their parts may be seen."""
 BY_PARENT_MM = 1.0
 """Nodes up to this edge are placed in the pictures by the Jacobian at their parent's centre (`marks.mark_nodes`)."""
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+"""Steps of this share of a turn leave the most even gaps at every number of steps."""
+_HALF_DIAGONAL = 0.71
+"""Of a square, sqrt(2) / 2 of its edge."""
 _CHUNK = 1 << 21
 """Nodes that are looked at in one kernel: 0.3 GB (`_BYTES_A_NODE`)."""
 _BYTES_A_NODE = 150
@@ -57,7 +61,7 @@ def spread(count: int) -> list[int]:
 
     Nodes are carved early.
     """
-    return [int(k) for k in np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")]
+    return [int(k) for k in np.argsort((np.arange(count) * _GOLDEN) % 1.0, kind="stable")]
 
 
 def carve(
@@ -67,7 +71,7 @@ def carve(
     water: Water,
     *,
     min_votes: int | None = None,
-    slack_px: float = 0.3,
+    slack_px: float = 0.3,  # as `HullSettings`
     ignore_blindness: bool = False,
     progress: Callable[[], object] | None = None,
 ) -> Hull:
@@ -164,7 +168,7 @@ class _Carving:
         empty, partial, votes, depth, scale = seen.empty, seen.partial, seen.votes, seen.depth, seen.scale
         if by_parent:
             empty |= ~self._inside(point, edge_mm)
-        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))
+        blind = ~empty & (votes < self.min_votes) & (edge_mm <= max(_BLIND_MM, 1.01 * grid.size_mm))  # or the finest, however rounded
         if level < grid.levels:
             blind &= ~marks.partly_seen(self.bank, self.maps, point, half_mm, blind, self.min_votes)
         full = ~empty & ~blind & ~partial & (votes >= self.min_votes)
@@ -195,7 +199,7 @@ class _Carving:
     def _inside(self, point: Point3f, edge_mm: float) -> Bool:
         """Tell which nodes lie in the water, at least in part."""
         water = self.water
-        inside = dr.square(point.x) + dr.square(point.y) < dr.opaque(mi.Float, (water.radius_mm + 0.71 * edge_mm) ** 2)
+        inside = dr.square(point.x) + dr.square(point.y) < dr.opaque(mi.Float, (water.radius_mm + _HALF_DIAGONAL * edge_mm) ** 2)
         return (
             inside
             & (point.z < dr.opaque(mi.Float, water.top_mm + 0.5 * edge_mm))

@@ -94,7 +94,7 @@ class DistanceMaps:
 
     def at(self, view: UInt32, px: Vector2f, active: Bool) -> Float:
         """Interpolate bilinearly at pixels (mi.Vector2f)."""
-        place = dr.clip(self.sample(px), 0.0, mi.Vector2f(self._samples) - 1.001)
+        place = dr.clip(self.sample(px), 0.0, mi.Vector2f(self._samples) - 1.001)  # within the last sample
         return bilinear(self.values, view * (self._samples.y * self._samples.x), self._samples.x, place.x, place.y, active)
 
     def holds(self, px: Vector2f) -> Bool:

@@ -35,13 +35,22 @@ _SKELETON_MM = 0.5
 """About this edge have the voxels that are thinned to curves: finer ones grow hairs on rough surfaces."""
 _SPACING_MM = 0.16
 """Of the points along a curve, at most: spheres of 0.5 mm roots overlap by more than half."""
+_HALF_DIAGONAL = 0.87
+"""Of a cube, sqrt(3) / 2 of its edge: what lies as deep lies wholly inside."""
 _BIN_MM = 4.0
 """Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
 _DEEP_PX = 0.75
 """A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
 not at all, a third more in full."""
+_FLAT = 0.01
+"""Squared slope of a distance map, 1 beside an outline, below which it has no direction: on a ridge."""
 _REACH_PX = 0.75
 """Distance at which an outline's slope is read on both sides: a sample and a half of the map."""
+_MISSING = 0.02
+"""Nodes that the spheres fill but for this are left: how full they are, linear in the depth, is known no better."""
+_STEPS_MM = (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025)
+"""Centres are sought in falling steps: 1.4 mm together, half the skeleton's voxel and what it strays in wide roots; the
+last is a tenth of the thinnest roots."""
 _TIGHT_PX = 0.4
 """A view bounds a sphere when its outline is no farther than this beyond it: outlines' noise, and the crease that
 sampling rounds off. Half of this bounds it in full, half as much again not at all."""
@@ -102,7 +111,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
         return Trimmed(leaves, spheres, leaves.occupancy)
     index, size, hull, inside = _against_spheres(spheres, leaves)
     kept = np.minimum(hull, inside)
-    missing = hull - kept > 0.02
+    missing = hull - kept > _MISSING
     if missing.any():
         needed = _needed(bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing])
         kept[missing] += needed * (hull - kept)[missing]
@@ -122,8 +131,8 @@ def centre_lines(leaves: Leaves) -> Array:
     nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
     if not len(nodes):
         return np.zeros((0, 3))
-    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")
-    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))
+    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to sqrt(3) away
+    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))  # sqrt(2): most go on over an edge
     share = (np.arange(1, steps) / steps)[None, :, None]
     between = nodes[pairs[:, 0]][:, None] * (1 - share) + nodes[pairs[:, 1]][:, None] * share
     points = np.concatenate([nodes, between.reshape(-1, 3)])
@@ -173,7 +182,7 @@ def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array)
     Return them with the radii (N,).
     """
     radius = _radius(bank, maps, points)
-    for step_mm in (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025):
+    for step_mm in _STEPS_MM:
         tried = _radius(bank, maps, (points[:, None] + step_mm * directions).reshape(-1, 3)).reshape(directions.shape[:2])
         best = tried.argmax(axis=1)
         better = tried.max(axis=1) > radius
@@ -240,7 +249,7 @@ def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *
             peak = dr.maximum(peak, crease)
     norm_2 = dr.square(slopes[0]) + dr.square(slopes[1]) + 1e-9
     g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
-    g = dr.select(norm_2 < 0.01, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
+    g = dr.select(norm_2 < _FLAT, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
     return peak / g, g, seen
 
 
@@ -265,7 +274,7 @@ def _against_spheres(
         size_mm = edge * finest_mm
         depth = listed.depth_mm(origin + index * finest_mm + 0.5 * size_mm)
         inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
-        whole = depth > 0.87 * size_mm if edge > 1 else np.ones(len(index), bool)
+        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
         done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
         offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
         carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))

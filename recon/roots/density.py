@@ -46,6 +46,8 @@ _LEAST_RATIO, _MOST_RATIO = 0.05, 3.0
 """A step changes no density by more than these factors."""
 _LEAST_COVERAGE = 3e-3
 """Less than this counts as this much at the start: one empty view is no proof."""
+_START = 2.5
+"""Shadow of a cell before the first step, in areas of its face, where all pictures are dark."""
 _FLOOR = 1e-3
 """Coverage added to both sides of a ratio, about the noise of a picture."""
 
@@ -120,7 +122,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     dr.eval(covered)
     for organ in thick:
         Table(organ, table.windows).cast(covered, every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
-    shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * (2.5 * cells.grid.size_mm**2)
+    shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * (_START * cells.grid.size_mm**2)
     dr.eval(shadow)
     done = 0
     for count in schedule(evidence.bank.count):

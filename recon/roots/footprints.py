@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, points
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, points, readable
 from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Footprints:
         view = lane // dr.opaque(mi.UInt32, count)
         point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
+        seen = p.seen & readable(p.px, width, height)
         px = dr.select(seen, p.px, mi.Vector2f(0.0))
         told = dr.gather(mi.Float, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
         area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(p.du, p.dv)), 0.0))

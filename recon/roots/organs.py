@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import vectors
+from rhizotwin.recon.device import readable, vectors
 from rhizotwin.recon.hull import parsimony
 from rhizotwin.recon.hull.parsimony import Spheres
 from rhizotwin.recon.optics import projection
@@ -64,7 +64,7 @@ def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.b
     points = vectors(core.centre_mm)
     for view in range(views if len(core.index) else 0):
         p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(core.index)), points, mi.Bool(True))
-        lane = dr.compress(p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01))
+        lane = dr.compress(p.seen & readable(p.px, width, height))
         if dr.width(lane):
             column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
             empty = dr.full(mi.Float, 1.0, width * height)

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, UInt32, bilinear, points
+from rhizotwin.recon.device import Float, UInt32, bilinear, points, readable
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import ghosts, tracing
 from rhizotwin.recon.roots.density import Cells
@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 _SURE = 0.25
 """Own coverage from which a place belongs to a root: a third of a pixel wide."""
+_OWN_CELLS = 0.9
+"""A cell nearer to a centre line than this share of its edge holds it, however thin the root: half its diagonal is
+0.87."""
 _LEAST_VIEWS = 4.0
 """Views (sum of u^2) that must tell something about a place."""
 _THINNEST_MM = 0.05
@@ -61,7 +64,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
 
     def body(view: UInt32, top: Float, weight: Float) -> tuple[UInt32, Float, Float]:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
-        seen = p.seen & (p.px.x > 0) & (p.px.x < width - 1.01) & (p.px.y > 0) & (p.px.y < height - 1.01)
+        seen = p.seen & readable(p.px, width, height)
         px, base = dr.select(seen, p.px, mi.Vector2f(0.0)), view * pixels
         tells = bilinear(evidence.seen, base, width, px.x, px.y, seen)
         u, d = (bilinear(source, base, width, px.x, px.y, seen) for source in (free, left))
@@ -90,7 +93,9 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     own = own_coverage(evidence, centre, depth)
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
     away, nearest = cKDTree(line).query(centre, workers=-1)
-    reach = np.maximum(radius, 0.9 * cells.grid.size_mm) + np.where(ghosts.flanked(found, organ)[node], ghosts.FLANK_PX / px_a_mm, 0.0)
+    reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(
+        ghosts.flanked(found, organ)[node], ghosts.FLANK_PX / px_a_mm, 0.0
+    )
     inside = away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():

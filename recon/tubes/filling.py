@@ -15,6 +15,9 @@ Mask = NDArray[np.bool_]
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 """The golden angle, rad."""
+_UPRIGHT = 0.8
+"""A direction less upright than this (37 degrees) has a side at right angles to the z axis; others one to the x
+axis."""
 _LEAST_SAMPLES = 6
 """Points of a cross-section, however thin."""
 _DENSE_MM = 0.15
@@ -71,7 +74,7 @@ def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) 
     radius = (first + share * (last - first)) * np.sqrt(square)
     count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
     disc, place = _counted(count)
-    at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)
+    at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # discs beside each other are turned
     along, side, up = _frames(piece.way_mm)
     of = segment[disc]
     point = piece.begin_mm[of] + share[disc, None] * along[of]
@@ -136,7 +139,7 @@ def _counted(count: Index) -> tuple[Index, Index]:
 def _frames(along: Array) -> tuple[Array, Array, Array]:
     """Return vectors (S, 3) and two unit vectors across each."""
     unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    other = np.where(np.abs(unit[:, 2:]) < 0.8, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
+    other = np.where(np.abs(unit[:, 2:]) < _UPRIGHT, np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     side = np.cross(unit, other)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     return along, side, np.cross(unit, side)

@@ -40,6 +40,8 @@ LEAST = 0.5
 """Curvature, 1/mm2, that every node has: one that no view sees stays where it is."""
 _LARGEST_STEP_MM = 0.15
 """A step moves no node by more: about a thin root's radius, within which its profiles tell the way."""
+_MOST_SHARE, _MOST_MM = 0.3, 0.01
+"""A step changes a radius by no more than this share of it and this: within that a profile's slope tells the way."""
 _THINNEST_MM = 0.02
 """Radius of the thinnest tube: a fifth of a pixel wide at 0.2 mm a pixel."""
 _STIFF = 1e9
@@ -90,7 +92,7 @@ def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, fi
     step = spsolve((blocks + prior).tocsc(), residual.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
-    most = 0.3 * tubes.radius_mm + 0.01
+    most = _MOST_SHARE * tubes.radius_mm + _MOST_MM
     radius = np.maximum(tubes.radius_mm + np.clip(_RELAXED * step[:, 3], -most, most), _THINNEST_MM)
     return moved(tubes, centre, np.where(fixed, tubes.radius_mm, radius))
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from rhizotwin.recon.device import Float, Kernel, UInt32, Vector2f, Vector3f, bilinear, numbers, vectors, wholes
+from rhizotwin.recon.device import TO_LAST, Float, Kernel, UInt32, Vector2f, Vector3f, bilinear, numbers, vectors, wholes
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
 from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
@@ -115,8 +115,8 @@ class Sections:
 
     def read(self, offset_px: Float, *pictures: Float) -> list[Float]:
         """Interpolate pictures of all views, flattened, at an offset across the tube."""
-        u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - 1.01)
-        v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - 1.01)
+        u = dr.clip(self.px.x + self.normal.x * offset_px, 0.0, self.columns - TO_LAST)
+        v = dr.clip(self.px.y + self.normal.y * offset_px, 0.0, self.rows - TO_LAST)
         return [bilinear(picture, self.start, self.columns, u, v) for picture in pictures]
 
     def spread(self, value: Float) -> Float:
