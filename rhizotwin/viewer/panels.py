@@ -13,7 +13,7 @@ from rhizotwin.viewer import colours, words
 from rhizotwin.viewer.app import Viewer, ray_of, screen_of
 from rhizotwin.viewer.drawing import CLICKS, LAYERS, TRUTH
 
-BEST = 3
+RANKS = ("First", "Second", "Third")
 """Pictures offered of a chosen root."""
 _FIRST = {
     "roots": "Roots",
@@ -73,17 +73,16 @@ def _chosen(viewer: Viewer) -> None:
     gui = viewer.served.server.gui
     chosen = gui.add_html("")
     root = gui.add_html("", visible=False)
-    pictures = [gui.add_button("", visible=False, hint="stand in this picture, with the root drawn over it") for _ in range(BEST)]
+    pictures = gui.add_button_group("Seen best in", RANKS, visible=False, hint="stand in this picture, the root drawn over it in orange")
     back = gui.add_button("Back to 3D", visible=False)
     best: list[int] = []
 
-    for rank, button in enumerate(pictures):
+    @pictures.on_click
+    def _(_: object) -> None:
+        rank = RANKS.index(str(pictures.value))
+        if rank < len(best):
+            viewer.stand(best[rank])
 
-        def stand(_: object, rank: int = rank) -> None:
-            if rank < len(best):
-                viewer.stand(best[rank])
-
-        button.on_click(stand)
     back.on_click(lambda _: viewer.stand(None))
 
     def follow() -> None:
@@ -100,14 +99,12 @@ def _chosen(viewer: Viewer) -> None:
         alone = len(there) == 1
         if alone:
             number = there[0]
-            root.content = words.root(number, lines, colours.order_of(lines)[number]) + words.profile(lines[number])
+            shown = viewer.shown.pictures
+            best[:] = [] if shown is None else shown.best_for(lines[number], len(RANKS))
+            names = [] if shown is None else [PurePosixPath(shown.files[place]).stem for place in best]
+            root.content = words.root(number, lines, colours.order_of(lines)[number], names) + words.profile(lines[number])
         root.visible = alone
-        shown = viewer.shown.pictures if alone else None
-        best[:] = [] if shown is None else shown.best_for(lines[there[0]], BEST)
-        for rank, button in enumerate(pictures):
-            button.visible = shown is not None and rank < len(best)
-            if shown is not None and rank < len(best):
-                button.label = f"Seen {('best', 'well', 'well')[rank]} in {PurePosixPath(shown.files[best[rank]]).stem}"
+        pictures.visible = alone and bool(best)
         back.visible = viewer.standing is not None
 
     viewer.on_change.append(follow)

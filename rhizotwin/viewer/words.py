@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,34 +27,37 @@ def volume(summary: dict[str, Any], measured: Measured, *, edits: int) -> str:
     """Return the volume with its interval in ml and the roots' length, and what corrections made of it."""
     found, (low, high) = float(summary["volume_mm3"]), summary["volume_interval_mm3"]
     half = max(high - found, found - low)
-    text = f"<b>{ml(found, half_mm3=half)} ml</b>, 90 % interval {ml(low, half_mm3=half)} to {ml(high, half_mm3=half)} ml"
+    headline, beside = said.headline(summary)
+    text = f"<b>{headline.removeprefix('volume ')}</b>, {beside}"
     if not summary["volume_trusted"]:
-        text += "<br><b>Do not trust this volume.</b> " + html.escape(str(summary["volume_verdict"]))
+        text += f"<details style='font-size:0.85em'><summary>Why</summary>{html.escape(str(summary['volume_verdict']))}</details>"
     roots = f"{measured.length_mm:.0f} mm in {measured.roots} root{'' if measured.roots == 1 else 's'}"
     if edits:
         moved = 100.0 * (measured.volume_mm3 / found - 1.0) if found > 0.0 else 0.0
-        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=half)} ml</b> ({moved:+.2f} %), {roots}"
+        by = f"{moved:+.2f} %" if abs(moved) >= 0.005 else "unchanged to 0.01 %"
+        text += f"<br>as corrected: <b>{ml(measured.volume_mm3, half_mm3=half)} ml</b> ({by}), {roots}"
     elif measured.roots:
         text += f"<br>{roots}"
     return f"<div style='padding:0.3em 0.8em'>{text}</div>"
 
 
-def root(number: int, lines: Lines, order: int) -> str:
-    """Return what a root is: length, order, angles, diameters."""
+def root(number: int, lines: Lines, order: int, pictures: Sequence[str] = ()) -> str:
+    """Return what a root is: length, order, angles, diameters, and the pictures that show it best."""
     line = lines[number]
-    rows = [
-        ("length", f"{line.length_mm:.1f} mm"),
-        ("order", f"{order} ({'main root' if order == 0 else 'lateral' if order == 1 else 'lateral of a lateral'})"),
-        ("angle to straight down", f"{_to_gravity_deg(line):.0f} degrees, mean over its length"),
-        ("mean diameter", _mean_diameter(line)),
-        ("laterals", str(sum(other.parent == number for other in lines.values()))),
-        ("end", "seen" if line.tip_seen else "hidden by others"),
-    ]
     parent = lines.get(line.parent)
-    if parent is not None:
-        rows.insert(3, ("angle to its parent", f"{_to_parent_deg(line, parent):.0f} degrees"))
-    table = "".join(f"<tr><td style='padding-right:0.8em'>{name}</td><td>{value}</td></tr>" for name, value in rows)
-    return f"<div style='padding:0.3em 0.8em'><b>Root {number}</b><table>{table}</table></div>"
+    angles = f"{_to_gravity_deg(line):.0f}° to straight down (mean)"
+    laterals = sum(other.parent == number for other in lines.values())
+    rows = [
+        ("length", f"{line.length_mm:.1f} mm, end {'seen' if line.tip_seen else 'hidden by others'}"),
+        ("order", f"{order} ({'main root' if order == 0 else 'lateral' if order == 1 else 'lateral of a lateral'}), {laterals} laterals"),
+        ("angle", angles if parent is None else f"{angles}, {_to_parent_deg(line, parent):.0f}° to its parent"),
+        ("diameter", _mean_diameter(line)),
+    ]
+    if pictures:
+        rows.append(("seen best in", ", ".join(html.escape(name) for name in pictures)))
+    cell = "padding-right:0.8em;white-space:nowrap;vertical-align:top"
+    table = "".join(f"<tr><td style='{cell}'>{name}</td><td>{value}</td></tr>" for name, value in rows)
+    return f"<div style='padding:0 0.8em;font-size:0.85em'><b>Root {number}</b><table>{table}</table></div>"
 
 
 def chosen(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
@@ -91,7 +95,7 @@ def note(text: str) -> str:
     return f"<div style='padding:0.3em 0.8em'>{html.escape(text)}</div>"
 
 
-def profile(line: Line, *, width: int = 300, height: int = 90) -> str:
+def profile(line: Line, *, width: int = 300, height: int = 76) -> str:
     """Return a root's diameter along its length as SVG."""
     way, most = line.way_mm, max(float(line.diameters_mm.max()), 1e-6)
     x = 30 + (width - 40) * way / max(float(way[-1]), 1e-6)
@@ -119,7 +123,7 @@ def _mean_diameter(line: Line) -> str:
     """Return the mean diameter with its 90 % half-width: errors along one root go together."""
     half_mm = half_width(line)
     text = f"{_mean(line, line.diameters_mm):.2f}"
-    return f"{text} mm" if half_mm is None else f"{text} ± {_mean(line, half_mm):.2f} mm (90 %)"
+    return f"{text} mm on average" if half_mm is None else f"{text} ± {_mean(line, half_mm):.2f} mm on average (90 %)"
 
 
 def _mean(line: Line, values: Array) -> float:

@@ -83,7 +83,7 @@ def test_a_person_removes_debris_with_three_clicks_and_saves(browser: Any, viewe
     click_root(page, viewer, 4)
     wait(lambda: viewer.roots == [4], "the click to choose the fibre")
     page.get_by_text("Root 4").wait_for()
-    page.get_by_role("button", name="Seen best in").click()
+    page.get_by_role("button", name="First").click()
     pictures = viewer.shown.pictures
     assert pictures is not None
     best = pictures.best_for(viewer.shown.session.state.lines[4])[0]

@@ -122,6 +122,7 @@ def test_names_are_escaped_and_numbers_have_the_digits_they_deserve(viewer: View
     assert "&lt;b&gt;" in words.note(viewer.shown.session.summary["scene"])
     assert said.ml(137070.4, half_mm3=9000.0) == "137.1"
     assert said.ml(58.2967, half_mm3=11.7) == "0.058"
+    assert "<script>" not in words.root(0, viewer.shown.session.state.lines, 0, ["<script>"])
     assert "<script>" not in words.traits(viewer.shown.traits(), corrected=False, summary={"estimates": _told("<script>")})
 
 
