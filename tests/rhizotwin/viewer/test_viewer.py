@@ -91,6 +91,13 @@ def test_what_cannot_be_done_is_said(viewer: Viewer):
     assert "choose two roots" in viewer.told
 
 
+def test_a_result_of_several_plants_is_not_corrected(viewer: Viewer):
+    viewer.shown.session.summary["plants"] = [{}]
+    viewer.do("delete roots", roots=[1])
+    assert "several plants" in viewer.told
+    assert len(viewer.shown.session.state.lines) == 4
+
+
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
     found = Pictures.of(load_dataset(plant.dataset), {"views": [], "rig": {}} | _summary(plant))
     points = np.concatenate([root.points_mm for root in plant.roots])[::7]
