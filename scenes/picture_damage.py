@@ -30,6 +30,7 @@ _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+"""Channels and bits of a PNG by its colour type (ISO/IEC 15948, table 11.1)."""
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 """First column and row of an interlaced PNG's passes, and their steps (ISO/IEC 15948, section 8.2)."""
 

@@ -30,6 +30,7 @@ EMERGENCE_MM = 5.0
 """Length of lateral over which its angle to the parent is taken."""
 DEPTH_BIN_MM = 10.0
 DIAMETER_BIN_MM = 0.1
+"""Bins of the histograms: a centimetre of depth; half a pixel at 800x600."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ _STEPS = 4097
 _SAME = 0.004
 """Two curves that nowhere differ by more than this (a step of 8 bits) are one."""
 _EXIF, _COLOUR_SPACE, _GAMMA = 0x8769, 0xA001, 0xA500
+"""Tags of Exif 2.3: where it begins, and what it says of colour."""
 
 
 @dataclass(frozen=True)

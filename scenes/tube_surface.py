@@ -13,7 +13,9 @@ from rhizotwin.scenes.rsml import Root
 Array = NDArray[np.float64]
 
 _STEP_MM = 0.3
+"""Pieces are no longer: as long as thin roots are wide."""
 _AROUND = 8
+"""Points round a piece's skin that are asked whether another root hides them."""
 _NEIGHBOURS = 24
 """Stations that may hide a point: those of its own tube are among them, which leaves others out beside organs over 7 mm
 thick."""

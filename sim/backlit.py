@@ -15,6 +15,7 @@ import mitsuba as mi
 from rhizotwin.sim.lights import Lamps
 
 MAX_DEPTH = 48
+"""Surfaces that a ray may meet: what meets more runs on inside a wall by total reflection, and is dark."""
 STEP_MM = 0.01
 """How far along itself a ray goes on after an interface: along the ray nothing shifts sideways, and it clears rounding
 errors."""

@@ -29,15 +29,19 @@ from rhizotwin.sim.world import lens_distortion
 BORDER_MM = 12.0
 """White paper round the pattern."""
 TEXELS_PER_MM = 12.0
+"""Of the painted pattern: a third of a pixel at 800x600."""
 MOST_TEXELS = 6000
 """Of the texture's longer side: larger boards are painted coarser."""
 SIDE = 7
 """Rays a pixel: SIDE x SIDE on a regular lattice; a prime."""
 MAX_RAYS = 8_000_000
+"""Rays a kernel launch, as in `sim.render`."""
 LEAST_VISIBLE = 0.6
 """Share of the board's corners that a pose must bring into the picture."""
 LEAST_SQUARE_PX = 20.0
+"""A square's edge in the picture: a marker fills 3/4 of it, and OpenCV needs 2 px a module of 6."""
 ATTEMPTS = 300
+"""Poses that are drawn until one shows enough of the board: one that fits the field takes a few."""
 TRUTH = Path("truth") / "camera.json"
 _POSE, _NOISE = 41, 42  # keys of the random streams
 
@@ -130,7 +134,7 @@ def draw_pose(scene: Scene, board: CharucoBoard, *, seed: int, index: int) -> fr
     Returns
     -------
     (4, 4) array
-        The pose with most of the board in the field, of `ATTEMPTS`.
+        The first drawn pose that shows enough of the board.
     """
     camera, rng = true_camera(scene), np.random.default_rng([seed, _POSE, index])
     middle_mm, corners_mm = np.array([*board.size_mm, 0.0]) / 2.0, board.corners_mm

@@ -60,7 +60,9 @@ SPECK_MM = 0.05, 0.25
 """Radii of specks of dust: what settles from a room's air and is not wiped off (household dust ends at about half a
 millimetre)."""
 SCRATCH_MM, SCRATCH_WIDE_MM, SCRATCH_OPACITY = (5.0, 30.0), 0.1, 0.5
+"""Length, width and opacity of scratches, assumed: fine ones from wiping, half a pixel wide."""
 SEAM_WIDE_MM = 1.0
+"""As the scene's key says."""
 
 
 def draw_outer_dirt(scene: Scene, rng: np.random.Generator) -> OuterDirt:

@@ -24,7 +24,9 @@ from rhizotwin.sim.world import TrueCamera, World
 
 Fidelity = Literal["backlit", "path"]
 DEFAULT_SAMPLES: dict[str, int] = {"backlit": 16, "path": 32}
+"""Rays a pixel: a lattice of 4 x 4; of random paths, which are to look at and not to measure, twice as many."""
 PATH_DEPTH = 16
+"""Surfaces that a path meets: eight on the straight way through canister or tank, and as many again."""
 MAX_RAYS = 8_000_000
 """Rays a kernel launch: bounds memory on large sensors."""
 MAX_PATHS = 32_000_000

@@ -18,6 +18,7 @@ from rhizotwin.scenes.model import Camera
 
 PLUGIN = "opencv"
 NEWTON_STEPS = 6
+"""Quadratic convergence: five take a distortion of 0.1 below float32's rounding."""
 
 
 def sensor_dict(

@@ -19,6 +19,7 @@ _ARM, _TABLE, _CANISTER, _STRIP, _BACKLIGHT, _ALGAE, _FIBRES, _BUBBLES = 1, 2, 3
 _OVAL, _SEAM, _SWAY, _OUTER, _HIGHLIGHT = 12, 13, 14, 15, 16
 
 BACKLIGHT_MAP_WH = (64, 48)
+"""Columns and rows of the panel's unevenness, which is smooth over many of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
