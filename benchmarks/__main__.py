@@ -4,6 +4,7 @@ import argparse
 import json
 import platform
 import sys
+import tempfile
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -77,6 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _view(given)
         if given.what == "damages":
             return _damages(given)
+        if given.what == "batch":
+            return _batch(given)
+        if given.what == "growth":
+            return _growth(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -97,7 +102,11 @@ def _thesis(given: argparse.Namespace) -> int:
     engine.start(given.device)
     counted = assumptions.measure(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     levels = assumptions.levels(thesis_page.PHANTOM, say=say, only_kept=given.kept)
-    found = thesis_page.plants(thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept))
+    if given.committed:
+        records = thesis_page.committed(given.profile)
+    else:
+        records = thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept)
+    found = thesis_page.plants(records)
     for file in thesis_page.write(path, found, levels, counted):
         say(f"wrote {file}")
     return 0
@@ -114,6 +123,46 @@ def _mixtures(given: argparse.Namespace) -> int:
     atomic.write_text(output.with_suffix(".md"), mixtures.table(records))
     say(f"every number: {output}")
     return 1 if any("crashed" in record for record in records) else 0
+
+
+def _batch(given: argparse.Namespace) -> int:
+    """Run a batch that loses a worker and holds a damaged scan; 1 where a result is missing, or made twice."""
+    from benchmarks import many
+    from rhizotwin import engine
+
+    engine.start("cpu")
+    with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
+        night = many.measure(Path(folder), say=say)
+    say("\n".join(many.lines(night, given.job_s)))
+    output = given.output or _results() / "batch.json"
+    atomic.write_json(output, {"about": about(argparse.Namespace(what="batch", quick=False, device="cpu")), **many.plain(night)})
+    say(f"every number: {output}")
+    whole = night.results == many.COUNT - 1 and len(night.sentences) == 1 and not night.twice and night.killed
+    return 0 if whole else 1
+
+
+def _growth(given: argparse.Namespace) -> int:
+    """Measure growth on reconstructions, and how treatments are told apart."""
+    from benchmarks import growth
+    from rhizotwin import engine
+
+    engine.start(given.device)
+    found: dict[str, Any] = {}
+    if not given.no_pictures:
+        found["links"] = growth.measure(given.profile, say=say).plain()
+        say("\n".join(f"{name}: {value}" for name, value in found["links"].items() if name != "rate_errors"))
+    for name, effect in (("treated", growth.TREATED), ("equal", 1.0)):
+        apart = growth.treatments(given.sets, effect=effect, say=say)
+        found[name] = {"growth": effect, "sets": len(apart), "told_apart": sum(apart)}
+    say(
+        "\n".join(
+            f"growth {found[name]['growth']:g}: {found[name]['told_apart']} of {given.sets} told apart" for name in ("treated", "equal")
+        )
+    )
+    output = given.output or _results() / "growth.json"
+    atomic.write_json(output, {"about": about(argparse.Namespace(what="growth", quick=False, device=given.device)), **found})
+    say(f"every number: {output}")
+    return 0
 
 
 def _damages(given: argparse.Namespace) -> int:

@@ -52,6 +52,8 @@ def parser() -> argparse.ArgumentParser:
     _add_view(what.add_parser("view", help=_VIEW, description=_VIEW))
     _add_damages(what.add_parser("damages", help=_DAMAGES, description=_DAMAGES))
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
+    _add_growth(what.add_parser("growth", help=_GROWTH, description=_GROWTH))
+    _add_batch(what.add_parser("batch", help=_BATCH, description=_BATCH))
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"
@@ -68,9 +70,32 @@ _THESIS = (
 
 def _add_thesis(one: argparse.ArgumentParser) -> None:
     one.add_argument("--profile", choices=cases.PROFILES, default="clean", help="of the radishes' pictures (default: %(default)s)")
+    one.add_argument("--committed", action="store_true", help="take the radishes' volumes from the ladder's committed baseline")
     one.add_argument("--kept", action="store_true", help="take what was measured before and run nothing; what is missing is a dash")
     one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     one.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="the page; figures go beside it (default: the cache folder)")
+
+
+_GROWTH = (
+    "one plant reconstructed on six days: are its roots known again, how fast do they grow; "
+    "and do two treatments differ, by true lengths with a scan's error; finished days are kept"
+)
+
+
+def _add_growth(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--profile", choices=cases.PROFILES, default="bench", help="of the plant's pictures (default: %(default)s)")
+    one.add_argument("--sets", type=int, default=20, metavar="N", help="sets of plants under two treatments (default: %(default)s)")
+    one.add_argument("--no-pictures", action="store_true", help="only the treatments, which render and reconstruct nothing")
+    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
+
+
+_BATCH = "eighteen small scans in one batch whose worker is killed and of which one is damaged: results, sentences, the batch's own time"
+
+
+def _add_batch(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--job-s", type=float, default=60.0, metavar="S", help="what a real scan takes, for the share (default: %(default)s)")
+    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
 
 
 _SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"

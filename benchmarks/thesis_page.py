@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks import accuracy, assumptions
+from benchmarks import accuracy, assumptions, gate
 from benchmarks.assumptions import Counted, Level
 from benchmarks.cases import Case, Pictures, ladder
 from benchmarks.run import Say
 from rhizotwin.experiment import tables
 from rhizotwin.scenes.atomic import write_bytes, write_text
 from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.specimens import GrownSpecimen
 
 PHANTOM = Pictures(scene="printed_8ml", image_wh=(400, 300))
 """On which levels and assumptions are measured."""
@@ -22,6 +23,8 @@ PRINT_ML, THESIS_PRINT_ML = 8.0, 7.13
 """True volume of the printed phantom, and what the thesis found after nine levels (figure 3.10)."""
 THESIS_DAY_S, THESIS_VOXEL_MM, THESIS_FACTOR = 86400.0, 0.27, 4.0
 """Roughly a day at the finest level, and four times as long with every level (T5.3, figure 5.3)."""
+BASELINE = Path(__file__).with_name("baseline_accuracy.json")
+"""The whole ladder as it was committed."""
 _DAYS = (5, 10, 15, 20, 25, 30)
 _COLOURS = {"thesis": "#b2182b", "re-implemented": "#ef8a62", "ours": "#2166ac", "true": "0.3"}
 
@@ -71,6 +74,19 @@ def measure(profile: str, *, device: str, say: Say, only_kept: bool) -> list[Rec
         found = [accuracy.kept(case, device=device) for case in plant_cases(profile)]
         return [record for record in found if record is not None]
     return list(accuracy.measure(plant_cases(profile), device=device, say=say, projection=False).details.values())
+
+
+def committed(profile: str) -> list[Record]:
+    """Return the radishes' volumes by both methods as the ladder's committed baseline has them, without intervals."""
+    metrics = gate.read_baseline(BASELINE).values
+    found: list[Record] = []
+    for case in plant_cases(profile):
+        error = metrics.get(f"{case.name}/volume_error")
+        specimen = case.pictures.scene_to_render().specimen
+        if error is not None and isinstance(specimen, GrownSpecimen):
+            score = {"volume_mm3": 1000.0 * specimen.volume_ml * (1.0 + error), "volume_interval_mm3": None}
+            found.append({"case": {"scene": case.pictures.scene, "method": case.method}, "score": score})
+    return found
 
 
 def plants(records: Sequence[Record]) -> list[Plant]:
@@ -175,7 +191,8 @@ def _table(found: Sequence[Plant]) -> str:
     head = ("plant", "day", "mass (g)", "thesis (ml)", "g/ml", "re-implemented (ml)", "g/ml", "ours (ml)", "90 % interval (ml)", "g/ml")
     rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for one in found:
-        interval = "-" if one.ours is None else " to ".join(f"{end / 1e3:.4f}" for end in one.ours["volume_interval_mm3"])
+        ends = None if one.ours is None else one.ours["volume_interval_mm3"]
+        interval = "-" if ends is None else " to ".join(f"{end / 1e3:.4f}" for end in ends)
         redone, ours = _ml(one.redone), _ml(one.ours)
         cells = (one.name, f"{one.day:g}", f"{one.grams:.4f}", *_both(one, one.thesis_ml), *_both(one, redone), *_both(one, ours)[:1])
         rows.append("| " + " | ".join((*cells, interval, _both(one, ours)[1])) + " |")

@@ -96,7 +96,7 @@ def reconstruct(
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = (*of_pictures, *solid.checks)
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
-    shoot, shoot_said = find_shoot(dataset, settings=settings.calibration, monitor=monitor)
+    shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     roots_said = () if roots is None else roots.attenuation.warnings()
     warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)

@@ -158,6 +158,15 @@ class TrustSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShootSettings:
+    """What grows above the net pot."""
+
+    leaf_thickness_mm: float = bounded(0.0, 0.0, 10.0)
+    """Thickness of a blade (mm), as a caliper or the mass of a punched disc tells it; 0: nobody measured it, and the
+    shoot's volume is not told. Blades are as thick as a pixel is wide (0.3 mm), which silhouettes do not resolve."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of a reconstruction, a group for each stage."""
 
@@ -167,6 +176,7 @@ class Settings:
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     hull: HullSettings = field(default_factory=HullSettings)
     trust: TrustSettings = field(default_factory=TrustSettings)
+    shoot: ShootSettings = field(default_factory=ShootSettings)
 
 
 def load_settings(file: Path | str) -> Settings:

@@ -74,6 +74,17 @@ DEFINITIONS = (
     Definition("tissue_density_g_per_ml", "tissue_density", "g/ml", "given mass over the volume"),
 )
 
+SHOOT = (
+    Definition("height_mm", "shoot_height", "mm", "highest point above the net pot's top"),
+    Definition("leaf_area_mm2", "leaf_area", "mm2", "one side of all blades"),
+    Definition("leaves", "leaves", "", "blades that stand by themselves; two that touch are one"),
+    Definition("surface_area_mm2", "shoot_surface", "mm2", "one side of blades and half the surface of stalks"),
+    Definition("projected_mean_mm2", "shoot_projected_area", "mm2", "mean over the pictures, at the scale of the canister's axis"),
+    Definition("volume_mm3", "shoot_volume", "mm3", "stalks, and leaf area times the thickness that was measured"),
+    Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
+)
+"""Of what grows above the net pot; the fields are those of ``shoot`` in ``result.json``."""
+
 HISTOGRAMS = (
     Histogram("length_by_depth_mm", "length_by_depth", "length in each bin of depth below the highest point", "mm", DEPTH_BIN_MM),
     Histogram("length_by_order_mm", "length_by_order", "length of the roots of each order; 0 is a taproot", "", 0.0),
@@ -128,6 +139,18 @@ def lines(traits: Traits) -> list[str]:
     """Return the traits that are one number as aligned lines; a dash where a number is not known."""
     width = max(len(d.name) for d in DEFINITIONS) + 2
     return [f"{d.name:<{width}}{shown(getattr(traits, d.field)):>12} {d.unit:<5} {d.meaning}".rstrip() for d in DEFINITIONS]
+
+
+def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
+    """Return the traits of ``shoot`` in ``result.json`` by name; None where one is not known."""
+    return {d.name: None if shoot is None else shoot.get(d.field) for d in SHOOT}
+
+
+def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
+    """Return a shoot's traits as aligned lines, as `lines` does a root's."""
+    width = max(len(d.name) for d in DEFINITIONS) + 2
+    found = shoot_numbers(shoot)
+    return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in SHOOT]
 
 
 def shown(value: Number) -> str:

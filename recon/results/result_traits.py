@@ -103,6 +103,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
         "mass_g": mass_g,
         **({"edits": edits} if (edits := edited(summary)) else {}),
         **trait_table.to_json(traits),
+        **({"shoot": trait_table.shoot_numbers(summary["shoot"])} if summary.get("shoot") else {}),
         **({"plants": plants} if (plants := [_plant(one) for one in by_plant.of_summary(summary, "result.json")]) else {}),
         "warnings": list(summary["warnings"]),
     }
@@ -139,12 +140,14 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
         (name, summary, traits) of each result.
     """
     ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "edits", "warnings")
-    head = ["result", "scene", *subject.NAMES, *(d.heading for d in trait_table.DEFINITIONS), *ends]
+    above = trait_table.SHOOT if any(summary.get("shoot") for _, summary, _ in rows) else ()
+    head = ["result", "scene", *subject.NAMES, *(d.heading for d in (*trait_table.DEFINITIONS, *above)), *ends]
     table: list[Sequence[Any]] = [head]
     for name, summary, traits in rows:
         trusted, warnings = "yes" if summary["volume_trusted"] else "no", "; ".join(str(warning) for warning in summary["warnings"])
         for whose, own, (low, high) in each(name, summary, traits):
-            values = (getattr(own, d.field) for d in trait_table.DEFINITIONS)
+            values = [getattr(own, d.field) for d in trait_table.DEFINITIONS]
+            values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
             numbers = [trait_table.written(value) for value in (*values, low, high)]
             table.append([name, summary["scene"], *subject.as_text(whose).values(), *numbers, trusted, edited(summary), warnings])
     return trait_table.csv_text(table)
@@ -163,6 +166,11 @@ def each(where: str, summary: Json, traits: Traits) -> list[tuple[Subject, Trait
     plants = [(one.subject, one.traits, one.volume_interval_mm3) for one in by_plant.of_summary(summary, where)]
     low, high = summary["volume_interval_mm3"]
     return plants or [(subject.of_summary(summary, where), traits, (low, high))]
+
+
+def of_shoot(summary: Json) -> Json | None:
+    """Return ``shoot`` of ``result.json``; None where there is none, or it is of several plants together."""
+    return None if summary.get("plants") else summary.get("shoot")
 
 
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:

@@ -153,7 +153,16 @@ _MAYBE: dict[str, Fits] = {
     "versions": _with({}),
     "checks": _list(_CHECK),
     "estimates": _list(_ESTIMATE),
-    "shoot": _or_none(_with({"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number})),
+    "shoot": _or_none(
+        _with(
+            {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},
+            {
+                **dict.fromkeys(("leaf_area_mm2", "stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves"), _number),
+                **dict.fromkeys(("leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
+                "blades_mm2": _list(_number),
+            },
+        )
+    ),
     **dict.fromkeys(("mass_g", "root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
 }
 """Keys that some results have."""

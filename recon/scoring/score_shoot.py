@@ -20,12 +20,21 @@ class ShootScore:
     surface_area_true_mm2: float
     """Half of the true solid's surface: one side of its blades, and half of its stalks."""
     surface_area_error: float
+    leaf_area_mm2: float
+    leaf_area_true_mm2: float
+    leaf_area_error: float
+    """Of the blades alone, one side."""
+    leaves: int
+    leaves_true: int
     projected_error: float
     """Of the area in the pictures, in the median over them."""
     projected_error_max: float
     """The largest of any picture, without its sign."""
     hull_mm3: float
+    volume_mm3: float | None
+    """None where nobody measured how thick leaves are."""
     volume_true_mm3: float
+    volume_error: float | None
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the table's lines."""
@@ -36,9 +45,20 @@ class ShootScore:
                 "  surface, one side",
                 f"{self.surface_area_mm2:.0f} mm2, true {self.surface_area_true_mm2:.0f} mm2: {100.0 * self.surface_area_error:+.2f} %",
             ),
+            (
+                "  leaf area",
+                f"{self.leaf_area_mm2:.0f} mm2, true {self.leaf_area_true_mm2:.0f} mm2: {100.0 * self.leaf_area_error:+.2f} %",
+            ),
+            ("  leaves", f"{self.leaves}, true {self.leaves_true}"),
             ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, worst {100.0 * self.projected_error_max:.2f} %"),
-            ("  hull", f"{self.hull_mm3:.0f} mm3, true {self.volume_true_mm3:.0f} mm3"),
+            ("  volume", self._volume()),
+            ("  hull", f"{self.hull_mm3:.0f} mm3, {self.hull_mm3 / self.volume_true_mm3:.2f} times the true volume"),
         ]
+
+    def _volume(self) -> str:
+        if self.volume_mm3 is None or self.volume_error is None:
+            return f"not told without the leaves' thickness, true {self.volume_true_mm3:.0f} mm3"
+        return f"{self.volume_mm3:.0f} mm3, true {self.volume_true_mm3:.0f} mm3: {100.0 * self.volume_error:+.2f} %"
 
 
 def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) -> ShootScore | None:
@@ -57,8 +77,15 @@ def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) ->
         surface_area_mm2=found.surface_area_mm2,
         surface_area_true_mm2=half_mm2,
         surface_area_error=found.surface_area_mm2 / half_mm2 - 1.0,
+        leaf_area_mm2=found.leaf_area_mm2,
+        leaf_area_true_mm2=truth["leaf_area_mm2"],
+        leaf_area_error=found.leaf_area_mm2 / truth["leaf_area_mm2"] - 1.0,
+        leaves=found.leaves,
+        leaves_true=round(truth["leaves"]),
         projected_error=float(np.median(errors)),
         projected_error_max=float(np.abs(errors).max()),
         hull_mm3=found.hull_mm3,
+        volume_mm3=found.volume_mm3,
         volume_true_mm3=truth["volume_mm3"],
+        volume_error=None if found.volume_mm3 is None else found.volume_mm3 / truth["volume_mm3"] - 1.0,
     )

@@ -7,8 +7,8 @@ from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.pictures import Pictures, read_pictures
-from rhizotwin.recon.settings import CalibrationSettings
-from rhizotwin.recon.shoots import shoot_hull, shoot_silhouettes
+from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.shoots import blades, shoot_hull, shoot_silhouettes
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
@@ -20,7 +20,7 @@ MUCH_HIDDEN = 0.05
 """Share of hidden pixels beyond which the area is told to be too small by more than its own error (docs/shoots.md)."""
 
 
-def find_shoot(dataset: Dataset, *, settings: CalibrationSettings, monitor: Monitor) -> tuple[Shoot | None, tuple[str, ...]]:
+def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tuple[Shoot | None, tuple[str, ...]]:
     """Find the shoot of a dataset; None where it has no pictures of one, or they cannot be used, which is said.
 
     Returns
@@ -37,20 +37,25 @@ def find_shoot(dataset: Dataset, *, settings: CalibrationSettings, monitor: Moni
     return shoot, shoot.warnings
 
 
-def _found(dataset: Dataset, settings: CalibrationSettings, monitor: Monitor) -> Shoot:
+def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     """Find cameras, silhouettes and hull."""
     pictures = read_pictures(dataset, kind="shoot", monitor=monitor)
-    cameras = find_cameras(pictures, settings=settings, monitor=monitor)
+    cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
         drawn = _silhouettes(pictures, cameras)
         views = cameras.by_frame
         hull, mesh = shoot_hull.find(list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor)
+        told = blades.find(mesh)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
     said = () if hidden <= MUCH_HIDDEN else (_hidden(hidden),)
     return Shoot(
         mesh=mesh,
         hull_mm3=hull.leaves.volume_mm3(),
+        blades_mm2=told.areas_mm2,
+        leaf_area_mm2=told.area_mm2,
+        stalks_mm3=shoot_hull.stalks_mm3(hull, told),
+        leaf_thickness_mm=settings.shoot.leaf_thickness_mm or None,
         pot_top_mm=dataset.scene.net_pot.top_mm,
         covered_px={pictures.frames[k].file: float(one.coverage.sum()) for k, one in drawn.items()},
         mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},

@@ -20,6 +20,15 @@ class Shoot:
     """Surface of the visual hull, canister frame, mm."""
     hull_mm3: float
     """Volume of the visual hull, which no shoot with these silhouettes exceeds; several times that of thin leaves."""
+    blades_mm2: tuple[float, ...]
+    """One-sided area of each blade that stands by itself, the largest first; two that touch are one."""
+    leaf_area_mm2: float
+    """One-sided area of all blades: half of the hull's surface there, for the hull of a blade is a lens about it, whose
+    two sides lie along the blade's."""
+    stalks_mm3: float
+    """Volume of the hull's stem and petioles."""
+    leaf_thickness_mm: float | None = None
+    """As somebody measured it; pictures do not tell it."""
     pot_top_mm: float
     """z of the net pot's top."""
     covered_px: Mapping[str, float]
@@ -48,11 +57,23 @@ class Shoot:
 
     @property
     def surface_area_mm2(self) -> float:
-        """One-sided area of blades and half the surface of stalks: half of the hull's surface.
-
-        The hull of a blade is a lens about it, whose two sides lie along the blade's.
-        """
+        """One-sided area of blades and half the surface of stalks: half of the hull's surface."""
         return 0.5 * float(self.mesh.area)
+
+    @property
+    def leaves(self) -> int:
+        """Number of blades that stand by themselves: no more than there are leaves."""
+        return len(self.blades_mm2)
+
+    @property
+    def volume_mm3(self) -> float | None:
+        """Volume of stalks, and of blades by their area and measured thickness; None where nobody measured it."""
+        return None if self.leaf_thickness_mm is None else self.stalks_mm3 + self.leaf_area_mm2 * self.leaf_thickness_mm
+
+    @property
+    def projected_mean_mm2(self) -> float:
+        """Mean over the pictures of the projected area."""
+        return sum(self.projected_mm2.values()) / max(1, len(self.covered_px))
 
     @property
     def convex_mm3(self) -> float:
@@ -65,7 +86,13 @@ class Shoot:
             "height_mm": self.height_mm,
             "width_mm": list(self.width_mm),
             "surface_area_mm2": self.surface_area_mm2,
-            "projected_mean_mm2": sum(self.projected_mm2.values()) / max(1, len(self.covered_px)),
+            "leaf_area_mm2": self.leaf_area_mm2,
+            "leaves": self.leaves,
+            "blades_mm2": list(self.blades_mm2),
+            "stalks_mm3": self.stalks_mm3,
+            "leaf_thickness_mm": self.leaf_thickness_mm,
+            "volume_mm3": self.volume_mm3,
+            "projected_mean_mm2": self.projected_mean_mm2,
             "covered_px": dict(self.covered_px),
             "mm2_per_px": dict(self.mm2_per_px),
             "hull_mm3": self.hull_mm3,

@@ -16,6 +16,7 @@ from rhizotwin.recon.hull.leaves import Hull
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.shoots.blades import Blades
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -74,6 +75,14 @@ def find(
         raise UserError("the shoot's silhouettes have no volume in common: the cameras do not fit the pictures, or there is no shoot")
     index, size, occupancy = surface.to_voxels(hull.leaves, 1)
     return hull, surface.surface(index, size, occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
+
+
+def stalks_mm3(hull: Hull, blades: Blades) -> float:
+    """Return the volume of the part of a hull that is nearest to stem or petioles."""
+    leaves, grid = hull.leaves, hull.leaves.grid
+    middle = np.asarray(grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * grid.size_mm
+    mm3 = leaves.occupancy * (leaves.size * grid.size_mm).astype(np.float64) ** 3
+    return float(mm3[~blades.near(middle)].sum())
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:

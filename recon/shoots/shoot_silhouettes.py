@@ -30,6 +30,15 @@ _RIM_STEPS = 180
 _OPAQUE = 0.5
 """Opacity, of what the plant's inside shows, beyond which a pixel counts as inside when that is measured."""
 
+_FAINT = 0.1
+"""Rise above the felt, over a leaf's, from which a pixel before the pot's top shows the plant: coverage below a tenth
+is never plant, as for roots, and a bench's noise is a hundredth."""
+_FELT_ORDER, _FELT_ROUNDS, _FELT_MADS, _LEAST_FELT = 2, 6, 4.0, 100
+"""Degree of the polynomial that the felt's light follows; how often it is fitted without what is so many median
+deviations off, by at least so many pixels: of a plant before a quarter of the top nothing is left after four rounds."""
+_INSIDE_PX = 2.5
+"""A pixel of the outline has the plant's inside this near: one pixel on, or two across a corner."""
+
 
 def of_ring(images: Sequence[Grey], views: Sequence[View], scene: Scene) -> list[Silhouette]:
     """Measure how much of each pixel the shoot covers in the pictures of one ring.
@@ -90,7 +99,7 @@ def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, M
     bright = open_ & (usual > 0.5 * np.percentile(usual[open_], 95.0))
     height, width = usual.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0)
+    terms = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _PANEL_ORDER)
     fitted = bright
     for _ in range(4):  # the plant's middle hides the panel from most of a turn: it is left out step by step
         some = np.flatnonzero(fitted)[:: max(1, int(fitted.sum()) // 20_000)]
@@ -101,19 +110,77 @@ def _panel(stack: NDArray[np.float32], pot: NDArray[np.bool_]) -> tuple[Image, M
     return np.maximum(np.where(fitted, usual, smooth), 1e-6).astype(np.float32), lit & (smooth > 0.5 * float(np.median(usual[fitted])))
 
 
-def _terms(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([x**i * y**j for i in range(_PANEL_ORDER + 1) for j in range(_PANEL_ORDER + 1 - i)])
+def _terms(x: NDArray[np.float64], y: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    return np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)])
 
 
 def _silhouette(image: Image, panel: Image, before_panel: Mask, before_pot: Mask) -> Silhouette:
     """Return coverage: light absorbed before the panel, and sent back before the pot, over that of its inside."""
     dark = silhouettes.opacity(image, panel, before_panel)
     wide = cv2.erode((dark > _OPAQUE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    felt = np.float32(np.median(image[before_pot])) if before_pot.any() else np.float32(0.0)
-    contrast = float(np.median(image[wide])) - float(felt) if wide.any() else 0.0
-    told = before_pot if contrast > felt else np.zeros_like(before_pot)  # green as dark as the pot tells nothing before it
-    bright = np.where(told, (image - felt) / np.float32(max(contrast, 1e-6)), 0.0).astype(np.float32)
-    parts = [silhouettes.measure(opacity, seen) for opacity, seen in ((dark, before_panel), (bright, told))]
-    coverage = np.maximum(parts[0].coverage, parts[1].coverage)
+    felt = _felt(image, before_pot)
+    green = np.float32(np.median(image[wide])) if wide.any() else np.float32(0.0)
+    told = before_pot & (green > 2.0 * felt)  # green as dark as the pot tells nothing before it
+    inside = _inside(np.where(dark > _OPAQUE, dark, np.float32(0.0)))
+    before_light = np.where(inside, np.float32(1.0), silhouettes.measure(dark, before_panel).coverage)
+    coverage = np.maximum(before_light, _before_felt(image, felt, green, told))
     away_px, (row, column) = ndimage.distance_transform_edt(~(before_panel | told), return_indices=True)
-    return Silhouette(np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0).astype(np.float32), before_panel)
+    coverage = np.where(away_px <= _EDGE_PX + 0.5, coverage[row, column], 0.0)
+    rim = _near(before_panel) & _near(told) & ~before_panel & ~told
+    return Silhouette(np.where(rim, _at_rim(image, panel, felt, green), coverage).astype(np.float32), before_panel)
+
+
+def _felt(image: Image, before_pot: Mask) -> Image:
+    """Return the light (H, W) of the pot's bare top: smooth through the pixels that are no brighter than it."""
+    height, width = image.shape
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    terms, bare = _terms(2.0 * x / width - 1.0, 2.0 * y / height - 1.0, _FELT_ORDER), before_pot
+    smooth = np.full(image.shape, np.median(image[before_pot]) if before_pot.any() else 0.0, np.float32)
+    for _ in range(_FELT_ROUNDS):
+        away = np.abs(image - smooth)
+        bare = before_pot & (away <= _FELT_MADS * max(float(np.median(away[before_pot])) if before_pot.any() else 0.0, 1e-6))
+        if bare.sum() < _LEAST_FELT:
+            break
+        found = np.linalg.lstsq(terms[:, bare].T, image[bare].astype(np.float64), rcond=None)[0]
+        smooth = np.tensordot(found, terms, axes=1).astype(np.float32)
+    return np.maximum(smooth, 0.0)
+
+
+def _before_felt(image: Image, felt: Image, green: np.float32, told: Mask) -> Image:
+    """Return coverage (H, W) before the pot's top: light above the felt's, over that of the plant's inside nearby.
+
+    A stem in the shadow of a leaf sends back half of what the leaf does, and covers as much.
+    """
+    rise = np.where(told, image - felt, 0.0).astype(np.float32)
+    plant = rise > _FAINT * (green - felt)
+    inside = _inside(np.where(plant, rise, 0.0).astype(np.float32))
+    whole = green - felt
+    if inside.any():
+        away_px, (row, column) = ndimage.distance_transform_edt(~inside, return_indices=True)
+        whole = np.where(away_px < _INSIDE_PX, rise[row, column], whole)
+    return np.where(plant, np.clip(rise / np.maximum(whole, 1e-6), 0.0, 1.0), 0.0).astype(np.float32)
+
+
+def _inside(signal: Image) -> Mask:
+    """Return the pixels (H, W) that lie within the plant with all that are next to them.
+
+    The signal is how much darker than the panel a pixel is, or how much brighter than the felt; 0 where nothing stands
+    out. Within is over half of the strongest nearby, for light changes over a leaf and from leaf to stem.
+    """
+    most = cv2.dilate(signal, np.ones((5, 5), np.uint8))
+    return cv2.erode(((signal > 0.5 * most) & (signal > 0.0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+
+
+def _near(told: Mask) -> Mask:
+    """Return the pixels (H, W) from which what is told is no farther than the rim is wide."""
+    return cv2.dilate(told.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * _EDGE_PX + 3,) * 2)) > 0
+
+
+def _at_rim(image: Image, panel: Image, felt: Image, green: np.float32) -> Image:
+    """Return which pixels (H, W) show the plant where the panel ends behind the pot's far rim.
+
+    It is darker than the panel and brighter than the felt, each by half; so is the rim's own line of mixed pixels,
+    which is one pixel wide and is opened away.
+    """
+    plant = (image < 0.5 * (panel + green)) & (image > 0.5 * (felt + green))
+    return cv2.morphologyEx(plant.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 1), np.uint8)).astype(np.float32)

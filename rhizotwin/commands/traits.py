@@ -82,6 +82,8 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     if edits := result_traits.edited(summary):
         print(f"  corrected by hand: {edits}")
     print("\n".join(f"  {line}" for line in trait_table.lines(one)))
+    if summary.get("shoot"):
+        print("\n".join(f"  {line}" for line in trait_table.shoot_lines(summary["shoot"])))
     plants = result_traits.each(str(folder), summary, one)
     for who, own, interval in plants if len(plants) > 1 else ():
         print(f"{folder} ({who}), volume {between_ml(*interval)} with 90 % confidence")

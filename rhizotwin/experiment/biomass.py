@@ -19,7 +19,7 @@ from rhizotwin.scenes.errors import UserError
 
 Array = NDArray[np.float64]
 
-TRAITS = ("volume", "total_length", "surface", "leaf_area", "shoot_volume")
+TRAITS = ("volume", "total_length", "surface", "leaf_area", "shoot_projected_area", "shoot_volume")
 """Traits that a mass may be told by."""
 LEAST_PLANTS = 4
 """Leaving one out must leave a line of two parameters with an uncertainty."""
@@ -148,7 +148,9 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
             chosen = [pair for pair in found if kind in pair.weighed.grams and pair.measured.traits.get(trait, 0.0) > 0.0]
             plants = len({pair.measured.subject.plant for pair in chosen})
             if plants >= LEAST_PLANTS:
-                tried += [_relation(chosen, kind, trait, held, balance_g) for held in (True, False)]
+                values = {pair.measured.traits[trait] for pair in chosen}  # with one left out, two must differ to give a power
+                powers = (True, False) if len(values) > 2 else (True,)
+                tried += [_relation(chosen, kind, trait, held, balance_g) for held in powers]
             elif chosen and trait == "volume":
                 told.append(f"{kind}: only {plants} plants were measured and weighed, at least {LEAST_PLANTS} are needed")
     best = tuple(_best([relation for relation in tried if relation.kind == kind]) for kind in dict.fromkeys(r.kind for r in tried))

@@ -107,11 +107,13 @@ def one_species(found: Sequence[Measured]) -> str:
 def _of_folder(folder: Path) -> list[Measured]:
     """Read a result: one, or one a plant where several are in the canister."""
     summary = result_files.read_summary(folder)
+    above = trait_table.shoot_numbers(result_traits.of_shoot(summary))
     return [
         Measured(
             name=folder.resolve().name,
             subject=whose,
-            traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(traits, d.field)) is not None},
+            traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(traits, d.field)) is not None}
+            | {name: float(value) for name, value in above.items() if value is not None},
             volume_sigma=_sigma(*interval),
             trusted=summary["volume_trusted"],
             folder=folder,
@@ -121,7 +123,7 @@ def _of_folder(folder: Path) -> list[Measured]:
 
 
 def _of_row(row: tables.Row) -> Measured:
-    known = {d.name for d in trait_table.DEFINITIONS} | {"volume_low", "volume_high"}
+    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT)} | {"volume_low", "volume_high"}
     traits = {}
     for column in row.cells:
         match = _HEAD.fullmatch(column)

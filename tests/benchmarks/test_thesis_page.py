@@ -62,3 +62,14 @@ def test_nothing_is_run_where_only_what_is_kept_is_wanted(tmp_path: Path, monkey
     assert assumptions.measure(pictures, say=said.append, only_kept=True) == []
     assert assumptions.levels(pictures, say=said.append, only_kept=True) == []
     assert thesis_page.measure("clean", device="cpu", say=said.append, only_kept=True) == []
+
+
+def test_the_committed_ladder_has_all_plants_by_both_methods() -> None:
+    found = thesis_page.plants(thesis_page.committed("clean"))
+    assert len(found) == 18
+    for one in found:
+        assert one.ours is not None
+        assert one.ours["volume_mm3"] / 1000.0 == pytest.approx(one.grams, rel=0.05)  # grown at 1 g/ml
+        assert one.redone is not None
+        assert one.redone["volume_mm3"] > 4.0 * one.ours["volume_mm3"]
+    assert " - |" in thesis_page.page(found, [], [], figures=["a.png", "b.png", "c.png"])

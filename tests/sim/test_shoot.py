@@ -1,6 +1,9 @@
 """The twin's shoot: one closed solid with the leaf area and volume that its description says."""
 
+import re
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,3 +61,20 @@ def test_same_seed_same_shoot() -> None:
 def test_leaves_in_the_pot_are_refused() -> None:
     with pytest.raises(UserError, match=r"below the net pot's top .* raise shoot\.elevation_deg"):
         build(elevation_deg=-40.0)
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "shoots.md"
+HABITS = re.findall(r"```toml\n# ([^,\n]+), ([\d.]+) g\n(\[shoot\]\n.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+"""Name, grams at 1 g/ml, and keys. The first two have the least and the largest shoot mass of the thesis's table A.1."""
+
+
+@pytest.mark.parametrize(("grams", "keys"), [habit[1:] for habit in HABITS], ids=[habit[0] for habit in HABITS])
+def test_shoots_of_the_page_have_their_mass(grams: str, keys: str) -> None:
+    changes = tomllib.loads(keys)["shoot"]
+    solid = build(**changes)
+    assert solid.volume_mm3 / 1000.0 == pytest.approx(float(grams), rel=0.06)
+    assert solid.leaves == changes["leaves"]
+
+
+def test_the_page_has_seedling_radish_lettuce_and_bean() -> None:
+    assert [habit[0] for habit in HABITS] == ["seedling", "radish of 30 days", "lettuce", "bean"]

@@ -1,0 +1,196 @@
+"""Growth as reconstructions tell it: identities of roots through days, elongation, and treatments told apart.
+
+Two measurements: one plant rendered and reconstructed on several days, whose roots are linked by `rhizotwin growth` and
+checked against the simulator's own labels; and sets of plants under two treatments, equal or not, whose true total
+lengths, with an error as scans have it, are compared. The second renders nothing.
+"""
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks import cache
+from benchmarks.run import Say
+from rhizotwin.experiment.compare import Seen, differences
+from rhizotwin.experiment.matching import Day, Followed, follow
+from rhizotwin.scenes import polyline, rsml, series
+from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import Root
+
+Array = NDArray[np.float64]
+
+SCENE, DAYS = "radish_day15b", (5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
+IMAGE_WH = (600, 450)
+NEAR_MM = 0.5
+"""A found line this near a true one is of it, as in the score of roots."""
+STEP_MM = 0.2
+LEAST_RATE = 0.05
+"""mm a day: slower roots have stopped, and a relative error of nothing is none."""
+TREATED, PLANTS, LENGTH_ERROR = 0.85, 3, 0.03
+"""Growth of the treated plants, plants of each treatment, and the standard error of a scan's total length (the worst
+group of the ladder, docs/accuracy.md, has 4 %, clean and bench ones 1 %)."""
+TREATMENT_DAYS = (5.0, 8.0, 11.0, 14.0, 17.0, 20.0)
+_SEEDS_APART = 7919
+"""Sets of plants have no plant in common."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Links:
+    """How well roots of neighbouring days were linked."""
+
+    roots: tuple[int, ...]
+    """Found on each day ..."""
+    roots_true: tuple[int, ...]
+    """... and there."""
+    linked: int
+    """Links between found roots."""
+    right: int
+    """Both of one true root."""
+    both_found: int
+    """True roots that were found on both days: so many links are possible."""
+    both_there: int
+    """True roots that were there on both days."""
+    rate_errors: tuple[float, ...]
+    """Size of the elongation rate's error, over the true rate, of each link."""
+
+    @property
+    def precision(self) -> float:
+        """Share of the links that are right."""
+        return self.right / max(1, self.linked)
+
+    @property
+    def recall(self) -> float:
+        """Share of the roots that were found on both days that are linked."""
+        return self.right / max(1, self.both_found)
+
+    @property
+    def recall_of_all(self) -> float:
+        """Share of the roots that were there on both days that are linked."""
+        return self.right / max(1, self.both_there)
+
+    def plain(self) -> dict[str, Any]:
+        """Return all numbers as JSON values."""
+        median = statistics.median(self.rate_errors) if self.rate_errors else None
+        shares = {"precision": self.precision, "recall": self.recall, "recall_of_all": self.recall_of_all}
+        return asdict(self) | shares | {"rate_error_median": median}
+
+
+def aged(day: float, profile: str) -> Scene:
+    """Return the plant's scene on a day."""
+    from rhizotwin.sim.growth import grow
+
+    scene = load_scene(SCENE)
+    scene = replace(scene, camera=scene.camera.resized(IMAGE_WH), disturbances=load_profile(profile))
+    scene = replace(scene, subject=replace(scene.subject, plant="P1", species="Raphanus sativus"))
+    return replace(series.at_day(scene, day, grow=grow, like=series.grown(scene)), name=f"day{day:04.1f}")
+
+
+def measure(profile: str, *, say: Say) -> Links:
+    """Render and reconstruct the plant on its days (what is finished is kept), and check how its roots were linked."""
+    from rhizotwin.batch import collect
+    from rhizotwin.batch.run import run
+    from rhizotwin.sim.simulate import simulate
+
+    folder = cache.folder() / "growth" / f"{SCENE}-{profile}-{IMAGE_WH[0]}x{IMAGE_WH[1]}"
+    for seed, day in enumerate(DAYS):  # a rig is never twice the same: each day has a seed of its own
+        scan = folder / "scans" / f"day{day:04.1f}"
+        if not (scan / "dataset.json").is_file():
+            say(f"rendering {scan.name}")
+            simulate(aged(day, profile), scan, profile_name=profile, seed=seed)
+    jobs = collect.reconstructions([str(folder / "scans")], str(folder / "results"), voxel_mm=None, settings=None, device="auto")
+    run(jobs, str(folder / "results"))
+    return links(folder / "scans", folder / "results")
+
+
+def links(scans: Path, results: Path) -> Links:
+    """Follow the roots of results by day, and check the links by the truth of the scans of the same names."""
+    names = [f"day{day:04.1f}" for day in DAYS]
+    found = [rsml.read_rsml(results / name / "roots.rsml") for name in names]
+    true = [{root.label: root for root in rsml.read_rsml(scans / name / "truth" / "skeleton.rsml")} for name in names]
+    followed = follow([Day(day=day, roots=roots) for day, roots in zip(DAYS, found, strict=True)])
+    labels = [named(roots, of) for roots, of in zip(found, true, strict=True)]
+    return _checked(followed, labels, true)
+
+
+def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence[Mapping[str, Root]]) -> Links:
+    linked = right = both_found = both_there = 0
+    errors: list[float] = []
+    for k in range(1, len(DAYS)):
+        before = dict(zip(followed.names[k - 1], range(len(labels[k - 1])), strict=True))
+        both_found += len(set(labels[k - 1]) & set(labels[k]) - {""})
+        both_there += len(set(true[k - 1]) & set(true[k]))
+        for now, name in enumerate(followed.names[k]):
+            if name not in before:
+                continue
+            linked += 1
+            label = labels[k][now]
+            if label and label == labels[k - 1][before[name]]:
+                right += 1
+                days = DAYS[k] - DAYS[k - 1]
+                grown = [polyline.length_mm(roots[number].points_mm) for roots, number in _pair(followed, k, before[name], now)]
+                rate = (polyline.length_mm(true[k][label].points_mm) - polyline.length_mm(true[k - 1][label].points_mm)) / days
+                errors += [abs((grown[1] - grown[0]) / days / rate - 1.0)] if rate > LEAST_RATE else []
+    return Links(
+        roots=tuple(len(day) for day in labels),
+        roots_true=tuple(len(day) for day in true),
+        linked=linked,
+        right=right,
+        both_found=both_found,
+        both_there=both_there,
+        rate_errors=tuple(errors),
+    )
+
+
+def _pair(followed: Followed, k: int, before: int, now: int) -> list[tuple[tuple[Root, ...], int]]:
+    return [(followed.days[k - 1].roots, before), (followed.days[k].roots, now)]
+
+
+def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
+    """Return the label of the true root that each found one is; empty where none.
+
+    It is the one on which most of the found line lies, if that is at least half. Of several pieces of one true root,
+    the one that holds most of it has its label, and the others none.
+    """
+    labels = list(true)
+    points = [_dense(root) for root in true.values()]
+    owner = np.repeat(np.arange(len(points)), [len(one) for one in points])
+    tree = cKDTree(np.concatenate(points))
+    best: dict[int, tuple[int, int]] = {}
+    for number, root in enumerate(found):
+        away, nearest = tree.query(_dense(root))
+        on = np.bincount(owner[nearest[away < NEAR_MM]], minlength=len(labels))
+        most = int(np.argmax(on))
+        if on[most] >= 0.5 * len(away) and on[most] > best.get(most, (0, 0))[0]:
+            best[most] = (int(on[most]), number)
+    told = {number: labels[most] for most, (_, number) in best.items()}
+    return [told.get(number, "") for number in range(len(found))]
+
+
+def _dense(root: Root) -> Array:
+    way = polyline.way_mm(root.points_mm)
+    return polyline.between(root.points_mm, way, np.arange(0.5 * STEP_MM, max(float(way[-1]), STEP_MM), STEP_MM))
+
+
+def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
+    """Tell for each set of plants (two treatments) whether total lengths were told apart."""
+    from rhizotwin.sim.growth import grow
+
+    scene, apart = load_scene(SCENE), []
+    for number in range(sets):
+        rng, seen = np.random.default_rng([number, round(1000 * effect)]), []
+        for place, (name, growth) in enumerate((("control", 1.0), ("treated", effect))):
+            for k in range(PLANTS):
+                plant = series.replicate(series.treated(scene, name, growth), k, seed=1 + _SEEDS_APART * number + PLANTS * place + k)
+                for day in TREATMENT_DAYS:
+                    length = rsml.length_mm(grow(replace(series.grown(plant), age_days=day))) * np.exp(rng.normal(0.0, LENGTH_ERROR))
+                    seen.append(Seen(plant=f"{name} {k}", treatment=name, day=day, value=float(length)))
+        apart.append(differences(seen)[0].told_apart)
+        say(f"[{number + 1}/{sets}] growth {effect:g}: {'told apart' if apart[-1] else 'not told apart'}")
+    return apart

@@ -1,0 +1,68 @@
+"""Traits of shoots in tables, and masses of shoots by their leaf area."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin import cli
+from rhizotwin.experiment import biomass
+from rhizotwin.experiment.masses import read_masses
+from rhizotwin.experiment.measured import read_all
+
+GRAMS_PER_CM2 = 0.045
+
+
+def shoot(leaf_area_mm2: float, wobble: float) -> dict[str, object]:
+    return {
+        "height_mm": 40.0,
+        "leaf_area_mm2": leaf_area_mm2,
+        "leaves": 6,
+        "surface_area_mm2": 1.2 * leaf_area_mm2,
+        "projected_mean_mm2": 0.5 * leaf_area_mm2 * wobble,
+        "volume_mm3": None,
+        "convex_mm3": 1000.0,
+        "hull_mm3": 900.0,
+        "pot_top_mm": 31.0,
+        "hidden_share": 0.0,
+    }
+
+
+@pytest.fixture
+def results(ball_result: Callable[..., Path], tmp_path: Path) -> Path:
+    rng = np.random.default_rng(4)
+    rows = ["plant,shoot_fresh_g"]
+    for number, area in enumerate(np.geomspace(200.0, 4000.0, 8)):
+        who = {"plant": f"P{number}", "species": "Raphanus sativus", "day": 10.0}
+        ball_result(f"results/P{number}", subject=who, shoot=shoot(float(area), float(np.exp(rng.normal(0.0, 0.3)))))
+        rows.append(f"P{number},{GRAMS_PER_CM2 * area / 100.0 * np.exp(rng.normal(0.0, 0.02)):.5f}")
+    (tmp_path / "masses.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return tmp_path / "results"
+
+
+def test_tables_have_columns_of_shoots_and_what_is_not_known_is_empty(results: Path, tmp_path: Path) -> None:
+    table = tmp_path / "traits.csv"
+    folders = sorted(str(path) for path in results.iterdir())
+    assert cli.main(["traits", *folders, "-o", str(table)]) == 0
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert (rows[0]["leaf_area (mm2)"], rows[0]["leaves"], rows[0]["shoot_volume (mm3)"]) == ("200", "6", "")
+    again = {one.subject.plant: one.traits for one in read_all([table])}
+    assert again["P7"]["leaf_area"] == pytest.approx(4000.0)
+    assert "shoot_volume" not in again["P7"]
+
+
+def test_tables_without_shoots_have_no_columns_of_them(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    table = tmp_path / "traits.csv"
+    assert cli.main(["traits", str(ball_result("alone")), "-o", str(table)]) == 0
+    assert "leaf_area" not in table.read_text(encoding="utf-8")
+
+
+def test_a_shoots_mass_is_told_by_its_leaf_area(results: Path, tmp_path: Path) -> None:
+    found, _ = biomass.pairs(read_all([results]), read_masses(tmp_path / "masses.csv", balance_g=1e-4))
+    (best,) = biomass.fit(found, balance_g=1e-4).relations
+    assert (best.kind, best.trait, best.proportional) == ("shoot_fresh", "leaf_area", True)
+    grams, low, high = best.predict(1000.0, 0.0)
+    assert grams == pytest.approx(GRAMS_PER_CM2 * 10.0, rel=0.03)
+    assert low < grams < high
