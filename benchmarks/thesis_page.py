@@ -137,15 +137,17 @@ def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: 
     }
     made = []
     for name, draw in figures.items():
+        if name != "growth" and not levels:
+            continue
         drawn = figure(6.4, 4.0)
         draw(drawn.subplots())
         made.append(path.with_name(f"{path.stem}_{name}.png"))
         write_bytes(made[-1], png(drawn, dpi=130))
-    write_text(path, page(found, levels, counted, figures=[one.name for one in made]))
+    write_text(path, page(found, levels, counted, figures={name: f"{path.stem}_{name}.png" for name in figures}))
     return [path, *made]
 
 
-def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], *, figures: Sequence[str]) -> str:
+def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], *, figures: Mapping[str, str]) -> str:
     """Return the page.
 
     Parameters
@@ -156,15 +158,14 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         Volume and time by voxel.
     counted : sequence of Counted
         The thesis's assumptions, one by one.
-    figures : sequence of str
-        Files of figures 3.10, 5.3 and 4.1.
+    figures : mapping of str
+        Files of the figures: volume_by_level (3.10), time_by_level (5.3), growth (4.1).
 
     Returns
     -------
     str
         Markdown.
     """
-    by_level, time, growth = figures
     parts = [
         "# The thesis, made again",
         "R. Kliman, *Design of a robotic platform for plant root imaging and biomass estimation*, Georgia Institute of Technology, 2022, "
@@ -173,12 +174,11 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         "## Table 4.1: volumes and densities",
         _table(found),
         "## Figure 4.1: growth",
-        f"![Root volume by age]({growth})",
+        f"![Root volume by age]({figures['growth']})",
         "## Figure 3.10: volume of the printed phantom by level",
-        f"![Volume of the printed phantom by voxel]({by_level})",
+        f"![Volume of the printed phantom by voxel]({figures['volume_by_level']})" if levels else "Not measured.",
         "## Figure 5.3: time by level",
-        f"![Time by voxel]({time})",
-        _levels(levels),
+        f"![Time by voxel]({figures['time_by_level']})\n\n{_levels(levels)}" if levels else "Not measured.",
         "## Which assumptions turn the error",
         "Volume of the printed phantom (40 pictures of 400x300) over the true one, less 1, by the thesis's method with one or more "
         "assumptions changed; the first row is the thesis's own.",

@@ -72,4 +72,10 @@ def test_the_committed_ladder_has_all_plants_by_both_methods() -> None:
         assert one.ours["volume_mm3"] / 1000.0 == pytest.approx(one.grams, rel=0.05)  # grown at 1 g/ml
         assert one.redone is not None
         assert one.redone["volume_mm3"] > 4.0 * one.ours["volume_mm3"]
-    assert " - |" in thesis_page.page(found, [], [], figures=["a.png", "b.png", "c.png"])
+    assert " - |" in thesis_page.page(found, [], [], figures={"growth": "a.png"})
+
+
+def test_what_was_not_measured_is_said(tmp_path: Path) -> None:
+    page, *figures = thesis_page.write(tmp_path / "page.md", thesis_page.plants([]), [], [])
+    assert [file.name for file in figures] == ["page_growth.png"]
+    assert page.read_text().count("Not measured.") == 3
