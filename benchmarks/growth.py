@@ -179,7 +179,19 @@ def _dense(root: Root) -> Array:
 
 
 def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:
-    """Tell for each set of plants (two treatments) whether total lengths were told apart."""
+    """Tell for each set of plants (two treatments) whether total lengths were told apart.
+
+    Parameters
+    ----------
+    sets : int
+        Each has plants of its own.
+    effect : float
+        By what factor the roots of the second treatment grow faster and longer; 1: they do not.
+
+    Returns
+    -------
+    list of bool
+    """
     from rhizotwin.sim.growth import grow
 
     scene, apart = load_scene(SCENE), []
