@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results import summary_checks
+from rhizotwin.recon.results import plain_ply, summary_checks
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import tidy
@@ -150,7 +150,8 @@ def read_mesh(path: Path) -> Mesh:
     if not Path(path).is_file():
         raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
     try:
-        mesh = Mesh.of(trimesh.load(path, process=False, force="mesh"))
+        plain = plain_ply.read(Path(path))
+        mesh = Mesh.of(trimesh.load(path, process=False, force="mesh")) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
         raise UserError(f"{path} is not a readable mesh ({error}).") from None
     vertices, faces = mesh.vertices_mm, mesh.faces

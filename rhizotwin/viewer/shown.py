@@ -13,7 +13,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from rhizotwin.corrections import corrected
-from rhizotwin.corrections.session import Session
+from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.recon.results import result_files, surface_distance
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -23,6 +23,7 @@ from rhizotwin.simpler import simpler
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer.scene3d import MOST_TRIANGLES
 
+_EMPTY_MM3 = 1e-9
 FARTHEST_MM = 1.0
 """Distance colours end here."""
 
@@ -69,26 +70,18 @@ class Shown:
         """Return the true solid of a simulated dataset."""
         return None if self.truth_file is None else simpler(result_files.read_mesh(self.truth_file), MOST_TRIANGLES)
 
-    @cached_property
-    def surface(self) -> Mesh:
-        """Return the surface as it was reconstructed."""
-        return result_files.read_mesh(self.session.folder / "shape.ply")
-
     def surface_now(self) -> Mesh:
         """Return the surface as corrected."""
         edits = self.session.log.edits
         if self._surface_now is None or self._surface_now[0] != edits:
-            whole = corrected.read_mesh(self.session) if edits else self.surface
+            whole = corrected.read_mesh(self.session) if edits else result_files.read_mesh(self.session.folder / "shape.ply")
             self._surface_now = edits, simpler(whole, MOST_TRIANGLES)
         return self._surface_now[1]
 
     def traits(self) -> Traits:
         """Measure the traits as corrected, from centre lines and voxels; the surface's area is left out."""
         measured, roots = self.session.measure(), self.session.state.roots()
-        solid, rows = measured.solid, np.flatnonzero(measured.volumes_mm3 > 1e-9)
-        half_mm = 0.5 * solid.voxel_mm * solid.size[rows, None]
-        centre_mm = solid.centre_mm[rows]
-        points = np.concatenate([np.zeros((0, 3)), *(root.points_mm for root in roots), centre_mm - half_mm, centre_mm + half_mm])
+        points = np.concatenate([_ends(measured), *(root.points_mm for root in roots)])
         if not len(points):
             points = np.zeros((1, 3))
         mass_g = self.session.summary.get("mass_g") if measured.volume_mm3 > 0.0 else None
@@ -100,3 +93,18 @@ class Shown:
             raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)
         return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(away / FARTHEST_MM, 0.0, 1.0))), np.uint8)
+
+
+def _ends(measured: Measured) -> NDArray[np.float64]:
+    """Return the corners (N, 3) of each column's lowest and highest voxel: all that a hull needs."""
+    solid, rows = measured.solid, np.flatnonzero(measured.volumes_mm3 > _EMPTY_MM3)
+    if not len(rows):
+        return np.zeros((0, 3))
+    low, size = solid.low[rows], solid.size[rows]
+    order = np.lexsort((low[:, 1], low[:, 0]))
+    low, high = low[order], (low + size[:, None])[order]
+    first = np.flatnonzero(np.concatenate([[True], (np.diff(low[:, :2], axis=0) != 0).any(axis=1)]))
+    bottom, top = np.minimum.reduceat(low[:, 2], first), np.maximum.reduceat(high[:, 2], first)
+    widest = np.maximum.reduceat(high[:, :2], first, axis=0)
+    corners = [np.column_stack([low[first, :2], bottom]), np.column_stack([widest, top])]
+    return np.asarray(solid.origin_mm + solid.voxel_mm * np.concatenate(corners), np.float64)
