@@ -124,11 +124,11 @@ def predict(
         raise UserError(f"none of the results has a trait that {model} tells a mass by")
     for one in found:
         told = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
-        doubts = [
+        cautions = [
             (not one.measured.trusted, "the volume is not trusted"),
             (one.beyond, f"its {one.relation.trait} is beyond the model's plants"),
         ]
-        print("; ".join([told, *(words for doubtful, words in doubts if doubtful)]))
+        print("; ".join([told, *(words for is_open, words in cautions if is_open)]))
     if table is not None:
         atomic.write_text(table, model_file.to_csv(found))
         print(f"wrote {table}")

@@ -24,7 +24,7 @@ def traits(
     Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file:
     .csv has one row a result (one a plant, where several share a canister) and one column a trait, its unit in the
     head; .json has every number, histograms too. What needs centre lines is empty for shapes without roots found, such
-    as prints.
+    as spheres.
 
     Parameters
     ----------
