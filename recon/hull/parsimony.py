@@ -282,6 +282,12 @@ def _against_spheres(
     return index, size, hull, inside
 
 
+def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:
+    """Return the volume that lies in spheres and in leaves."""
+    _, size, occupancy, inside = _against_spheres(spheres, leaves)
+    return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
+
+
 def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
     """Return how deep (N,) points (N, 3) lie inside the union of spheres; negative outside."""
     if not len(points_mm) or not len(spheres.radius_mm):

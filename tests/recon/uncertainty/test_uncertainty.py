@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Leaves
+from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
+from rhizotwin.recon.hull.parsimony import Spheres, Trimmed
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import sight, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull import exact_pictures
 
 
 def term(less_mm3: float, more_mm3: float, name: str = "outlines") -> Term:
@@ -103,3 +107,28 @@ def test_a_shape_goes_on_wherever_sight_ends(
     monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
     bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)
     assert sight.occluded(bank, maps, block, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
+
+
+@pytest.mark.parametrize(("beyond_mm", "more"), [(0.0, 1.0), (8.0, 0.1)], ids=["all round a ball", "a web beside it"])
+def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, more: float) -> None:
+    """A sphere fits into all outlines, the one with the largest error, too: what the hull has next to it counts in full, a web a tenth."""
+    grid, centre, radius = Grid(np.array([38.0, -7.0, -77.0]), 0.25, 1, (28, 28, 28)), np.array([45.0, 0.0, -70.0]), 5.0
+    every = np.argwhere(np.ones((56, 56, 56), bool)).astype(np.int32)
+    out_mm = np.linalg.norm(grid.origin_mm + (every + 0.5) * grid.size_mm - centre, axis=1)
+
+    def within(reach_mm: NDArray[np.float64] | float) -> Leaves:
+        occupancy = np.clip(0.5 + (reach_mm - out_mm) / grid.size_mm, 0.0, 1.0).astype(np.float32)
+        some = occupancy > 0.0
+        return Leaves(grid, every[some], np.ones(int(some.sum()), np.int32), occupancy[some])
+
+    ball = within(radius)
+    larger = within(np.where(every[:, 2] > 50, radius + beyond_mm, radius) if beyond_mm else radius + 0.06)  # the web is at the top alone
+    spheres = Spheres(centre[None], np.array([radius]))
+    trimmed = Trimmed(ball, spheres, np.zeros(len(ball.size), np.float32))
+    hull = Hull(larger, larger.volume_mm3(), larger.volume_mm3(), 0.0)
+    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
+    bank = ViewBank.of(exact_pictures.views_of(scene), Optics.of(scene))
+    terms = solid_uncertainty.estimate(bank, hull, trimmed, trimmed, slack_px=0.3, half_excess=0.0)
+    trimmed_away = next(one for one in terms if one.name == "trimmed away")
+    assert trimmed_away.less_mm3 == 0.0
+    assert trimmed_away.more_mm3 == pytest.approx(more * (larger.volume_mm3() - ball.volume_mm3()), rel=0.1)
