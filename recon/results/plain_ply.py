@@ -12,9 +12,11 @@ _HEADER = re.compile(
     rb"ply\nformat binary_little_endian 1\.0\n(?:comment [^\n]*\n)*element vertex (\d{1,9})\nproperty float x\nproperty float y\n"
     rb"property float z\nelement face (\d{1,9})\nproperty list uchar u?int vertex_ind(?:ices|ex)\nend_header\n"
 )
+"""As trimesh writes them: single-precision corners, triangles (the PLY format, G. Turk 1994)."""
 _LONGEST = 1000
 """Bytes of a header; ours has 250."""
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
+"""A face of that header: how many corners (3), and which."""
 
 
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
