@@ -134,9 +134,10 @@ def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence
             if label and label == labels[k - 1][before[name]]:
                 right += 1
                 days = DAYS[k] - DAYS[k - 1]
-                grown = [polyline.length_mm(roots[number].points_mm) for roots, number in _pair(followed, k, before[name], now)]
-                rate = (polyline.length_mm(true[k][label].points_mm) - polyline.length_mm(true[k - 1][label].points_mm)) / days
-                errors += [abs((grown[1] - grown[0]) / days / rate - 1.0)] if rate > LEAST_RATE else []
+                rate = (rsml.length_mm([true[k][label]]) - rsml.length_mm([true[k - 1][label]])) / days
+                found = followed.days[k].roots[now], followed.days[k - 1].roots[before[name]]
+                grown = rsml.length_mm(found[:1]) - rsml.length_mm(found[1:])
+                errors += [abs(grown / days / rate - 1.0)] if rate > LEAST_RATE else []
     return Links(
         roots=tuple(len(day) for day in labels),
         roots_true=tuple(len(day) for day in true),
@@ -146,10 +147,6 @@ def _checked(followed: Followed, labels: Sequence[Sequence[str]], true: Sequence
         both_there=both_there,
         rate_errors=tuple(errors),
     )
-
-
-def _pair(followed: Followed, k: int, before: int, now: int) -> list[tuple[tuple[Root, ...], int]]:
-    return [(followed.days[k - 1].roots, before), (followed.days[k].roots, now)]
 
 
 def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
@@ -175,7 +172,7 @@ def named(found: Sequence[Root], true: Mapping[str, Root]) -> list[str]:
 
 def _dense(root: Root) -> Array:
     way = polyline.way_mm(root.points_mm)
-    return polyline.between(root.points_mm, way, np.arange(0.5 * STEP_MM, max(float(way[-1]), STEP_MM), STEP_MM))
+    return polyline.between(root.points_mm, way, polyline.middles(way, STEP_MM))
 
 
 def treatments(sets: int, *, effect: float, say: Say) -> list[bool]:

@@ -39,3 +39,22 @@ def between(points_mm: Array, way: Array, at: Array) -> Array:
         Between its neighbours in proportion.
     """
     return np.stack([np.interp(at, way, points_mm[:, axis]) for axis in range(3)], axis=1)
+
+
+def middles(way: Array, step_mm: float) -> Array:
+    """Return the middles (M,) of equal pieces of a line, each about a step long.
+
+    Parameters
+    ----------
+    way : (N,) float64 array
+        How far along each point of the line lies, as `way_mm`.
+    step_mm : float
+        About how long a piece is.
+
+    Returns
+    -------
+    (M,) array
+        On the same scale.
+    """
+    pieces = max(1, round(way[-1] / step_mm))
+    return np.asarray((np.arange(pieces) + 0.5) * way[-1] / pieces)

@@ -9,7 +9,7 @@ unit, the diameter) is refused with the option that supplies it.
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -247,6 +247,14 @@ def _decimal(value: np.floating) -> str:
     return np.format_float_positional(value, trim="0")
 
 
+def _functions(own: Iterable[ET.Element]) -> Iterator[tuple[str, ET.Element, list[ET.Element]]]:
+    """Yield the name, element and samples of each function along a root, from the elements that are its own."""
+    for element in own:
+        samples = [child for child in element if rsml_xml.local(child) == "sample"]
+        if rsml_xml.local(element).startswith("function") and samples:
+            yield rsml_xml.attribute(element, "name") or "", element, samples
+
+
 class _Reader:
     """One file on its way to roots."""
 
@@ -316,9 +324,8 @@ class _Reader:
 
     def _sigma(self, own: list[ET.Element], points_mm: Array, name: str) -> Array | None:
         """Find the standard deviations of a root's diameters (N,), mm; None where the file has none."""
-        for element in own:
-            samples = [child for child in element if rsml_xml.local(child) == "sample"]
-            if rsml_xml.attribute(element, "name") == _SIGMA and samples:
+        for written, element, samples in _functions(own):
+            if written == _SIGMA:
                 return np.abs(self._along(element, samples, points_mm, f"{_SIGMA} of {name}")) * self.step_mm
         return None
 
@@ -326,10 +333,9 @@ class _Reader:
         """Find a root's diameters (N,): a function along it, else a property of the whole, else the option."""
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
-            for element in own:
-                samples = [child for child in element if rsml_xml.local(child) == "sample"]
-                match = _THICKNESS.fullmatch(rsml_xml.attribute(element, "name") or "")
-                if not rsml_xml.local(element).startswith("function") or not samples or match is None or match[1].lower() != word:
+            for written, element, samples in _functions(own):
+                match = _THICKNESS.fullmatch(written)
+                if match is None or match[1].lower() != word:
                     continue
                 scale_mm = to_diameter * (self._unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
                 return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)

@@ -117,7 +117,25 @@ def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]
         Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
         for frame, pose in zip(pictures.frames, poses, strict=True)
     )
-    return Cameras(lens=lens.as_pinhole(), optics=Optics.of(pictures.dataset.scene), all=every, order=_used(every))
+    optics = Optics.of(pictures.dataset.scene)
+    if pictures.dataset.masks and optics.straight:
+        optics = _nothing_hidden(optics, poses)
+    return Cameras(lens=lens.as_pinhole(), optics=optics, all=every, order=_used(every))
+
+
+def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
+    """Return straight optics without rim and floor, which silhouettes made in air do not have.
+
+    A line of sight enters the wall between the camera's height and that of what it sees.
+    """
+    heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
+    low, high = min(heights), max(heights)
+    return replace(
+        optics,
+        floor_z_mm=min(optics.floor_z_mm, low),
+        water_z_mm=max(optics.water_z_mm, high),
+        bottom_z_mm=min(optics.bottom_z_mm, low),
+    )
 
 
 def _table_deg(pictures: Pictures) -> list[float]:

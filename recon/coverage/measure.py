@@ -97,12 +97,11 @@ def measure_coverage(
 def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
     """Take pictures that are silhouettes already: white is root."""
     optics = cameras.optics
-    in_air = optics.n_wall == 1.0 and optics.n_water == 1.0
     drawn = {}
     with monitor.stage("silhouettes"):
         for k, view in cameras.by_frame.items():
             picture = pictures.images[k].astype(np.float32) / np.iinfo(pictures.images[k].dtype).max
-            seen = np.ones(picture.shape, bool) if in_air else background.water_mask(view, optics, pictures.dataset.scene)
+            seen = np.ones(picture.shape, bool) if optics.straight else background.water_mask(view, optics, pictures.dataset.scene)
             drawn[k] = Silhouette(np.where(seen, picture, 0.0).astype(np.float32), seen)
     return Coverage(silhouettes=drawn)
 

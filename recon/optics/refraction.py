@@ -56,6 +56,11 @@ class Optics:
     """None: the canister stands in the open."""
 
     @property
+    def straight(self) -> bool:
+        """Whether no ray is bent: wall and water are as what is about them."""
+        return self.tank is None and self.n_wall == self.n_water == 1.0
+
+    @property
     def n_around(self) -> float:
         """Index of what the canister stands in."""
         return 1.0 if self.tank is None else self.tank.n_liquid

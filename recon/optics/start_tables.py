@@ -42,7 +42,7 @@ def _in_open(view: View, optics: Optics) -> Array:
     single = count == 1
     for p_z in (0.0, p_max):
         single &= _round_fan(optics, view.rho_mm, p_z)[1] == 1
-    if optics.n_water == 1.0 and optics.n_wall == 1.0:
+    if optics.straight:
         single[:] = True
     whole = np.concatenate([single[:1:-1], single[1:]])  # y < 0 mirrors y > 0
     clear_mm = np.full(whole.shape, 1e3) if whole.all() else ndimage.distance_transform_edt(whole) * CELL_MM

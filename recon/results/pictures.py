@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results import shading, surface_distance
+from rhizotwin.recon import surface_distance
+from rhizotwin.recon.results import shading
 from rhizotwin.recon.results.result_files import Json, Mesh, picture_path, read_grey
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image

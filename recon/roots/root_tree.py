@@ -59,8 +59,8 @@ class RootSystem(RootTree):
         number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm.copy()  # the root that each node is of
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):
-            diameters, own = 2.0 * self.tubes.radii(k), self.tubes.own(k)
-            centre[own] = thick_lines.calmed(self.tubes.centre_mm[nodes], 0.5 * diameters, self.organ[nodes])[-len(own) :]
+            diameters, added = 2.0 * self.tubes.radii(k), self.tubes.own(k)  # all but the node that is its parent's
+            centre[added] = thick_lines.calmed(self.tubes.centre_mm[nodes], 0.5 * diameters, self.organ[nodes])[-len(added) :]
             for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
                 own = nodes[run]
                 if self.solid[own[0]] or len(own) < 2:

@@ -27,8 +27,6 @@ a storage root's tissue outside of the stele of the young root, of a diameter of
 SWOLLEN = 4.0
 """A root so many times as thick as a lateral on it has swollen since: bulbs and carrots of the library are 6 to 50
 times as thick, the roots of the printed phantom, that never were young, 1.2 to 3.1 times."""
-
-
 _CALM_RADII = 0.5
 """Lines of taproot and hypocotyl are averaged over so many of their radii to both sides: half as far as the views can
 tell one sphere in them from the next. A line that bends with a radius of five of its own becomes 0.2 % shorter."""

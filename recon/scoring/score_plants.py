@@ -86,7 +86,7 @@ def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_
     points, plants = [], []
     for root in roots:
         way = polyline.way_mm(root.points_mm)
-        at = np.linspace(0.0, way[-1], max(2, round(5.0 * way[-1] / NEAR_MM)))
+        at = polyline.middles(way, 0.2 * NEAR_MM)
         points.append(polyline.between(root.points_mm, way, at))
         plants += [root.plant] * len(at)
     return np.concatenate([np.zeros((0, 3)), *points]), np.array(plants)

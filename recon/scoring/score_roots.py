@@ -77,7 +77,7 @@ def _dense(roots: Sequence[Root]) -> tuple[Array, Array]:
     points, radii = [], []
     for root in roots:
         along = polyline.way_mm(root.points_mm)
-        at = (np.arange(max(1, round(along[-1] / _STEP_MM))) + 0.5) * along[-1] / max(1, round(along[-1] / _STEP_MM))
+        at = polyline.middles(along, _STEP_MM)
         points.append(polyline.between(root.points_mm, along, at))
         radii.append(np.interp(at, along, root.diameters_mm / 2.0))
     return np.concatenate(points), np.concatenate(radii)

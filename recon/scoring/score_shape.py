@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhizotwin.recon.results import surface_distance
+from rhizotwin.recon import surface_distance
 from rhizotwin.recon.results.result_files import Leaves, Mesh
 from rhizotwin.recon.scoring import voxelise
 
@@ -106,8 +106,8 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
 def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
     """Compare two surfaces by the distance of points on each to the other; the points are the same at every call."""
     rng = np.random.default_rng(0)
-    on_shape = surface_distance.sample_surface(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)
-    on_truth = surface_distance.sample_surface(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)
+    on_shape = surface_distance.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
+    on_truth = surface_distance.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     to_truth = surface_distance.distances(on_shape, truth.vertices_mm, truth.faces)
     to_shape = surface_distance.distances(on_truth, shape.vertices_mm, shape.faces)
     both = np.concatenate([to_truth, to_shape])

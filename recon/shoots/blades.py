@@ -11,6 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from rhizotwin.recon import surface_distance
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -57,7 +59,8 @@ def find(mesh: trimesh.Trimesh) -> Blades:
     mesh : trimesh.Trimesh
         In mm; a blade has two sides in it.
     """
-    points = _even(mesh)
+    count = max(1, int(mesh.area / STEP_MM**2))
+    points = surface_distance.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
     each_mm2 = 0.5 * float(mesh.area) / len(points)  # of one side
     tree = cKDTree(points)
     spread = _spread(points, tree)
@@ -71,16 +74,6 @@ def find(mesh: trimesh.Trimesh) -> Blades:
     pieces = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(len(blades),) * 2), directed=False)[1]
     areas = sorted((float(area) for area in each_mm2 * np.bincount(pieces) if area >= _LEAST_MM2), reverse=True)
     return Blades(points_mm=points, is_blade=is_blade, areas_mm2=tuple(areas), area_mm2=each_mm2 * len(blades))
-
-
-def _even(mesh: trimesh.Trimesh) -> Array:
-    """Return points (N, 3) on the surface, as many in each part as its area asks."""
-    count = max(1, int(mesh.area / STEP_MM**2))
-    ends = np.cumsum(mesh.area_faces)
-    corners = mesh.triangles[np.searchsorted(ends, (np.arange(count) + 0.5) * ends[-1] / count)]
-    one, two = np.random.default_rng(0).random((2, count, 1))
-    root = np.sqrt(one)
-    return np.asarray((1.0 - root) * corners[:, 0] + root * (1.0 - two) * corners[:, 1] + root * two * corners[:, 2], np.float64)
 
 
 def _both_ways(tree: cKDTree, within_mm: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -30,7 +30,7 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     Parameters
     ----------
     roots : sequence of Root
-        Whose points are nodes of the system, in whatever order.
+        Whose points lie along branches of the system: each has the value of the nearest node.
     system : RootSystem
         As it was fitted.
     """
@@ -39,7 +39,7 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     for root in roots:
         own = sigma_mm[place.query(root.points_mm)[1]]
         if root.parent >= 0:
-            own[0] = own[1]  # its first point is its parent's
+            own[0] = own[1]  # it begins in or on its parent, whose nodes are nearer
         found.append(replace(root, diameter_sigma_mm=own))
     return tuple(found)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,14 +43,22 @@ def find_datasets(source: str) -> list[str]:
         heads = {*system.glob(f"{path}/{HEAD}"), *system.glob(f"{path}/**/{HEAD}")}
         found = sorted(system.unstrip_protocol(head.rpartition("/")[0]) for head in heads)
     else:
-        # Path.glob takes no absolute pattern and no "a**", and also matches what is hidden
-        matches = [source] if Path(source).exists() else glob.glob(source, recursive=True)  # noqa: PTH207
-        folders = [Path(name) for name in matches]
+        folders = _matches(Path(source))
         heads = {head for folder in folders for head in ([folder / HEAD] if (folder / HEAD).exists() else folder.rglob(HEAD))}
         found = sorted(str(head.parent) for head in heads if not any(part.startswith(".") and part != ".." for part in head.parts))
     if not found:
         raise UserError(f"{source}: there is no dataset; give datasets, folders that hold some, or a pattern in quotes")
     return found
+
+
+def _matches(pattern: Path) -> list[Path]:
+    """Return the path itself, or what it matches as a pattern."""
+    if pattern.exists():
+        return [pattern]
+    try:
+        return list(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
+    except ValueError:  # what is no pattern, such as "a**"
+        return []
 
 
 def read(place: str) -> bytes | None:

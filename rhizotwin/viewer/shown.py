@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections import corrected
 from rhizotwin.corrections.session import Measured, Session
-from rhizotwin.recon.results import result_files, surface_distance
+from rhizotwin.recon import surface_distance
+from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError

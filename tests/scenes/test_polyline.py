@@ -1,6 +1,7 @@
 """Lines of points against their closed form."""
 
 import numpy as np
+import pytest
 
 from rhizotwin.scenes import polyline
 
@@ -18,3 +19,9 @@ def test_places_between_lie_on_the_legs() -> None:
     way = polyline.way_mm(CORNER)
     found = polyline.between(CORNER, way, np.array([-1.0, 2.5, 6.0, 9.0]))
     assert np.allclose(found, [[0.0, 0.0, 0.0], [1.5, 2.0, 0.0], [3.0, 4.0, 1.0], [3.0, 4.0, 2.0]])
+
+
+@pytest.mark.parametrize(("step_mm", "expected"), [(1.0, [0.5, 1.5, 2.5]), (0.9, [0.5, 1.5, 2.5]), (100.0, [1.5])])
+def test_middles_are_of_equal_pieces(step_mm: float, expected: list[float]) -> None:
+    way = polyline.way_mm(np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
+    assert polyline.middles(way, step_mm) == pytest.approx(expected)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.results import surface_distance
+from rhizotwin.recon import surface_distance
 
 
 def brute_force(points, mesh):
@@ -50,13 +50,13 @@ def test_equals_brute_force_on_triangles_of_very_different_size(seed):
 
 def test_samples_lie_on_the_surface_and_spread_by_area():
     box = trimesh.creation.box(extents=[1.0, 1.0, 10.0])
-    points = surface_distance.sample_surface(box.vertices, box.faces, count=4000, rng=np.random.default_rng(0))
+    points = surface_distance.sample(box.vertices, box.faces, count=4000, rng=np.random.default_rng(0))[0]
     assert surface_distance.distances(points, box.vertices, box.faces).max() < 1e-12
     assert (np.abs(points[:, 2]) > 5.0 - 1e-9).mean() == pytest.approx(2.0 / 42.0, abs=2e-3)
 
 
 def test_shells_are_as_far_apart_as_their_radii():
     inner, outer = (trimesh.creation.icosphere(subdivisions=4, radius=r) for r in (10.0, 10.3))
-    points = surface_distance.sample_surface(inner.vertices, inner.faces, count=2000, rng=np.random.default_rng(0))
+    points = surface_distance.sample(inner.vertices, inner.faces, count=2000, rng=np.random.default_rng(0))[0]
     apart = surface_distance.distances(points, outer.vertices, outer.faces)
     assert np.median(apart) == pytest.approx(0.3, abs=0.02)

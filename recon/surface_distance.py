@@ -12,30 +12,8 @@ _SMALL_CLASS = 0.02
 """A class with fewer of all triangles than this is not worth a search of its own."""
 
 
-def sample_surface(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> Floats:
-    """Return ``count`` points (count, 3) in mm, evenly distributed over the area of a mesh (V, 3), (F, 3).
-
-    Parameters
-    ----------
-    vertices_mm, faces : (V, 3), (F, 3) array
-        The mesh.
-    count : int
-        How many points.
-    rng : np.random.Generator
-        Draws them.
-
-    Returns
-    -------
-    (count, 3) array
-        mm.
-    """
-    return sample_faces(vertices_mm, faces, count=count, rng=rng)[0]
-
-
-def sample_faces(
-    vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the same points, and the face (count,) that each lies on.
+def sample(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
+    """Return points evenly distributed over the area of a mesh, and the face that each lies on.
 
     Parameters
     ----------
