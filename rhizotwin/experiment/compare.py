@@ -70,8 +70,8 @@ class Difference:
 
     @property
     def told_apart(self) -> bool:
-        """Whether size or rate differ, each tested at half of `SURE` (Bonferroni)."""
-        return min(self.size_p, self.rate_p) < SURE / 2.0
+        """Whether sizes differ: the one question that the verdict answers; the rate's p stands beside it as another."""
+        return self.size_p < SURE
 
 
 def means(seen: Sequence[Seen]) -> list[Point]:
@@ -161,7 +161,8 @@ def _probability(value: float, error: float, dof: int) -> float:
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:
     """Return the fixed effects and their standard errors.
 
-    Plants that were seen once each have no level of their own to be told.
+    Plants that were seen once each have no level of their own to be told. Powell's search needs no gradient, which the
+    likelihood lacks where a variance is 0: of twelve sets of plants, gradients stopped short in four, with a p too small.
     """
     try:
         import statsmodels.api as models
@@ -174,7 +175,7 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a variance at its bound, zero, is what plants that do not differ have
         try:
-            fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True)
+            fitted = models.MixedLM(y, design, groups=np.asarray(plants), exog_re=random).fit(reml=True, method="powell")
             value, error = np.asarray(fitted.fe_params), np.asarray(fitted.bse_fe)
         except np.linalg.LinAlgError:
             value = error = np.full(design.shape[1], np.nan)

@@ -52,7 +52,7 @@ def sentences(growth: Growth) -> list[str]:
             told.append(
                 f"{trait}: {one.treatment!r} {apart} from {one.against!r}: {100.0 * (one.size - 1.0):+.0f} % on the mean day "
                 f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}), relative growth rate {one.rate_per_day:+.3f} a day "
-                f"(p = {one.rate_p:.2g}); told apart is p below {SURE / 2.0:g} in one of the two."
+                f"(p = {one.rate_p:.2g}); differs is a size whose p is below {SURE:g}."
             )
     for plant, followed in growth.followed.items():
         often = sum(len(track.sights) > 1 for track in followed.tracks)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -135,6 +136,15 @@ def test_treatments_that_differ_are_told_apart_and_equal_ones_are_not() -> None:
     assert sum(one.size_interval[0] <= 1.0 <= one.size_interval[1] for one in same) >= 2
 
 
+def test_where_all_plants_are_seen_on_all_days_the_size_is_a_t_test_of_their_means() -> None:
+    pytest.importorskip("statsmodels")
+    for seed in range(4):
+        seen = curves(np.random.default_rng(seed), effect=1.1)
+        mean = {name: np.mean([np.log(one.value) for one in seen if one.plant == name]) for name in {one.plant for one in seen}}
+        groups = [[mean[f"{treatment}{k}"] for k in range(3)] for treatment in ("control", "treated")]
+        assert differences(seen)[0].size_p == pytest.approx(ttest_ind(*groups).pvalue, rel=0.05)
+
+
 def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
     seen = [Seen(plant=p, treatment="a", day=day, value=v * day) for p, v in (("x", 1.0), ("y", 3.0)) for day in (1.0, 2.0)]
     first = means(seen)[0]
@@ -147,10 +157,11 @@ def test_means_have_intervals_and_rates_are_of_logarithms() -> None:
 def results(ball_result: Callable[..., Path], plant: dict[float, list[Root]], tmp_path: Path) -> Path:
     """Return a folder of results of four plants, two treatments, three days."""
     pytest.importorskip("statsmodels")
+    rng = np.random.default_rng(3)
     for number, treatment in enumerate(("control", "control", "low N", "low N")):
-        for day in DAYS[:3]:
+        for day, error in zip(DAYS[:3], rng.normal(1.0, 0.03, 3), strict=True):
             who = {"plant": f"P{number}", "treatment": treatment, "day": day, "species": "Raphanus sativus"}
-            folder = ball_result(f"results/P{number}_{day:g}", subject=who, volume_mm3=100.0 * day * (1.0 + 0.03 * number))
+            folder = ball_result(f"results/P{number}_{day:g}", subject=who, volume_mm3=100.0 * day * (1.0 + 0.03 * number) * error)
             rsml.write_rsml(folder / "roots.rsml", [root for root in plant[day] if root.order < 2])
     return tmp_path / "results"
 
