@@ -162,7 +162,7 @@ def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None
     """Return the fixed effects and their standard errors.
 
     Plants that were seen once each have no level of their own to be told. Powell's search needs no gradient, which the
-    likelihood lacks where a variance is 0: of twelve sets of plants, gradients stopped short in four, with a p too small.
+    likelihood lacks where a variance is 0: of twelve sets of plants, gradients stopped short in four.
     """
     try:
         import statsmodels.api as models

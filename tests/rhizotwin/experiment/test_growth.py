@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_ind
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
+from scipy.stats import ttest_ind
 
 from rhizotwin import cli
 from rhizotwin.experiment.alignment import align
