@@ -156,10 +156,12 @@ class Page:
         """Press a button."""
         self.page.get_by_role("button", name=name, exact=True).click()
 
-    def layer(self, name: str) -> None:
-        """Switch what is drawn on or off."""
+    def layer(self, name: str, *, on: bool) -> None:
+        """Let something be drawn, or not."""
         self.page.get_by_role("tab", name="Look").click()
-        self.page.get_by_label(name).click()
+        box = self.page.get_by_label(name)
+        if box.is_checked() != on:
+            box.click()
 
     def says(self, pattern: str) -> str:
         """Return what the page says where a pattern fits; empty where nothing does."""
@@ -247,8 +249,6 @@ def _said(found: dict[str, tuple[float, str]]) -> str:
 def _touched(page: Page) -> dict[str, tuple[float, str]]:
     """Pick and delete as a person does; return how long the page took to answer."""
     found: dict[str, tuple[float, str]] = {}
-    if page.page.get_by_label("Cameras (click one to stand in it)").count():
-        page.layer("Cameras (click one to stand in it)")
     if page.says(r"\d+ mm in [1-9]\d* roots"):
         page.page.get_by_role("tab", name="Correct").click()
         page.page.get_by_text("Nothing is chosen").wait_for()
@@ -263,8 +263,8 @@ def _touched(page: Page) -> dict[str, tuple[float, str]]:
         found["delete_root"] = page.asked(_CORRECTED, lambda: page.press("Delete")), "s"
         found["undo"] = page.asked(_CORRECTED, lambda: page.press("Undo")), "s"
         page.asked(_CORRECTED, lambda: page.press("Redo"))
-    page.layer("Surface")
-    page.layer("Voxels")
+    page.layer("Surface", on=False)  # it hides the voxels, and follows after the number
+    page.layer("Voxels", on=True)
     page.page.get_by_role("tab", name="Correct").click()
     found["voxels"], found["choose_voxels"] = _drag(page)
     if found["voxels"][0]:

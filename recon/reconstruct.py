@@ -27,8 +27,7 @@ from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, shape_checks
-from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
+from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene

@@ -1,13 +1,17 @@
 """Roots as a mesh of tubes, coloured by order or diameter: for people to look at. Overlaps are not united."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.rsml import Root
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -27,6 +31,9 @@ def tubes(roots: Sequence[Root], *, colour: str) -> trimesh.Trimesh:
     colour : str
         "order" (ten colours in turn) or "diameter" (viridis from 0 to the diameter that 98 % of the points stay below).
     """
+    import trimesh  # these two take half a second, and the viewer needs tubes alone
+    from matplotlib import colormaps
+
     parts = [tube(root.points_mm, root.diameters_mm) for root in roots]
     counts = [len(vertices) for vertices, _ in parts]
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])

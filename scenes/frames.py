@@ -13,7 +13,6 @@ cam      : OpenCV axes, x right, y down, z forward.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -44,16 +43,18 @@ def translation(x_mm: float, y_mm: float, z_mm: float) -> Array:
 
 def rotation_z(angle_rad: float) -> Array:
     """Return the 4x4 rotation about +z, counter-clockwise seen from above."""
-    return from_rotation_translation(Rotation.from_rotvec([0.0, 0.0, angle_rad]).as_matrix(), np.zeros(3))
+    return from_rotation_translation(_rotation([0.0, 0.0, angle_rad]), np.zeros(3))
 
 
 def from_rotvec(rotvec_rad: Array, translation_mm: Array) -> Array:
     """Return the 4x4 transform with the given rotation vector (3,) rad and translation (3,) mm."""
-    return from_rotation_translation(Rotation.from_rotvec(rotvec_rad).as_matrix(), np.asarray(translation_mm))
+    return from_rotation_translation(_rotation(rotvec_rad), np.asarray(translation_mm))
 
 
 def to_rotvec(a_from_b: Array) -> Array:
     """Return the rotation vector (3,) rad of a 4x4 transform."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_matrix(a_from_b[:3, :3]).as_rotvec()
 
 
@@ -116,6 +117,12 @@ def level_camera(*, distance_mm: float, height_mm: float, tilt_deg: float) -> Ar
 def pose_error(cam_from_x: Array, cam_from_x_true: Array) -> tuple[float, float]:
     """Return the distance of the camera centres (mm) and the angle (degrees) between two poses (4, 4)."""
     difference = cam_from_x[:3, :3].T @ cam_from_x_true[:3, :3]
-    angle_rad = float(np.linalg.norm(Rotation.from_matrix(difference).as_rotvec()))
+    angle_rad = float(np.linalg.norm(to_rotvec(difference)))
     centre_mm = invert(cam_from_x)[:3, 3] - invert(cam_from_x_true)[:3, 3]
     return float(np.linalg.norm(centre_mm)), float(np.rad2deg(angle_rad))
+
+
+def _rotation(rotvec_rad: Array | list[float]) -> Array:
+    from scipy.spatial.transform import Rotation  # a third of a second, which programs that only move points need not wait
+
+    return np.asarray(Rotation.from_rotvec(rotvec_rad).as_matrix())

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from xml.parsers import expat
 
@@ -12,6 +13,7 @@ def parse(path: Path) -> ET.Element:
     """Parse XML without document types or entities, and without minding prefixes that nobody declared."""
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
+    parser.buffer_text = True  # else the space between two lines comes in three parts
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
@@ -33,12 +35,19 @@ def parse(path: Path) -> ET.Element:
 
 def local(element: ET.Element) -> str:
     """Return an element's name without its prefix, in lower case."""
-    return element.tag.rsplit(":", 1)[-1].lower()
+    return _local(element.tag)
+
+
+@lru_cache(maxsize=1024)
+def _local(tag: str) -> str:
+    """Files have hundreds of thousands of elements of a dozen names."""
+    return tag.rsplit(":", 1)[-1].lower()
 
 
 def attribute(element: ET.Element, name: str) -> str | None:
     """Return an attribute by its name in any case."""
-    return next((value for key, value in element.attrib.items() if key.lower() == name), None)
+    exact = element.get(name)
+    return exact if exact is not None else next((value for key, value in element.attrib.items() if key.lower() == name), None)
 
 
 def own(root: ET.Element) -> Iterator[ET.Element]:

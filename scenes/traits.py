@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
@@ -199,6 +198,8 @@ def _by_depth(pieces: _Segments, top_mm: float) -> tuple[float, ...]:
 
 def _hull(points_mm: Array) -> tuple[float, float]:
     """Return the volume of the convex hull and the largest horizontal distance; flat points have no volume."""
+    from scipy.spatial import ConvexHull, QhullError  # who only reads traits need not wait for it
+
     try:
         volume = float(ConvexHull(points_mm).volume)
     except QhullError:

@@ -16,8 +16,7 @@ from rhizotwin.recon.results.result import POSES, Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
-from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
+from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import rsml, subject
 
 

@@ -34,8 +34,7 @@ from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
-from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
+from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root

@@ -4,10 +4,9 @@ import io
 import json
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results import plain_ply, summary_checks
@@ -17,6 +16,9 @@ from rhizotwin.scenes.folders import tidy
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.schema import Place, from_plain
+
+if TYPE_CHECKING:
+    import trimesh
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +58,7 @@ class Mesh:
     """(F, 3)"""
 
     @staticmethod
-    def of(mesh: trimesh.Trimesh) -> "Mesh":
+    def of(mesh: "trimesh.Trimesh") -> "Mesh":
         """Return vertices and faces of a mesh of trimesh's."""
         vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
         return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
@@ -151,7 +153,7 @@ def read_mesh(path: Path) -> Mesh:
         raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
     try:
         plain = plain_ply.read(Path(path))
-        mesh = Mesh.of(trimesh.load(path, process=False, force="mesh")) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
+        mesh = _of_any_kind(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
         raise UserError(f"{path} is not a readable mesh ({error}).") from None
     vertices, faces = mesh.vertices_mm, mesh.faces
@@ -160,6 +162,12 @@ def read_mesh(path: Path) -> Mesh:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(f"{path} is damaged: a triangle names vertex {faces.max()} (or {faces.min()}) of {len(vertices)}.")
     return mesh
+
+
+def _of_any_kind(path: Path) -> Mesh:
+    import trimesh  # takes half a second, and results hold plain files
+
+    return Mesh.of(trimesh.load(path, process=False, force="mesh"))
 
 
 def picture_path(folder: Path, frame_file: str) -> Path:

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, TypeAlias
 
-from rhizotwin.recon.uncertainty.checks import Check
-from rhizotwin.recon.uncertainty.root_uncertainty import Estimate
+from rhizotwin.recon.uncertainty.checks import Check, Estimate
 
 Json: TypeAlias = dict[str, Any]
 Fits: TypeAlias = Callable[[Any], bool]

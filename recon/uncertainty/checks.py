@@ -21,6 +21,20 @@ Limits = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """One number of the roots with what is known of its error."""
+
+    name: str
+    """Of the trait: total_length_mm, tips or mean_diameter_mm."""
+    value: float
+    interval: tuple[float, float]
+    """90 % interval."""
+    trusted: bool
+    verdict: str
+    """One sentence: what the number is worth."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Check:
     """One light of the traffic light."""
 

@@ -25,6 +25,7 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty import checks
 from rhizotwin.recon.uncertainty.budget import NINETY
+from rhizotwin.recon.uncertainty.checks import Estimate
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traced import once
@@ -57,20 +58,6 @@ WIDEST = 0.25
 """An interval that reaches farther to one side is no measurement; the volume's limit."""
 LEAST_VIEWS = 4
 """Fewer pictures that show the roots tell no scatter."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """One number of the roots with what is known of its error."""
-
-    name: str
-    """Of the trait: total_length_mm, tips or mean_diameter_mm."""
-    value: float
-    interval: tuple[float, float]
-    """90 % interval."""
-    trusted: bool
-    verdict: str
-    """One sentence: what the number is worth."""
 
 
 @dataclass(frozen=True)

@@ -42,10 +42,13 @@ def view(
         raise UserError(f"{strange[0]} is neither a result nor a dataset; give the folder that `rhizotwin reconstruct` wrote")
     if not results or len(datasets) > 1:
         raise UserError(f"{len(results)} results and {len(datasets)} datasets given; give one result or more, and at most one dataset")
+    from rhizotwin.viewer import guard
+
+    served = guard.serve(host=page.host, port=page.port)
+    steps.open_page(served.address, served.port, page)  # a browser takes as long to begin as the results to be read
     from rhizotwin.viewer import app
 
-    viewer = app.start(results, datasets[0] if datasets else None, host=page.host, port=page.port)
-    steps.open_page(viewer.served.address, viewer.served.port, page)
+    viewer = app.show(served, results, datasets[0] if datasets else None)
     print("Ctrl-C ends it", flush=True)
     try:
         while True:

@@ -13,16 +13,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rhizotwin.corrections.lines import Piece
 from rhizotwin.recon.results.result_files import Leaves
-from rhizotwin.recon.tubes import filling
-from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes import polyline
+
+if TYPE_CHECKING:  # what corrections need is loaded with the first of them
+    from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -131,6 +132,8 @@ class Solid:
 
     def add(self, lines: Sequence[tuple[Array, Array]]) -> list[int]:
         """Add roots (points (N, 3), radii (N,)), and voxels for what lies outside the others; return their numbers."""
+        from rhizotwin.recon.tubes import filling
+
         first = len(self.sources)
         self.sources += [(np.asarray(points, np.float64), np.asarray(diameters, np.float64)) for points, diameters in lines]
         numbers = list(range(first, len(self.sources)))
@@ -167,6 +170,8 @@ class Solid:
         room = (self.size * self.voxel_mm) ** 3
         volume = np.minimum(volume, room)
         if len(self.sources) > self.given:
+            from rhizotwin.recon.tubes import filling
+
             made = self._painted(alive, given=False) / room
             volume += room * np.minimum(filling.levelled(made), 1.0 - volume / room)
         volume[: len(gone)][gone] = 0.0
@@ -238,6 +243,8 @@ class Solid:
 
     def _share_rest(self) -> None:
         """Give what no tube explains to the nearest roots."""
+        from scipy.spatial import cKDTree
+
         left = np.flatnonzero(self._rest_mm3 > 0.0)
         parts = [_dense(k, *line) for k, line in enumerate(self.sources)]
         dense, radius, owner, along = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -298,6 +305,8 @@ class Solid:
 
 def _tubes(lines: Sequence[tuple[Array, Array]]) -> Tubes:
     """Return lines as tubes, each with nodes of its own."""
+    from rhizotwin.recon.tubes.tubes import Tubes
+
     count = np.cumsum([0, *(len(points) for points, _ in lines)])
     branches = tuple(np.arange(a, b) for a, b in pairwise(count))
     return Tubes(np.concatenate([points for points, _ in lines]), np.concatenate([diameters / 2.0 for _, diameters in lines]), branches)

@@ -64,11 +64,10 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
 def _closed(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Close the holes of a surface with fans about their middles."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    twin = {(int(a), int(b)) for a, b in edges}
+    key, twin = edges @ [len(vertices), 1], edges @ [1, len(vertices)]
     onward: dict[int, list[int]] = {}
-    for a, b in twin:
-        if (b, a) not in twin:
-            onward.setdefault(b, []).append(a)  # against the faces' sense, so that the fan looks outward too
+    for a, b in edges[~np.isin(key, twin)].tolist():
+        onward.setdefault(b, []).append(a)  # against the faces' sense, so that the fan looks outward too
     points, fans = [vertices], []
     count = len(vertices)
     while onward:

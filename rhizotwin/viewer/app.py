@@ -12,7 +12,6 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections import log as logs
-from rhizotwin.corrections import refit
 from rhizotwin.corrections.lines import below
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
@@ -51,8 +50,7 @@ class Viewer(Drawing):
                     self.choose_nothing()
                 return
             if hit is None:
-                self._draw_chosen()
-                self.changed()
+                self.answer()
                 return
             number, point = hit
             if self.look.click == CLICKS[0]:
@@ -68,8 +66,7 @@ class Viewer(Drawing):
                 kind = {CLICKS[3]: "cut", CLICKS[4]: "tip", CLICKS[5]: "base"}[self.look.click]
                 self.do(kind, roots=[number], point_mm=tuple(float(x) for x in point))
                 return
-            self._draw_chosen()
-        self.changed()
+            self.answer()
 
     def _click_beside(self, ray: Ray) -> bool:
         """Answer a click that meets no root: measure on the shape itself; tell whether that was meant."""
@@ -96,8 +93,7 @@ class Viewer(Drawing):
             self.roots.clear()
         if hit is not None:
             self.voxels ^= {hit[0]}
-        self._draw_chosen()
-        self.changed()
+        self.answer()
 
     def choose_rectangle(self, screen: Screen, low: tuple[float, float], high: tuple[float, float]) -> None:
         """Choose what shows inside a rectangle.
@@ -112,8 +108,7 @@ class Viewer(Drawing):
             else:
                 points = {k: np.concatenate([part.points_mm for part in parts]) for k, parts in self.visible().items()}
                 self.roots += [k for k, at in points.items() if k not in self.roots and screen.inside(at, low, high).all()]
-            self._draw_chosen()
-        self.changed()
+            self.answer()
 
     def choose_box(self, low_mm: Sequence[float], high_mm: Sequence[float]) -> None:
         """Choose the voxels whose middles lie in a box."""
@@ -121,15 +116,13 @@ class Viewer(Drawing):
             measured = self.shown.session.measure()
             rows = measured.solid.leaves_in(low_mm, high_mm)
             self.voxels = {int(row) for row in rows[rows < len(measured.volumes_mm3)] if measured.volumes_mm3[row] > 1e-9}
-            self._draw_chosen()
-        self.changed()
+            self.answer()
 
     def choose_nothing(self) -> None:
         """Choose nothing."""
         with self.lock:
             self.roots, self.voxels, self.measured = [], set(), []
-            self._draw_chosen()
-        self.changed()
+            self.answer()
 
     # corrections
 
@@ -191,6 +184,8 @@ class Viewer(Drawing):
 
     def fit_again(self) -> None:
         """Fit the roots to the pictures again."""
+        from rhizotwin.corrections import refit  # with what computes
+
         shown = self.shown
         if shown.dataset is None:
             self.say("fitting again needs the pictures: start `rhizotwin view RESULT DATASET`")
@@ -240,11 +235,22 @@ def start(folders: Sequence[Path], dataset: Path | None, *, host: str = guard.LO
     UserError
         Where a result cannot be read, or nothing can be served.
     """
+    return show(guard.serve(host=host, port=port), folders, dataset)
+
+
+def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) -> Viewer:
+    """Show results to browsers, which may have come already.
+
+    Raises
+    ------
+    UserError
+        Where a result cannot be read.
+    """
     from rhizotwin.viewer import panels
 
-    served = guard.serve(host=host, port=port)
     viewer = Viewer(served, folders, dataset)
     panels.build(viewer)
+    served.open.set()
     prepare = threading.Timer(_PREPARE_AFTER_S, viewer.prepare)
     prepare.daemon = True
     begin = threading.Lock()

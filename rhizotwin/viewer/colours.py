@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
@@ -90,4 +89,6 @@ def _flat(colour: tuple[int, int, int], line: Line) -> Bytes:
 
 
 def _scaled(share: Array) -> Bytes:
+    from matplotlib import colormaps  # not for the first picture
+
     return np.asarray(np.round(255.0 * colormaps["viridis"](np.clip(share, 0.0, 1.0))[:, :3]), np.uint8)

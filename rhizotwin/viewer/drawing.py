@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from rhizotwin.scenes import frames
 from rhizotwin.viewer import colours
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Strung
-from rhizotwin.viewer.scene3d import Scene3d, field_of_view, quaternion
+from rhizotwin.viewer.scene3d import CANISTER, Scene3d, field_of_view, quaternion
 from rhizotwin.viewer.shown import Shown
 
 Array = NDArray[np.float64]
@@ -28,6 +30,8 @@ LAYERS = ("roots", "surface", "voxels", "canister", "cameras", "truth")
 CLICKS = ("choose a root", "choose a voxel", "measure", "cut here", "end it here", "plant begins here")
 TRUTH = ("over", "beside", "distance colours")
 _ASIDE_MM = 60.0
+_APART_S = 0.02
+"""What is sent farther apart than viser gathers messages (1/60 s) comes in two parcels."""
 _FAR_MM = 1e9
 """Beyond everything."""
 
@@ -36,7 +40,8 @@ _FAR_MM = 1e9
 class Look:
     """How the result is shown."""
 
-    layers: set[str] = field(default_factory=lambda: {"roots", "canister", "cameras"})
+    layers: set[str] = field(default_factory=lambda: {"roots", "canister"})
+    """Cameras wait until they are asked for: their pictures would hold up the first picture, and each after it."""
     colour: str = "order"
     truth: str = TRUTH[0]
     low_mm: Triple = (-_FAR_MM, -_FAR_MM, -_FAR_MM)
@@ -76,6 +81,8 @@ class Drawing:
         """Called when what the panels say may have changed."""
         self.on_drawn: list[Callable[[], None]] = []
         """Called after that, when the scene has followed: for what takes longer."""
+        self._surfaces = ThreadPoolExecutor(max_workers=1, thread_name_prefix="surface")
+        """Nobody waits for surfaces: with the next correction they may be old already."""
         self.told = ""
         """The last sentence to the user."""
         self.load(0)
@@ -130,18 +137,42 @@ class Drawing:
 
     # what is drawn
 
+    def answer(self) -> None:
+        """Let the panels follow, then mark what is chosen."""
+        with self.lock:
+            self._tell()
+            self._draw_chosen()
+
+    def _tell(self) -> None:
+        """Let the panels follow at once.
+
+        A browser shows what comes with nothing for the scene beside it before it draws the scene again, which software
+        takes long for.
+        """
+        lines = self.shown.session.state.lines
+        self.roots = [number for number in self.roots if number in lines]
+        self.changed()
+        self.served.server.flush()
+        time.sleep(_APART_S)
+
     def refresh(self) -> None:
         """Let the panels follow, and draw what has changed: a large surface takes longer than the number."""
-        self.changed()
-        with self.lock, self.served.server.atomic():
+        with self.lock:
+            self._tell()
+            self._draw()
+        self._surfaces.submit(self._draw_surface)
+        self.drawn()
+
+    def _draw(self) -> None:
+        """Draw all but surfaces."""
+        with self.served.server.atomic():
             session, look, shown = self.shown.session, self.look, self.shown
             if "roots" in look.layers and self.standing is None:
                 shade, _ = colours.colouring(look.colour, session.state.lines)
                 key = look.colour if look.colour in colours.OF_ONE else f"{look.colour} {len(session.log.edits)}"
                 self.scene.show_roots(self.visible(), shade, key=key)
-            self._draw_surface()
             self._draw_voxels()
-            if "canister" in look.layers and shown.dataset is not None and "/rig/canister" not in self.scene:
+            if "canister" in look.layers and shown.dataset is not None and CANISTER not in self.scene:
                 self.scene.show_canister(shown.dataset.scene)
             if "cameras" in look.layers and shown.pictures is not None and "/cameras/0" not in self.scene:
                 self.scene.show_cameras(shown.pictures, self.stand)
@@ -149,7 +180,6 @@ class Drawing:
             for layer, prefix in (("roots", "/roots"), ("canister", "/rig"), ("cameras", "/cameras")):
                 self.scene.set_visible(prefix, visible=here and layer in look.layers)
             self._draw_chosen()
-        self.drawn()
 
     def cut_away(self, axis: int, low_mm: float | None, high_mm: float | None) -> None:
         """Show only what lies between two places along an axis; None: no end."""
@@ -222,7 +252,6 @@ class Drawing:
 
     def _draw_chosen(self) -> None:
         session = self.shown.session
-        self.roots = [number for number in self.roots if number in session.state.lines]
         solid = session.measure().solid
         rows = np.array(sorted(self.voxels), np.int64)
         here = self.standing is None

@@ -7,14 +7,15 @@ machine shares its cookies.
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import http
 import io
 import secrets
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
-from functools import partial
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from unittest.mock import patch
@@ -29,6 +30,8 @@ from rhizotwin.scenes.errors import UserError
 
 LOCAL = "127.0.0.1"
 REFUSED = b"This page needs the whole address that `rhizotwin` printed, with its token.\n"
+_LOOK_S = 0.01
+"""Between two looks whether pages may have what is shown."""
 Answer = Callable[[Any, Request], Response | None]
 
 
@@ -40,6 +43,8 @@ class Served:
     host: str
     port: int
     token: str
+    open: threading.Event
+    """Set when pages may have what is shown; until then they load, and wait for it."""
 
     @property
     def address(self) -> str:
@@ -55,27 +60,35 @@ class Served:
 def serve(*, host: str = LOCAL, port: int = 8080, title: str = "rhizotwin") -> Served:
     """Start a server; where the port is taken, at the next free one.
 
+    Browsers may load the page at once, while what is shown is being read: they get it when `Served.open` is set.
+
     Raises
     ------
     UserError
         Where the address is not this machine's, or no port is free.
     """
-    token = secrets.token_urlsafe(24)
+    token, is_open = secrets.token_urlsafe(24), threading.Event()
     try:
-        with _guarded(token), redirect_stdout(io.StringIO()):  # viser's own greeting lacks the token
+        with _guarded(token, is_open), redirect_stdout(io.StringIO()):  # viser's own greeting lacks the token
             server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     except OSError as error:
         raise UserError(f"nothing can be served at {host}:{port} ({error}); choose another --host or --port") from None
-    return Served(server, host, server.get_port(), token)
+    return Served(server, host, server.get_port(), token, is_open)
 
 
 @contextmanager
-def _guarded(token: str) -> Iterator[None]:
+def _guarded(token: str, is_open: threading.Event) -> Iterator[None]:
     """Let servers that start meanwhile ask for the token; viser has no hook for it of its own."""
     started = websockets.asyncio.server.serve
 
     def ask_first(*arguments: Any, process_request: Answer, **more: Any) -> Any:
-        return started(*arguments, process_request=partial(answer, token, process_request), **more)
+        async def ask(connection: Any, request: Request) -> Response | None:
+            found = answer(token, process_request, connection, request)
+            while found is None and not is_open.is_set():  # a websocket
+                await asyncio.sleep(_LOOK_S)
+            return found
+
+        return started(*arguments, process_request=ask, **more)
 
     with patch.object(websockets.asyncio.server, "serve", ask_first):
         yield

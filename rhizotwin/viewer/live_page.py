@@ -41,6 +41,7 @@ def serve(live: Live, *, host: str = guard.LOCAL, port: int = 8080) -> Served:
     """
     served = guard.serve(host=host, port=port, title="rhizotwin scan")
     _Page(served, live)
+    served.open.set()
     return served
 
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-import trimesh
 import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.root_mesh import tube
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.through_water import Pictures
+from rhizotwin.viewer import tubes
+from rhizotwin.viewer.glb import glb
+from rhizotwin.viewer.tubes import Solid
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -25,13 +27,16 @@ CHUNK = 64
 """Roots drawn as one mesh: a correction sends only the meshes that it changes."""
 MOST_TRIANGLES = 400_000
 """More are drawn with fewer corners a tube, or coarser; a laptop draws this many without effort."""
-_CORNERS = (10, 8, 6, 5, 4, 3)
+CANISTER = "/rig/canister"
+_CORNERS = (tubes.MOST, 8, 6, 5, 4, 3)
 _SURFACE_RGB = (222, 160, 92)
 _TRUTH_RGB = (108, 158, 205)
 _CHOSEN_RGB = (255, 210, 0)
 _VOXEL_RGB = np.array([150, 110, 70], np.uint8)
 _FRUSTUM_MM = 18.0
 _BLACK = (40, 40, 40)
+_AMBIENT = 1.6
+"""With viser's lamps (3.0 from above, 0.4 from below) the flanks of hanging roots then keep their colours."""
 
 
 class Scene3d:
@@ -43,8 +48,10 @@ class Scene3d:
         self._handles: dict[str, viser.SceneNodeHandle] = {}
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
-        # shadows halve the frames of a laptop and tell nothing
+        # Shadows, and the picture of a hall that viser lights things by, tell nothing and halve a laptop's frames.
         server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_ambient("/light", intensity=_AMBIENT)
 
     def look_at(self, points_mm: Array, *, rim_mm: float) -> None:
         """Let new browsers begin with all points in view."""
@@ -65,7 +72,7 @@ class Scene3d:
             Changes where the colours do.
         """
         nodes = sum(len(line.points_mm) for parts in lines.values() for line in parts)
-        around = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
+        most = next((n for n in _CORNERS if 2 * n * nodes <= MOST_TRIANGLES), _CORNERS[-1])
         groups: dict[int, list[int]] = {}
         for number in lines:
             groups.setdefault(number // CHUNK, []).append(number)
@@ -78,15 +85,7 @@ class Scene3d:
             before = self._chunks.get(chunk)
             if before is not None and before[1] == key and list(map(id, before[0])) == list(map(id, now)):
                 continue
-            parts = [tube(line.points_mm, line.diameters_mm, around=around) for line in now]
-            shades = []
-            for number, line in named:
-                colour = colours(number, line)
-                shades += [np.repeat(colour, around, axis=0), colour[[0, -1]]]
-            mesh = _joined(parts)
-            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.concatenate(shades))
-            name = f"/roots/{chunk}"
-            self._keep(name, self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False))
+            self._add_solid(f"/roots/{chunk}", tubes.of_lines(now, [colours(*one) for one in named], most=most))
             self._chunks[chunk] = (now, key)
 
     def show_chosen(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
@@ -94,8 +93,9 @@ class Scene3d:
         self.drop("/chosen/roots")
         self.drop("/chosen/voxels")
         if lines:
-            mesh = _joined([tube(line.points_mm, 1.25 * line.diameters_mm + 0.05, around=8) for line in lines])
-            self._add_mesh("/chosen/roots", np.asarray(mesh.vertices), np.asarray(mesh.faces), _CHOSEN_RGB, opacity=0.75)
+            wider = [replace(line, diameters_mm=1.25 * line.diameters_mm + 0.05) for line in lines]
+            shades = [np.tile(np.array(_CHOSEN_RGB, np.uint8), (len(line.points_mm), 1)) for line in lines]
+            self._add_solid("/chosen/roots", tubes.of_lines(wider, shades))
         if len(voxels_mm):
             self._keep("/chosen/voxels", self._points("/chosen/voxels", voxels_mm, np.array(_CHOSEN_RGB, np.uint8), 1.1 * voxel_mm))
 
@@ -113,8 +113,7 @@ class Scene3d:
             return
         vertices, faces = mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), mesh.faces
         if colours is not None:
-            solid = trimesh.Trimesh(vertices, faces, process=False, vertex_colors=colours)
-            self._keep(name, self._server.scene.add_mesh_trimesh(name, solid, cast_shadow=False, receive_shadow=False))
+            self._add_solid(name, Solid(vertices, tubes.normals(vertices, faces), faces, colours))
         else:
             colour, opacity = (_TRUTH_RGB, 0.55) if name == "/truth" else (_SURFACE_RGB, None)
             self._add_mesh(name, vertices, faces, colour, opacity=opacity)
@@ -122,24 +121,24 @@ class Scene3d:
     def show_canister(self, scene: Scene) -> None:
         """Draw canister, water, net pot and marker strip."""
         can, pot, strip = scene.canister, scene.net_pot, scene.strip
-        for name, radius, low, high, colour, opacity in (
-            ("/rig/canister", can.outer_radius_mm, -can.height_mm, 0.0, (190, 200, 205), 0.10),
-            ("/rig/water", can.inner_radius_mm, can.floor_z_mm, scene.water.level_mm, (120, 180, 230), 0.12),
-            ("/rig/net pot", pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, (230, 230, 230), 0.35),
-        ):
-            wall = _wall(radius, low, high)
-            self._add_mesh(name, *wall, colour, opacity=opacity)
-        squares = []
+        level = scene.water.level_mm
+        parts = [
+            _wall(radius, low, high, colour)
+            for radius, low, high, colour in (
+                (can.inner_radius_mm, level, 0.0, (190, 200, 205, 60)),
+                (can.inner_radius_mm, can.floor_z_mm, level, (140, 185, 220, 90)),
+                (pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm, (215, 215, 215, 150)),
+            )
+        ]
         for row in range(strip.rows):
             for column in range(strip.columns):
                 low = strip.bottom_mm + row * strip.row_pitch_mm
                 half = strip.marker_mm / pot.outer_radius_mm / 2.0
                 middle = (column + 0.5) * 2.0 * np.pi / strip.columns
-                squares.append(_wall(pot.outer_radius_mm + 0.2, low, low + strip.marker_mm, middle - half, middle + half, steps=3))
-        mesh = _joined(squares)
-        self._add_mesh("/rig/strip", np.asarray(mesh.vertices), np.asarray(mesh.faces), _BLACK, opacity=0.8)
-        floor = _disc(can.inner_radius_mm, can.floor_z_mm)
-        self._add_mesh("/rig/floor", *floor, (150, 150, 150), opacity=0.3)
+                ends = middle - half, middle + half
+                parts.append(_wall(pot.outer_radius_mm - 0.2, low, low + strip.marker_mm, (*_BLACK, 204), *ends, steps=3))
+        parts.append(_disc(can.inner_radius_mm, can.floor_z_mm, (150, 170, 185, 110)))
+        self._add_solid(CANISTER, tubes.joined(parts), see_through=True)
 
     def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
         """Draw the cameras with their pictures; a click stands in one."""
@@ -205,6 +204,10 @@ class Scene3d:
         )
         self._keep(name, handle)
 
+    def _add_solid(self, name: str, solid: Solid, *, see_through: bool = False) -> None:
+        data = glb(solid.vertices_mm, solid.normals, solid.faces, solid.colours, see_through=see_through)
+        self._keep(name, self._server.scene.add_glb(name, data, cast_shadow=False, receive_shadow=False))
+
     def _points(self, name: str, points_mm: Array, colours: Bytes, size_mm: float) -> viser.SceneNodeHandle:
         return self._server.scene.add_point_cloud(
             name, points_mm.astype(np.float32), colours, point_size=size_mm, point_shape="square", precision="float32", point_shading="flat"
@@ -230,26 +233,30 @@ def quaternion(rotation: Array) -> Array:
     return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz)
 
 
-def _joined(parts: Sequence[tuple[Array, NDArray[np.int64]]]) -> trimesh.Trimesh:
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
-    faces = np.concatenate([part[1] + start for part, start in zip(parts, first, strict=True)])
-    return trimesh.Trimesh(np.concatenate([part[0] for part in parts]), faces, process=False)
-
-
 def _wall(
-    radius: float, low: float, high: float, begin: float = 0.0, end: float = 2.0 * np.pi, steps: int = 72
-) -> tuple[Array, NDArray[np.int64]]:
-    """Return a part of a cylinder's wall about z."""
+    radius: float,
+    low: float,
+    high: float,
+    colour: tuple[int, int, int, int],
+    begin: float = 0.0,
+    end: float = 2.0 * np.pi,
+    steps: int = 72,
+) -> Solid:
+    """Return a part of a cylinder's wall about z, seen from inside: the half before the roots is left out."""
     angle = np.linspace(begin, end, steps + 1)
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (low, high)])
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.column_stack([radius * ring, np.full(len(ring), z)]) for z in (low, high)])
+    inward = np.tile(np.column_stack([-ring, np.zeros(len(ring))]), (2, 1))
     a, up = np.arange(steps), steps + 1
-    faces = np.concatenate([np.stack([a, a + 1, a + 1 + up], axis=1), np.stack([a, a + 1 + up, a + up], axis=1)])
-    return vertices, faces
+    faces = np.concatenate([np.stack([a + 1, a, a + 1 + up], axis=1), np.stack([a + 1 + up, a, a + up], axis=1)])
+    return Solid(vertices, inward, faces, np.tile(np.array(colour, np.uint8), (len(vertices), 1)))
 
 
-def _disc(radius: float, z: float, steps: int = 72) -> tuple[Array, NDArray[np.int64]]:
+def _disc(radius: float, z: float, colour: tuple[int, int, int, int], steps: int = 72) -> Solid:
+    """Return a disc that is seen from above."""
     angle = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(steps, z)], axis=1)])
     a = np.arange(steps)
-    return vertices, np.stack([np.zeros(steps, np.int64), a + 1, (a + 1) % steps + 1], axis=1)
+    faces = np.stack([np.zeros(steps, np.int64), a + 1, (a + 1) % steps + 1], axis=1)
+    count = len(vertices)
+    return Solid(vertices, np.tile([0.0, 0.0, 1.0], (count, 1)), faces, np.tile(np.array(colour, np.uint8), (count, 1)))

@@ -9,12 +9,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from rhizotwin.corrections import corrected
 from rhizotwin.corrections.session import Measured, Session
-from rhizotwin.recon import surface_distance
 from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -73,6 +70,8 @@ class Shown:
 
     def surface_now(self) -> Mesh:
         """Return the surface as corrected."""
+        from rhizotwin.corrections import corrected
+
         edits = self.session.log.edits
         if self._surface_now is None or self._surface_now[0] != edits:
             whole = corrected.read_mesh(self.session) if edits else result_files.read_mesh(self.session.folder / "shape.ply")
@@ -90,6 +89,10 @@ class Shown:
 
     def distance_colours(self, mesh: Mesh) -> NDArray[np.uint8]:
         """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
+        from matplotlib import colormaps
+
+        from rhizotwin.recon import surface_distance
+
         if self.truth is None:
             raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")
         away = surface_distance.distances(mesh.vertices_mm, self.truth.vertices_mm, self.truth.faces)

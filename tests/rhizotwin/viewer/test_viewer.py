@@ -1,5 +1,8 @@
 """What the viewer does without a browser: picking, pictures through the water, words."""
 
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,7 +15,7 @@ from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.through_water import Pictures
-from rhizotwin.viewer import app, colours, picking, words
+from rhizotwin.viewer import app, colours, guard, picking, words
 from rhizotwin.viewer.app import Viewer
 from rhizotwin.viewer.drawing import CLICKS
 from tests.rhizotwin import plant as plants
@@ -219,3 +222,43 @@ def test_traits_follow_corrections(viewer: Viewer):
     assert viewer.shown.traits().roots == 3
     assert "<td>3</td>" in told[-1]
     viewer.undo()
+
+
+def test_a_viewer_begins_without_what_only_corrections_need():
+    """What takes long to load would hold up the first picture."""
+    slow = ("mitsuba", "drjit", "trimesh", "scipy", "matplotlib", "skimage")
+    asked = f"import sys; from rhizotwin.viewer import app, panels; sys.exit(str([m for m in {slow} if m in sys.modules]))"
+    found = subprocess.run([sys.executable, "-P", "-c", asked], capture_output=True, text=True, check=False)
+    assert found.stderr.strip() == "[]"
+
+
+def test_pages_wait_for_what_is_shown():
+    served = guard.serve(port=8390)
+    try:
+        with socket.create_connection((served.host, served.port), timeout=20.0) as line:
+            line.sendall(
+                f"GET / HTTP/1.1\r\nHost: {served.host}:{served.port}\r\nOrigin: http://{served.host}:{served.port}\r\n"
+                f"Cookie: rhizotwin_{served.port}={served.token}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+                "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+            )
+            line.settimeout(0.3)
+            with pytest.raises(TimeoutError):
+                line.recv(100)
+            served.open.set()
+            line.settimeout(20.0)
+            assert line.recv(100).startswith(b"HTTP/1.1 101")
+    finally:
+        served.stop()
+
+
+def test_the_panel_is_told_before_the_scene_is_drawn(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    order: list[str] = []
+    viewer.on_change.append(lambda: order.append("told"))
+    for name in ("_draw", "_draw_surface", "_draw_chosen"):
+        monkeypatch.setattr(viewer, name, lambda name=name: order.append(name))
+    viewer.do("delete roots", roots=[3])
+    viewer._surfaces.shutdown(wait=True)
+    assert order == ["told", "_draw", "_draw_surface"]
+    order.clear()
+    viewer.choose_nothing()
+    assert order == ["told", "_draw_chosen"]

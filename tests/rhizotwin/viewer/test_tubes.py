@@ -1,0 +1,97 @@
+"""Roots as they are drawn: near enough to the round tubes, with few triangles, in files that others can read."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin.corrections.lines import Line
+from rhizotwin.viewer import tubes
+from rhizotwin.viewer.glb import glb
+
+GREY = np.array([100, 120, 140], np.uint8)
+
+
+def line(points: np.ndarray, diameters: np.ndarray) -> Line:
+    return Line(points_mm=points, diameters_mm=diameters, parent=-1, pieces=())
+
+
+def straight(count: int) -> Line:
+    return line(np.linspace([0.0, 0.0, 0.0], [3.0, 1.0, -40.0], count), np.linspace(0.6, 0.2, count))
+
+
+def winding() -> Line:
+    way = np.linspace(0.0, 1.0, 200)
+    points = np.stack([3.0 * np.sin(9.0 * way), 2.0 * np.cos(7.0 * way), -50.0 * way], axis=1)
+    return line(points, 0.4 + 0.1 * np.sin(20.0 * way))
+
+
+def shades(*lines: Line) -> list[np.ndarray]:
+    return [np.tile(GREY, (len(one.points_mm), 1)) for one in lines]
+
+
+def test_straight_roots_need_few_nodes_and_keep_their_ends():
+    one, other = straight(65), straight(40)
+    keep = tubes.kept([one, other], np.concatenate(shades(one, other)))
+    assert keep[[0, 64, 65, 104]].all()
+    assert keep.sum() < 12
+
+
+def test_what_is_left_out_is_near_what_is_drawn():
+    root = winding()
+    keep = np.flatnonzero(tubes.kept([root], shades(root)[0]))
+    assert len(keep) < 0.4 * len(root.points_mm)
+    every = np.arange(len(root.points_mm))
+    between = np.stack([np.interp(every, keep, root.points_mm[keep, k]) for k in range(3)], axis=1)
+    assert np.linalg.norm(between - root.points_mm, axis=1).max() <= tubes.OFF_MM
+    assert np.abs(np.interp(every, keep, root.diameters_mm[keep]) - root.diameters_mm).max() <= 2.0 * tubes.OFF_MM
+
+
+def test_a_change_of_colour_is_drawn():
+    root = straight(65)
+    colours = shades(root)[0].copy()
+    colours[30:33] = 255
+    keep = tubes.kept([root], colours)
+    assert keep[[29, 30, 32, 33]].all()
+
+
+@pytest.mark.parametrize("radius_mm", [0.1, 0.5, 2.0, 8.0])
+def test_flats_lie_as_near_to_the_circle_as_is_asked_for(radius_mm: float):
+    count = tubes.corners(radius_mm)
+    off = radius_mm * (1.0 - np.cos(np.pi / count))
+    assert off <= max(tubes.OFF_MM, tubes.OFF_SHARE * radius_mm) or count == tubes.MOST
+
+
+def test_normals_point_outward():
+    solid = tubes.of_lines([winding(), straight(65)], shades(winding(), straight(65)))
+    assert np.linalg.norm(solid.normals, axis=1) == pytest.approx(np.ones(len(solid.normals)))
+    a, b, c = (solid.vertices_mm[solid.faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    assert (np.einsum("ij,ikj->ik", across, solid.normals[solid.faces]).mean(axis=1) > 0.0).mean() > 0.99
+    assert trimesh.Trimesh(solid.vertices_mm, solid.faces).is_watertight
+
+
+def test_normals_of_a_sphere_are_its_radii():
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    assert tubes.normals(np.asarray(ball.vertices), np.asarray(ball.faces)) == pytest.approx(np.asarray(ball.vertices), abs=0.02)
+
+
+@pytest.mark.parametrize("see_through", [False, True])
+def test_files_are_read_by_others_as_they_were_meant(see_through: bool):
+    solid = tubes.of_lines([winding()], shades(winding()))
+    data = glb(solid.vertices_mm, solid.normals, solid.faces, solid.colours, see_through=see_through)
+    found = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh", process=False)
+    assert np.asarray(found.vertices) == pytest.approx(solid.vertices_mm, abs=1e-5)
+    assert (np.asarray(found.faces) == solid.faces).all()
+    length = struct.unpack_from("<I", data, 12)[0]
+    described = json.loads(data[20 : 20 + length])
+    begin = [28 + length + view["byteOffset"] for view in described["bufferViews"]]
+    normals = np.frombuffer(data, "<f4", solid.normals.size, begin[1]).reshape(-1, 3)
+    assert normals == pytest.approx(solid.normals, abs=1e-6)
+    assert ("alphaMode" in described["materials"][0]) == see_through
+    light = ((GREY / 255.0 + 0.055) / 1.055) ** 2.4  # IEC 61966-2-1: glTF's colours are linear in light
+    kept = np.frombuffer(data, np.uint8, 4, begin[2])
+    assert kept / 255.0 == pytest.approx([*light, 1.0], abs=0.5 / 255)
