@@ -24,6 +24,8 @@ _DENSE_MM = 0.15
 """Spacing of the points on all branches that tell what lies inside of them."""
 _NEAR = 24
 """Such points that are looked at about a place."""
+_AT_ONCE = 100_000
+"""Places that are looked about at once: 40 MB of distances and neighbours."""
 _THICK_MM = 0.5
 """Tubes of more than this radius are few: they are looked up by themselves."""
 
@@ -174,10 +176,12 @@ def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Arr
         if not len(part) or not len(unproven):
             continue
         tree, width = cKDTree(centre[part]), radius[part]
-        distance, near = tree.query(point[unproven], k=list(range(1, min(_NEAR, tree.n) + 1)), distance_upper_bound=width.max(), workers=-1)
-        near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
-        row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[unproven][:, None]))
-        pairs.append((unproven[row], part[near[row, column]]))
+        nearest, reach = list(range(1, min(_NEAR, tree.n) + 1)), float(width.max())
+        for some in np.split(unproven, range(_AT_ONCE, len(unproven), _AT_ONCE)):
+            distance, near = tree.query(point[some], k=nearest, distance_upper_bound=reach, workers=-1)
+            near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
+            row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[some][:, None]))
+            pairs.append((some[row], part[near[row, column]]))
     if not pairs:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
     inside, node = (np.concatenate(found) for found in zip(*pairs, strict=True))
