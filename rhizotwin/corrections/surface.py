@@ -30,7 +30,7 @@ def corrected(mesh: Mesh, solid: Solid, state: State, volumes_mm3: Array) -> tri
         In each voxel, after the corrections.
     """
     kept = _kept(mesh, solid, volumes_mm3)
-    vertices, faces = _closed(mesh.vertices_mm, mesh.faces[kept]) if not kept.all() else (mesh.vertices_mm, mesh.faces)
+    vertices, faces = (mesh.vertices_mm, mesh.faces) if kept.all() else _closed(mesh.vertices_mm, mesh.faces, kept)
     parts = [(vertices, faces), *_made(solid, state)]
     first = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     whole = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first, strict=True)])
@@ -46,9 +46,7 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
     lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
     if not len(lost):
         return kept
-    centre, edge = solid.centre_mm[lost], solid.size[lost, None] * solid.voxel_mm
-    reach = 0.5 * edge + solid.voxel_mm
-    near = np.flatnonzero(((middle >= (centre - reach).min(axis=0)) & (middle <= (centre + reach).max(axis=0))).all(axis=1))
+    near = np.flatnonzero(_beside(middle, solid.centre_mm[lost], (0.5 * solid.size[lost] + 1.0) * solid.voxel_mm))
     middle = middle[near]  # elsewhere nothing changed
     away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
     before, after = np.zeros(len(middle)), np.zeros(len(middle))
@@ -61,9 +59,27 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
     return kept
 
 
-def _closed(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Close the holes of a surface with fans about their middles."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+def _beside(points: Array, centre: Array, reach_mm: Array) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) may lie in cubes (M, 3) of half edge (M,): those in cells of a grid that cubes touch."""
+    cell_mm = 2.0 * float(reach_mm.max())  # a cube then touches no cell that none of its corners lies in
+    low = (centre - reach_mm[:, None]).min(axis=0)
+    touched = np.zeros(np.ceil(np.ptp(centre, axis=0) / cell_mm).astype(int) + 3, bool)
+    for corner in np.ndindex(2, 2, 2):
+        touched[tuple(((centre + (2.0 * np.array(corner) - 1.0) * reach_mm[:, None] - low) / cell_mm).astype(int).T)] = True
+    cell = np.floor((points - low) / cell_mm).astype(int)
+    within = ((cell >= 0) & (cell < touched.shape)).all(axis=1)
+    within[within] = touched[tuple(cell[within].T)]
+    return within
+
+
+def _closed(vertices: Array, faces: Faces, kept: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Take faces away and close the holes that they leave with fans about their middles."""
+    rim = np.zeros(len(vertices), bool)
+    rim[faces[~kept]] = True
+    faces = faces[kept]
+    beside = faces[rim[faces].sum(axis=1) >= 2]
+    edges = np.concatenate([beside[:, [0, 1]], beside[:, [1, 2]], beside[:, [2, 0]]])
+    edges = edges[rim[edges].all(axis=1)]
     key, twin = edges @ [len(vertices), 1], edges @ [1, len(vertices)]
     onward: dict[int, list[int]] = {}
     for a, b in edges[~np.isin(key, twin)].tolist():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.corrections import corrected, lines, log
+from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.load import load_result
@@ -238,3 +238,13 @@ def test_a_line_knows_its_nearest_point_and_parts():
     assert part.pieces == (lines.Piece(0, 2.0, 6.0),)
     assert part.backward().between(1.0, 2.0).pieces == (lines.Piece(0, 5.0, 4.0),)
     assert part.diameters_mm == pytest.approx([0.9, 0.7])
+
+
+def test_faces_beside_cubes_are_found():
+    rng = np.random.default_rng(0)
+    points, centre, reach = rng.uniform(-5.0, 5.0, (40_000, 3)), rng.uniform(-3.0, 3.0, (30, 3)), rng.uniform(0.05, 0.4, 30)
+    inside = (np.abs(points[:, None] - centre[None]) <= reach[None, :, None]).all(axis=2).any(axis=1)
+    found = surface._beside(points, centre, reach)
+    assert inside.sum() > 50
+    assert found[inside].all()
+    assert found.mean() < 0.3
