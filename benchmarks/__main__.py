@@ -229,7 +229,7 @@ def _view(given: argparse.Namespace) -> int:
 
     if given.repeats < 1:
         raise UserError(f"--repeats {given.repeats}: give at least one")
-    run = viewer.measure(given.results, given.dataset, repeats=given.repeats, say=say)
+    run = viewer.measure(given.results, given.dataset, clean=given.clean, repeats=given.repeats, say=say)
     say("\n" + results_table(run.metrics))
     if given.output is not None:
         atomic.write_json(given.output, {metric.key: {"value": metric.value, "unit": metric.unit} for metric in run.metrics})

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import browser as browsers
-from benchmarks import viewer_server
+from benchmarks import viewer_debris, viewer_server
 from benchmarks.browser import PATIENCE_MS
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
@@ -177,7 +177,7 @@ class Page:
         return used.ru_maxrss / 1024.0, used.ru_utime + used.ru_stime
 
 
-def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say: Say) -> Run:
+def measure(results: Sequence[Path], dataset: Path | None, *, clean: Path | None, repeats: int, say: Say) -> Run:
     """Measure the viewer and the report of results; what fails is recorded and the rest go on.
 
     Parameters
@@ -186,6 +186,8 @@ def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say:
         Folders.
     dataset : Path or None
         Folder of their pictures; None without.
+    clean : Path or None
+        Result of a scan without debris: what the others have more is taken away by clicks.
     repeats : int
         How often a number is measured; the median counts.
     say : Say
@@ -204,6 +206,8 @@ def measure(results: Sequence[Path], dataset: Path | None, *, repeats: int, say:
         for result in results:
             try:
                 found = _of_result(browser, result, dataset, repeats=repeats, say=say)
+                if clean is not None:
+                    found |= viewer_debris.measure(browser, result, clean, dataset or _dataset(result), window=WINDOW)
             except (UserError, BrowserError) as error:
                 run.crashed[result.name] = str(error)
                 say(f"{result.name}: FAILED\n{error}")

@@ -46,7 +46,7 @@ def _kept(mesh: Mesh, solid: Solid, volumes_mm3: Array) -> NDArray[np.bool_]:
     lost = np.flatnonzero(volumes_mm3 < solid.measured_mm3[: len(volumes_mm3)])
     if not len(lost):
         return kept
-    near = np.flatnonzero(_beside(middle, solid.centre_mm[lost], (0.5 * solid.size[lost] + 1.0) * solid.voxel_mm))
+    near = np.flatnonzero(_beside(middle, solid.centre_mm[lost], np.asarray((0.5 * solid.size[lost] + 1.0) * solid.voxel_mm)))
     middle = middle[near]  # elsewhere nothing changed
     away = [np.array(step, np.float64) for step in np.ndindex(3, 3, 3)]
     before, after = np.zeros(len(middle)), np.zeros(len(middle))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import viewer, viewer_server
+from benchmarks import viewer, viewer_debris, viewer_server
 from benchmarks.__main__ import main
 from rhizotwin.corrections import log
 from rhizotwin.corrections.session import Session
@@ -26,3 +26,9 @@ def test_answers_are_timed_and_the_volume_is_measured_afresh(tmp_path: Path) -> 
 def test_no_start_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "nowhere", "--repeats", "0"]) == 2
     assert "at least one" in capsys.readouterr().err
+
+
+def test_debris_is_what_the_clean_scan_has_not(tmp_path: Path) -> None:
+    dirty, clean = plants.make(tmp_path / "dirty", fibre=True), plants.make(tmp_path / "clean")
+    assert viewer_debris.debris(Session(dirty.result), Session(clean.result)) == [4]
+    assert viewer_debris.debris(Session(clean.result), Session(dirty.result)) == []

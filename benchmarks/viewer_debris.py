@@ -1,0 +1,121 @@
+"""Debris taken out of a scan by clicks in a browser: what is left against a scan of the same plant without it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results import result_files
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.viewer import app
+from rhizotwin.viewer.app import Viewer, screen_of
+
+_BESIDE_MM = 1.0
+"""Two reconstructions of one root lie nearer to each other (a pixel of 400x300 pictures is 0.7 mm)."""
+_MOSTLY = 0.5
+"""Share of its points that lie beside no root of the clean scan: such a root is debris."""
+_PATIENCE_S = 60.0
+_CANVAS = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
+    .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""
+"""The canvas that the scene is drawn on: the largest."""
+
+
+def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, window: dict[str, int]) -> dict[str, tuple[float, str]]:
+    """Take away what a scan has more than the same scan without debris, and compare the volumes.
+
+    Parameters
+    ----------
+    browser : Browser
+        Playwright's.
+    result, clean : Path
+        Results with debris and without.
+    dataset : Path or None
+        Folder of the pictures with debris.
+    window : dict of str to int
+        Width and height (px).
+
+    Returns
+    -------
+    dict of str to tuple of float and str
+        Roots that are debris, clicks, and the volume before and after them over that of the clean scan, less 1.
+
+    Raises
+    ------
+    UserError
+        Where a click does not choose what it should.
+    """
+    wanted = float(result_files.read_summary(clean)["volume_mm3"])
+    viewer = app.start([result], dataset)
+    try:
+        strange = debris(viewer.shown.session, Session(clean))
+        before = viewer.shown.session.measure().volume_mm3
+        clicks = _removed(browser, viewer, strange, window) if strange else 0
+        after = viewer.shown.session.measure().volume_mm3
+    finally:
+        viewer.served.stop()
+    return {
+        "debris_roots": (float(len(strange)), "1"),
+        "debris_clicks": (float(clicks), "1"),
+        "volume_with_debris": (before / wanted - 1.0, "1"),
+        "volume_without_debris": (after / wanted - 1.0, "1"),
+    }
+
+
+def debris(session: Session, clean: Session) -> list[int]:
+    """Return the roots that lie mostly beside no root of a scan without debris."""
+    there = cKDTree(np.concatenate([line.points_mm for line in clean.state.lines.values()]))
+    away = {number: there.query(line.points_mm)[0] for number, line in session.state.lines.items()}
+    return [number for number, mm in away.items() if float((mm > _BESIDE_MM).mean()) > _MOSTLY]
+
+
+def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:
+    """Choose roots by clicks and delete them; return how many clicks it took."""
+    page = browser.new_page(viewport=window)
+    page.goto(viewer.served.address)
+    clients = viewer.served.server.get_clients
+    _wait(lambda: bool(clients()), "the page")
+    page.get_by_role("tab", name="Correct").click()
+    page.get_by_text("Nothing is chosen").wait_for()
+    for place, number in enumerate(numbers):
+        x, y = _where(page, viewer, number)
+        page.mouse.move(x, y)
+        if place:
+            page.keyboard.down("Shift")
+        page.mouse.click(x, y)
+        page.keyboard.up("Shift")
+        _wait(partial(_is_chosen, viewer, number), f"a click on root {number}")
+    page.get_by_role("button", name="Delete", exact=True).click()
+    _wait(lambda: not set(numbers) & set(viewer.shown.session.state.lines), "the roots to go")
+    page.close()
+    return len(numbers) + 1
+
+
+def _is_chosen(viewer: Viewer, number: int) -> bool:
+    return number in viewer.roots
+
+
+def _where(page: Any, viewer: Viewer, number: int) -> tuple[float, float]:
+    """Return where on the page a root can be clicked: its point that is farthest beside all others."""
+    screen = screen_of(max(viewer.served.server.get_clients().items())[1])
+    lines = viewer.shown.session.state.lines
+    seen = {k: line.points_mm @ screen.camera_from_world[:3, :3].T + screen.camera_from_world[:3, 3] for k, line in lines.items()}
+    flat = {k: at[:, :2] / at[:, 2:] for k, at in seen.items()}
+    others = np.concatenate([at for k, at in flat.items() if k != number])
+    u, v = flat[number][int(cKDTree(others).query(flat[number])[0].argmax())] / np.tan(screen.fov / 2.0)
+    box = page.evaluate(_CANVAS)
+    return box["x"] + box["width"] * (0.5 + 0.5 * u / screen.aspect), box["y"] + box["height"] * (0.5 + 0.5 * v)
+
+
+def _wait(until: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + _PATIENCE_S
+    while not until():
+        if time.monotonic() > end:
+            raise UserError(f"waited in vain for {what}")
+        time.sleep(0.02)
