@@ -81,3 +81,17 @@ class Hull:
     """Volume with every outline moved out by its uncertainty."""
     blind_mm3: float
     """Volume of the water that too few views see."""
+
+
+def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
+    parts = []
+    for edge in np.unique(size):
+        offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
+        parts.append((index[size == edge][:, None] + offset).reshape(-1, 3))
+    return np.concatenate(parts) if parts else index
+
+
+def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return the values (M,) of the unit cubes that `even` cuts cubes with values (N,) into."""
+    return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values

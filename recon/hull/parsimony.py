@@ -11,37 +11,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from skimage import morphology
 
 from rhizotwin.recon import device
-from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers, vectors, wholes
-from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.device import Bool, Float, Point3f, UInt32, numbers
+from rhizotwin.recon.hull import distance_maps, explained
+from rhizotwin.recon.hull.centre_lines import centre_lines
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.hull.surface import paint, to_voxels
-from rhizotwin.recon.optics import projection
+from rhizotwin.recon.hull.spheres import Spheres, against
 from rhizotwin.recon.optics.projection import ViewBank
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-_SKELETON_MM = 0.5
-"""About this edge have the voxels that are thinned to curves: finer ones grow hairs on rough surfaces."""
-_SPACING_MM = 0.16
-"""Of the points along a curve, at most: spheres of 0.5 mm roots overlap by more than half."""
-_HALF_DIAGONAL = 0.87
-"""Of a cube, sqrt(3) / 2 of its edge: what lies as deep lies wholly inside."""
-_BIN_MM = 4.0
-"""Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
-_DEEP_PX = 0.75
-"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
-not at all, a third more in full."""
 _FLAT = 0.01
 """Squared slope of a distance map, 1 beside an outline, below which it has no direction: on a ridge."""
 _REACH_PX = 0.75
@@ -65,16 +51,6 @@ _LEAST_CURVE = 12
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
 """The 26 directions to neighbouring cells."""
 _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
-
-
-@dataclass(frozen=True)
-class Spheres:
-    """Spheres inside the roots."""
-
-    centre_mm: Array
-    """(N, 3), canister frame."""
-    radius_mm: Array
-    """(N,)"""
 
 
 @dataclass(frozen=True)
@@ -109,34 +85,15 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     spheres = grow_spheres(bank, maps, centre_lines(leaves))
     if not len(spheres.radius_mm):
         return Trimmed(leaves, spheres, leaves.occupancy)
-    index, size, hull, inside = _against_spheres(spheres, leaves)
+    index, size, hull, inside = against(spheres, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > _MISSING
     if missing.any():
-        needed = _needed(bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing])
+        needed = explained.needed(bank, maps, replace(leaves, index=index, size=size, occupancy=kept.copy()), index[missing], spheres)
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
     return Trimmed(trimmed, spheres, (kept - np.minimum(hull, inside))[some])
-
-
-def centre_lines(leaves: Leaves) -> Array:
-    """Thin the hull to curves and sample them densely: (N, 3) points in the canister frame, mm."""
-    units = 2 ** max(0, int(np.ceil(np.log2(_SKELETON_MM / leaves.grid.size_mm) - 0.25)))
-    index, size, occupancy = to_voxels(leaves, units)
-    low = index.min(axis=0) - 1
-    volume = np.zeros((index + size[:, None]).max(axis=0) - low + 1, np.float32)
-    paint(volume, index - low, size, occupancy)
-    voxel_mm = leaves.grid.size_mm * units
-    nodes = np.argwhere(morphology.skeletonize(volume > 0.5)).astype(np.float64)
-    if not len(nodes):
-        return np.zeros((0, 3))
-    pairs = cKDTree(nodes).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours, up to sqrt(3) away
-    steps = max(1, int(np.ceil(1.4 * voxel_mm / _SPACING_MM)))  # sqrt(2): most go on over an edge
-    share = (np.arange(1, steps) / steps)[None, :, None]
-    between = nodes[pairs[:, 0]][:, None] * (1 - share) + nodes[pairs[:, 1]][:, None] * share
-    points = np.concatenate([nodes, between.reshape(-1, 3)])
-    return np.asarray(leaves.grid.origin_mm) + (points + low + 0.5) * voxel_mm
 
 
 def _across(points: Array) -> Array:
@@ -251,155 +208,3 @@ def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *
     g_2 = (dr.square(slopes[0]) * dr.squared_norm(p.du) + dr.square(slopes[1]) * dr.squared_norm(p.dv)) / norm_2
     g = dr.select(norm_2 < _FLAT, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), dr.sqrt(g_2))
     return peak / g, g, seen
-
-
-def _against_spheres(
-    spheres: Spheres, leaves: Leaves
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Cut leaves until each lies wholly inside the spheres or is a finest node.
-
-    Returns
-    -------
-    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the spheres (N,).
-    """
-    origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
-    low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
-    listed = _Listed.of(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
-    done: list[tuple[NDArray[np.generic], ...]] = []
-    carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
-    for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
-        chosen = leaves.size == edge
-        index = np.concatenate([carried[0], leaves.index[chosen]])
-        hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
-        size_mm = edge * finest_mm
-        depth = listed.depth_mm(origin + index * finest_mm + 0.5 * size_mm)
-        inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
-        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
-        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
-        offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
-        carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
-    index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
-    return index, size, hull, inside
-
-
-def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:
-    """Return the volume that lies in spheres and in leaves."""
-    _, size, occupancy, inside = _against_spheres(spheres, leaves)
-    return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
-
-
-def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
-    """Return how deep (N,) points (N, 3) lie inside the union of spheres; negative outside."""
-    if not len(points_mm) or not len(spheres.radius_mm):
-        return np.full(len(points_mm), -np.inf, np.float32)
-    return _Listed.of(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
-
-
-@dataclass(frozen=True)
-class _Listed:
-    """Spheres listed by the cubic bins they reach into."""
-
-    low_mm: Array
-    shape: NDArray[np.int64]
-    entries: UInt32
-    """mi.Float, x y z r of the spheres of one bin after the other."""
-    begins: UInt32
-    """mi.UInt32, first entry of each bin, and the end."""
-
-    @staticmethod
-    def of(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Listed:
-        """List spheres, and what lies so far beside them, in bins that cover a box."""
-        shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
-        reach = spheres.radius_mm[:, None] + beside_mm
-        first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
-        extent = np.clip(np.floor((spheres.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
-        count = extent.prod(axis=1)
-        sphere = np.repeat(np.arange(len(count)), count)
-        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[sphere]
-        offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
-        bins = ((first[sphere] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
-        order = np.argsort(bins, kind="stable")
-        begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
-        packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
-        return _Listed(low, shape, numbers(packed), wholes(begins))
-
-    def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
-        """Return how deep (N,) points (N, 3) lie inside the union of the spheres; negative outside."""
-        if not len(points_mm):
-            return np.zeros(0, np.float32)
-        shape = self.shape
-        cell = np.clip(np.floor((points_mm - self.low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64)
-        bin_ = wholes(cell @ [shape[1] * shape[2], shape[2], 1])
-        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(vectors(points_mm))
-
-        def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
-            sphere = dr.gather(mi.Vector4f, self.entries, k)
-            return k + 1, dr.maximum(depth, sphere.w - dr.norm(centre - mi.Point3f(sphere.x, sphere.y, sphere.z)))
-
-        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(points_mm)))
-        return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
-
-
-def _needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Tell how much (N,), 0 to 1, silhouettes need of the uncertain finest nodes (N, 3).
-
-    The trimmed shape does not explain these.
-
-    One view that lacks a node may be wrong: what the second most lacking one lacks is needed.
-    """
-    width, height = maps.samples_wh
-    voxel, size, filled = to_voxels(trimmed, 2)
-    some = filled > 0.25
-    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
-    share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
-    places = _points(trimmed, uncertain, 1)
-    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
-    values, columns = np.array(maps.values).reshape(bank.count, height, width), dr.opaque(mi.UInt32, width)
-    for view in range(bank.count):
-        p, seen = _seen(bank, maps, view, solid)
-        place = maps.sample(p.px) + 0.5
-        covered = dr.zeros(mi.Float, width * height)
-        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
-        explained = _spread(np.array(covered).reshape(height, width), 3)
-        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < distance_maps.TELLS_PX)
-        lacking = (deep * (1.0 - explained)).astype(np.float32)
-        if not lacking.any():
-            continue
-        p, seen = _seen(bank, maps, view, places)
-        lacks = dr.select(seen, replace(maps, values=numbers(_spread(lacking, 5))).at(0, p.px, seen), 0.0)
-        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
-        dr.eval(most, second)
-    return np.array(second)
-
-
-def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
-    """Widen a picture (H, W) by a square of an odd edge, and smooth its steps."""
-    return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
-
-
-def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Cut cubes of several sizes into unit cubes: (M, 3) indices."""
-    parts = []
-    for edge in np.unique(size):
-        offset = np.array(list(np.ndindex(edge, edge, edge)), np.int32)
-        parts.append((index[size == edge][:, None] + offset).reshape(-1, 3))
-    return np.concatenate(parts) if parts else index
-
-
-def evenly(values: NDArray[np.float32], size: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the values (M,) of the unit cubes that `even` cuts cubes with values (N,) into."""
-    return np.concatenate([np.repeat(values[size == edge], edge**3) for edge in np.unique(size)]) if len(size) else values
-
-
-def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
-    """Return the centres of nodes of an edge on the device."""
-    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
-    return device.points(centres)
-
-
-def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[projection.Projected, Bool]:
-    """Project points into a view: (projection, whether the view sees them on its distance map)."""
-    p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
-    (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
-    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
-    return p, seen

@@ -27,8 +27,7 @@ from scipy import ndimage
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
-from rhizotwin.recon.hull.leaves import Grid, Leaves
-from rhizotwin.recon.hull.parsimony import even
+from rhizotwin.recon.hull.leaves import Grid, Leaves, even
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 
 Array = NDArray[np.float64]

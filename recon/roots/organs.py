@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import readable, vectors
-from rhizotwin.recon.hull import parsimony
-from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.hull.spheres import Spheres, depth_in_spheres
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import tracing
 from rhizotwin.recon.roots.density import Cells
@@ -45,7 +44,7 @@ def thick(core: Cells, spheres: Spheres, least_mm: float) -> Cells:
     if not len(core.index):
         return core
     large = spheres.radius_mm >= least_mm
-    kept = parsimony.depth_in_spheres(Spheres(spheres.centre_mm[large], _TO_CORNER * spheres.radius_mm[large]), core.centre_mm) > 0.0
+    kept = depth_in_spheres(Spheres(spheres.centre_mm[large], _TO_CORNER * spheres.radius_mm[large]), core.centre_mm) > 0.0
     part = core.parts()
     deep = part[tracing.core_depth(core, core.index, reach_mm=core.grid.size_mm) > least_mm]
     return core.chosen(kept | (np.isin(part, deep) & ~np.isin(part, part[kept])))

@@ -12,7 +12,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, tracing
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
-from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import ghosts, linking, organs, proof, residue, tips
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes

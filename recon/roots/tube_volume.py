@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.hull.boxes import Box
-from rhizotwin.recon.hull.leaves import Leaves
-from rhizotwin.recon.hull.parsimony import Trimmed, even
+from rhizotwin.recon.hull.leaves import Leaves, even
+from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.filling import Filled, fill, levelled
 

@@ -13,6 +13,9 @@ from rhizotwin.recon.scoring.score_roots import NEAR_MM
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
 
+_STEP_MM = 0.1
+"""Of the points along roots: a fifth of how far a line may lie from the true one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlantScore:
@@ -86,7 +89,7 @@ def _points(roots: Sequence[Root]) -> tuple[NDArray[np.float64], NDArray[np.str_
     points, plants = [], []
     for root in roots:
         way = polyline.way_mm(root.points_mm)
-        at = polyline.middles(way, 0.2 * NEAR_MM)
+        at = polyline.middles(way, _STEP_MM)
         points.append(polyline.between(root.points_mm, way, at))
         plants += [root.plant] * len(at)
     return np.concatenate([np.zeros((0, 3)), *points]), np.array(plants)

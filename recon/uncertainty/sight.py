@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon import device
 from rhizotwin.recon.device import UInt32
-from rhizotwin.recon.hull import distance_maps, parsimony
+from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.leaves import Leaves, even, evenly
 from rhizotwin.recon.hull.surface import to_voxels
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -59,8 +59,8 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
     """
     units = 2 ** max(0, math.ceil(math.log2(_COLUMN_MM / leaves.grid.size_mm)))
     index, size, occupancy = to_voxels(leaves, units)
-    cells = parsimony.even(index, size).astype(np.int64)
-    full = parsimony.evenly(occupancy, size)
+    cells = even(index, size).astype(np.int64)
+    full = evenly(occupancy, size)
     edge_mm, origin = units * leaves.grid.size_mm, np.asarray(leaves.grid.origin_mm)
     hidden = {}
     for axis in range(3):

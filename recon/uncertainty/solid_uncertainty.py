@@ -11,11 +11,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon import device
-from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull
-from rhizotwin.recon.hull.parsimony import Spheres, Trimmed
+from rhizotwin.recon.hull.parsimony import Trimmed
+from rhizotwin.recon.hull.spheres import Spheres, in_common_mm3
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
@@ -89,7 +90,7 @@ def _beside_spheres(bank: ViewBank, hull: Hull, thick: Trimmed) -> float:
     reach_mm = 0.5 * hull.leaves.grid.size_mm * hull.leaves.size[:, None]
     middle = hull.leaves.middles_mm
     near = hull.leaves.some(((middle > low - reach_mm) & (middle < high + reach_mm)).all(axis=1))
-    return parsimony.in_common_mm3(wider, near) - parsimony.in_common_mm3(spheres, near)
+    return in_common_mm3(wider, near) - in_common_mm3(spheres, near)
 
 
 def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhizotwin.recon.hull import parsimony
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.leaves import Leaves, even, evenly
 from rhizotwin.recon.uncertainty.budget import Term
 
 _ROUND = 1.9
@@ -34,11 +33,11 @@ def wall_contact(thick: Leaves, water: Water) -> Term:
     middle = thick.middles_mm
     reach_mm = np.hypot(middle[:, 0], middle[:, 1]) + thick.size * cell_mm / np.sqrt(2.0)
     near = thick.some(reach_mm > water.radius_mm - 3.0 * cell_mm)
-    index = parsimony.even(near.index, near.size)
+    index = even(near.index, near.size)
     middle = np.asarray(near.grid.origin_mm) + (index + 0.5) * cell_mm
     depth_mm = water.radius_mm - np.hypot(middle[:, 0], middle[:, 1])
     shell = np.clip(depth_mm // cell_mm, 0, 3).astype(int)
-    area_mm2 = np.bincount(shell, parsimony.evenly(near.occupancy, near.size), 4) * cell_mm**2
+    area_mm2 = np.bincount(shell, evenly(near.occupancy, near.size), 4) * cell_mm**2
     flat_mm2 = float(np.clip((_ROUND * area_mm2[0] - area_mm2[2]) / (_ROUND - 1.0), 0.0, area_mm2[0]))
     return Term(
         name="wall_contact",

@@ -8,7 +8,7 @@ import pytest
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor

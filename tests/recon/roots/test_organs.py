@@ -3,7 +3,7 @@
 import numpy as np
 
 from rhizotwin.recon.hull.leaves import Grid
-from rhizotwin.recon.hull.parsimony import Spheres
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import organs
 from rhizotwin.recon.roots.density import Cells
 from tests.recon.lines import line

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.hull.leaves import Grid, Leaves
-from rhizotwin.recon.hull.parsimony import Spheres, Trimmed
+from rhizotwin.recon.hull.parsimony import Trimmed
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes
 from tests.recon.lines import line

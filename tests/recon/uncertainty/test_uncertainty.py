@@ -12,7 +12,8 @@ from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
-from rhizotwin.recon.hull.parsimony import Spheres, Trimmed
+from rhizotwin.recon.hull.parsimony import Trimmed
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings

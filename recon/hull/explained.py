@@ -1,0 +1,106 @@
+"""What silhouettes ask for that a trimmed shape does not explain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon import device
+from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
+from rhizotwin.recon.device import Bool, Float, Point3f, numbers
+from rhizotwin.recon.hull import distance_maps
+from rhizotwin.recon.hull.distance_maps import DistanceMaps
+from rhizotwin.recon.hull.leaves import Leaves, even, evenly
+from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
+from rhizotwin.recon.hull.surface import to_voxels
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
+
+_DEEP_PX = 0.75
+"""A silhouette must be left unexplained this deep inside its outline for the hull to be kept there; a third less counts
+not at all, a third more in full."""
+_NEAREST = 1.5, 2.5
+"""Nodes on a line of sight that are so many of their edges farther from the spheres than the nearest count in full, and
+not at all: a line is as wide as a node, so that two in its cross-section are up to 1.4 edges apart."""
+
+
+def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres) -> NDArray[np.float32]:
+    """Tell how much (N,), 0 to 1, silhouettes need of the uncertain finest nodes (N, 3).
+
+    The trimmed shape does not explain these.
+
+    One view that lacks a node may be wrong: what the second most lacking one lacks is needed. Of all nodes on a line of
+    sight, a view needs those nearest to the spheres. A node of a solid is nearest for the views that look across the
+    way from it to its sphere; a spike of the hull, where a root hides behind another in the views across, for none.
+    """
+    width, height = maps.samples_wh
+    voxel, size, filled = to_voxels(trimmed, 2)
+    some = filled > 0.25
+    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
+    share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
+    places = _points(trimmed, uncertain, 1)
+    edge_mm = trimmed.grid.size_mm
+    beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
+    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
+    values, columns = np.array(maps.values).reshape(bank.count, height, width), dr.opaque(mi.UInt32, width)
+    for view in range(bank.count):
+        p, seen = _seen(bank, maps, view, solid)
+        place = maps.sample(p.px) + 0.5
+        covered = dr.zeros(mi.Float, width * height)
+        dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
+        apart = 2.0 * edge_mm * _most_px_a_mm(p, seen) * UPSAMPLING  # samples from one of the solid's voxels to the next
+        explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
+        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < distance_maps.TELLS_PX)
+        lacking = (deep * (1.0 - explained)).astype(np.float32)
+        if not lacking.any():
+            continue
+        p, seen = _seen(bank, maps, view, places)
+        lacks = dr.select(seen, replace(maps, values=numbers(_spread(lacking, 5))).at(0, p.px, seen), 0.0)
+        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, p, beyond, lacks > 0.0, edge_mm)), 0.0, 1.0)
+        most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
+        dr.eval(most, second)
+    return np.array(second)
+
+
+def _nearest(maps: DistanceMaps, p: projection.Projected, beyond: Float, active: Bool, edge_mm: float) -> Float:
+    """Return how far from the spheres the nearest node on the line of sight of each node is, in edges of a node.
+
+    A line of sight is as wide as a node.
+    """
+    edge_px = max(edge_mm * _most_px_a_mm(p, active), 0.5)
+    width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
+    place = dr.clip(p.px + 0.5, 0.0, mi.Vector2f(maps.image_wh) - 1.0) / edge_px
+    at = mi.UInt32(place.y) * width + mi.UInt32(place.x)
+    nearest = dr.full(mi.Float, 1e6, width * height)
+    dr.scatter_reduce(dr.ReduceOp.Min, nearest, beyond, at, active)
+    return dr.gather(mi.Float, nearest, at, active)
+
+
+def _most_px_a_mm(p: projection.Projected, active: Bool) -> float:
+    """Return how many pixels a millimetre has in a view where it has most."""
+    return float(dr.max(dr.select(active, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), 0.0))[0])
+
+
+def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
+    """Widen a picture (H, W) by a square of an odd edge, and smooth its steps."""
+    return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
+
+
+def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
+    """Return the centres of nodes of an edge on the device."""
+    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
+    return device.points(centres)
+
+
+def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[projection.Projected, Bool]:
+    """Project points into a view: (projection, whether the view sees them on its distance map)."""
+    p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
+    (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
+    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    return p, seen

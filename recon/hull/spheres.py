@@ -1,0 +1,128 @@
+"""Spheres inside roots, and what lies in their union."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.recon.device import Float, UInt32, numbers, vectors, wholes
+from rhizotwin.recon.hull.leaves import Leaves
+
+Array = NDArray[np.float64]
+
+_HALF_DIAGONAL = 0.87
+"""Of a cube, sqrt(3) / 2 of its edge: what lies as deep lies wholly inside."""
+_BIN_MM = 4.0
+"""Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
+_NEIGHBOURS = 4
+"""Of spheres alike in size (by a factor of two), the one that is nearest to a point is among so many."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Spheres inside the roots."""
+
+    centre_mm: Array
+    """(N, 3), canister frame."""
+    radius_mm: Array
+    """(N,)"""
+
+
+def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Cut leaves until each lies wholly inside the spheres or is a finest node.
+
+    Returns
+    -------
+    index (N, 3), size (N,), the hull's occupancy (N,), and the fraction inside the spheres (N,).
+    """
+    origin, finest_mm = np.asarray(leaves.grid.origin_mm), leaves.grid.size_mm
+    low, high = leaves.index.min(axis=0), (leaves.index + leaves.size[:, None]).max(axis=0)
+    listed = _Listed.of(spheres, origin + low * finest_mm, origin + high * finest_mm, finest_mm)
+    done: list[tuple[NDArray[np.generic], ...]] = []
+    carried = (np.zeros((0, 3), np.int32), np.zeros(0, np.float32))
+    for edge in (2**k for k in range(int(np.log2(leaves.size.max())), -1, -1)):
+        chosen = leaves.size == edge
+        index = np.concatenate([carried[0], leaves.index[chosen]])
+        hull = np.concatenate([carried[1], leaves.occupancy[chosen]])
+        size_mm = edge * finest_mm
+        depth = listed.depth_mm(origin + index * finest_mm + 0.5 * size_mm)
+        inside = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
+        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else np.ones(len(index), bool)
+        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), hull[whole], inside[whole]))
+        offset = np.array(list(np.ndindex(2, 2, 2)), np.int32) * (edge // 2)
+        carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
+    index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
+    return index, size, hull, inside
+
+
+def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:
+    """Return the volume that lies in spheres and in leaves."""
+    _, size, occupancy, inside = against(spheres, leaves)
+    return float((np.minimum(occupancy, inside) * (size * leaves.grid.size_mm) ** 3.0).sum(dtype=np.float64))
+
+
+def depth_in_spheres(spheres: Spheres, points_mm: Array) -> NDArray[np.float32]:
+    """Return how deep (N,) points (N, 3) lie inside the union of spheres; negative outside."""
+    if not len(points_mm) or not len(spheres.radius_mm):
+        return np.full(len(points_mm), -np.inf, np.float32)
+    return _Listed.of(spheres, points_mm.min(axis=0), points_mm.max(axis=0), 0.0).depth_mm(points_mm)
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """Spheres listed by the cubic bins they reach into."""
+
+    low_mm: Array
+    shape: NDArray[np.int64]
+    entries: UInt32
+    """mi.Float, x y z r of the spheres of one bin after the other."""
+    begins: UInt32
+    """mi.UInt32, first entry of each bin, and the end."""
+
+    @staticmethod
+    def of(spheres: Spheres, low: Array, high: Array, beside_mm: float) -> _Listed:
+        """List spheres, and what lies so far beside them, in bins that cover a box."""
+        shape = np.maximum(np.ceil((high - low) / _BIN_MM), 1).astype(np.int64)
+        reach = spheres.radius_mm[:, None] + beside_mm
+        first = np.clip(np.floor((spheres.centre_mm - reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        extent = np.clip(np.floor((spheres.centre_mm + reach - low) / _BIN_MM), 0, shape - 1).astype(np.int64) - first + 1
+        count = extent.prod(axis=1)
+        sphere = np.repeat(np.arange(len(count)), count)
+        place, e = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count), extent[sphere]
+        offset = np.stack([place // (e[:, 1] * e[:, 2]), place // e[:, 2] % e[:, 1], place % e[:, 2]], axis=1)
+        bins = ((first[sphere] + offset) * [shape[1] * shape[2], shape[2], 1]).sum(axis=1)
+        order = np.argsort(bins, kind="stable")
+        begins = np.searchsorted(bins[order], np.arange(shape.prod() + 1)).astype(np.uint32)
+        packed = np.concatenate([spheres.centre_mm, spheres.radius_mm[:, None]], axis=1)[sphere[order]].astype(np.float32)
+        return _Listed(low, shape, numbers(packed), wholes(begins))
+
+    def depth_mm(self, points_mm: Array) -> NDArray[np.float32]:
+        """Return how deep (N,) points (N, 3) lie inside the union of the spheres; negative outside."""
+        if not len(points_mm):
+            return np.zeros(0, np.float32)
+        shape = self.shape
+        cell = np.clip(np.floor((points_mm - self.low_mm) / _BIN_MM), 0, shape - 1).astype(np.int64)
+        bin_ = wholes(cell @ [shape[1] * shape[2], shape[2], 1])
+        end, centre = dr.gather(mi.UInt32, self.begins, bin_ + 1), mi.Point3f(vectors(points_mm))
+
+        def body(k: UInt32, depth: Float) -> tuple[UInt32, Float]:
+            sphere = dr.gather(mi.Vector4f, self.entries, k)
+            return k + 1, dr.maximum(depth, sphere.w - dr.norm(centre - mi.Point3f(sphere.x, sphere.y, sphere.z)))
+
+        state = (dr.gather(mi.UInt32, self.begins, bin_), dr.full(mi.Float, -1e3, len(points_mm)))
+        return np.array(dr.while_loop(state, lambda k, _: k < end, body)[1])
+
+
+def beyond_mm(spheres: Spheres, points: Array) -> Array:
+    """Return how far points (N, 3) lie outside of the union of the spheres; near enough, inside."""
+    beyond, octave = np.full(len(points), np.inf), np.floor(np.log2(spheres.radius_mm))
+    for one in np.unique(octave):
+        some = np.flatnonzero(octave == one)
+        away, near = cKDTree(spheres.centre_mm[some]).query(points, k=list(range(1, min(_NEIGHBOURS, len(some)) + 1)), workers=-1)
+        beyond = np.minimum(beyond, (away - spheres.radius_mm[some][near]).min(axis=1))
+    return beyond
