@@ -248,7 +248,11 @@ def show(served: guard.Served, folders: Sequence[Path], dataset: Path | None) ->
     """
     from rhizotwin.viewer import panels
 
-    viewer = Viewer(served, folders, dataset)
+    try:
+        viewer = Viewer(served, folders, dataset)
+    except UserError:
+        served.stop()
+        raise
     panels.build(viewer)
     served.open.set()
     prepare = threading.Timer(_PREPARE_AFTER_S, viewer.prepare)
