@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.corrections.session import Session
 from rhizotwin.recon.results import result_files
+from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.viewer import app
 from rhizotwin.viewer.app import Viewer, screen_of
 
+Array = NDArray[np.float64]
+
 _BESIDE_MM = 1.0
-"""Two reconstructions of one root lie nearer to each other (a pixel of 400x300 pictures is 0.7 mm)."""
+"""A root that was found lies nearer than this to the true one (a pixel of 400x300 pictures is 0.7 mm)."""
 _MOSTLY = 0.5
-"""Share of its points that lie beside no root of the clean scan: such a root is debris."""
+"""Share of its points that lie beside true debris: such a root is debris."""
 _PATIENCE_S = 60.0
 _CANVAS = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
     .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""
@@ -54,7 +59,7 @@ def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, wi
     wanted = float(result_files.read_summary(clean)["volume_mm3"])
     viewer = app.start([result], dataset)
     try:
-        strange = debris(viewer.shown.session, Session(clean))
+        strange = debris(viewer.shown.session, added_mm(_truth(result), _truth(clean)))
         before = viewer.shown.session.measure().volume_mm3
         clicks = _removed(browser, viewer, strange, window) if strange else 0
         after = viewer.shown.session.measure().volume_mm3
@@ -68,11 +73,22 @@ def measure(browser: Any, result: Path, clean: Path, dataset: Path | None, *, wi
     }
 
 
-def debris(session: Session, clean: Session) -> list[int]:
-    """Return the roots that lie mostly beside no root of a scan without debris."""
-    there = cKDTree(np.concatenate([line.points_mm for line in clean.state.lines.values()]))
+def added_mm(roots: Sequence[Root], clean: Sequence[Root]) -> Array:
+    """Return the points (N, 3) of true roots that the clean scan's truth has not."""
+    known = {root.points_mm.tobytes() for root in clean}
+    return np.concatenate([np.zeros((0, 3)), *(root.points_mm for root in roots if root.points_mm.tobytes() not in known)])
+
+
+def debris(session: Session, added: Array) -> list[int]:
+    """Return the roots that lie mostly beside points (N, 3) of true debris."""
+    there = cKDTree(added)
     away = {number: there.query(line.points_mm)[0] for number, line in session.state.lines.items()}
-    return [number for number, mm in away.items() if float((mm > _BESIDE_MM).mean()) > _MOSTLY]
+    return [number for number, mm in away.items() if float((mm < _BESIDE_MM).mean()) > _MOSTLY]
+
+
+def _truth(result: Path) -> tuple[Root, ...]:
+    """Return the true roots of a simulated scan."""
+    return rsml.read_rsml(Path(str(result_files.read_summary(result)["dataset"])) / "truth" / "skeleton.rsml")
 
 
 def _removed(browser: Any, viewer: Viewer, numbers: list[int], window: dict[str, int]) -> int:

@@ -30,5 +30,7 @@ def test_no_start_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_debris_is_what_the_clean_scan_has_not(tmp_path: Path) -> None:
     dirty, clean = plants.make(tmp_path / "dirty", fibre=True), plants.make(tmp_path / "clean")
-    assert viewer_debris.debris(Session(dirty.result), Session(clean.result)) == [4]
-    assert viewer_debris.debris(Session(clean.result), Session(dirty.result)) == []
+    added = viewer_debris.added_mm(dirty.roots, clean.roots)
+    assert len(added) == len(dirty.roots[4].points_mm)
+    assert viewer_debris.debris(Session(dirty.result), added) == [4]
+    assert viewer_debris.debris(Session(clean.result), added) == []
