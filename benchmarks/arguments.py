@@ -107,7 +107,7 @@ _VIEW = "the viewer and the report in a real browser (Chromium): first picture, 
 def _add_view(one: argparse.ArgumentParser) -> None:
     one.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders that `rhizotwin reconstruct` wrote")
     one.add_argument("--dataset", type=Path, metavar="DATASET", help="where the pictures are, if they have moved")
-    one.add_argument("--clean", type=Path, metavar="RESULT", help="of the simulated scan without debris: what there is more is taken away by clicks")
+    one.add_argument("--clean", type=Path, metavar="RESULT", help="of the same scan without debris: what there is more is clicked away")
     one.add_argument("--repeats", type=int, default=3, metavar="N", help="starts whose median is told (default: %(default)s)")
     one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every number as JSON, too")
 
