@@ -31,13 +31,27 @@ not at all: a line is as wide as a node, so that two in its cross-section are up
 
 
 def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres) -> NDArray[np.float32]:
-    """Tell how much (N,), 0 to 1, silhouettes need of the uncertain finest nodes (N, 3).
-
-    The trimmed shape does not explain these.
+    """Tell how much silhouettes need of finest nodes that the trimmed shape does not explain.
 
     One view that lacks a node may be wrong: what the second most lacking one lacks is needed. Of all nodes on a line of
     sight, a view needs those nearest to the spheres. A node of a solid is nearest for the views that look across the
     way from it to its sphere; a spike of the hull, where a root hides behind another in the views across, for none.
+
+    Parameters
+    ----------
+    bank, maps : ViewBank, DistanceMaps
+        Views, and the distance maps of their silhouettes.
+    trimmed : Leaves
+        What is certain.
+    uncertain : (N, 3) int array
+        Finest nodes that may be needed.
+    spheres : Spheres
+        From which the way to nodes is measured.
+
+    Returns
+    -------
+    (N,) float32 array
+        0 to 1.
     """
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
