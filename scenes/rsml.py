@@ -6,8 +6,6 @@ Files in the wild depart from the schema in many ways; what can be understood is
 unit, the diameter) is refused with the option that supplies it.
 """
 
-import math
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,24 +15,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.scenes import polyline, rsml_xml
+from rhizotwin.scenes import polyline, rsml_units, rsml_xml
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import NAMELESS
+from rhizotwin.scenes.rsml_units import Units
 
 Array = NDArray[np.float64]
 
-_UNITS_MM = {
-    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometre"), 1e-3),
-    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
-    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 10.0),
-    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), 1000.0),
-    **dict.fromkeys(("inch", "inches", "in"), 25.4),
-}
-_SET_UNIT = "give it with --specimen-unit UNIT, or as unit in a scene file"
 _TIP_SEEN = "tip-seen"
 _SIGMA = "diameter-sigma"
-_THICKNESS = re.compile(r"\s*(diameter|radius)\s*(?:[\[(]\s*([^\])\s]*)\s*[\])])?\s*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,8 +137,8 @@ def read_file(path: Path | str, *, unit: str | None = None, diameter_mm: float |
         roots=roots,
         parent_nodes=tuple(reader.parent_nodes),
         step_mm=reader.step_mm,
-        unit=reader.metadata("unit"),
-        resolution=reader.metadata("resolution"),
+        unit=reader.units.metadata("unit"),
+        resolution=reader.units.metadata("resolution"),
     )
 
 
@@ -265,8 +255,9 @@ class _Reader:
         self.document = rsml_xml.parse(path)
         if rsml_xml.local(self.document) != "rsml":
             raise UserError(f"{path}: is no RSML file: its outermost element is <{self.document.tag}>, not <rsml>")
-        self.step_mm = self._step(unit)
-        self.property_mm = self._property_unit()
+        self.units = Units(path, self.document)
+        self.step_mm = self.units.step_mm(unit)
+        self.property_mm = self.units.properties_mm()
 
     def roots(self) -> tuple[Root, ...]:
         """Collect the roots, parents before children."""
@@ -306,7 +297,8 @@ class _Reader:
         if len(points) < 2:
             return None
         axes = "xyz" if rsml_xml.attribute(points[0], "z") is not None else "xy"
-        given = np.array([[self._number(rsml_xml.attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
+        number = self.units.number
+        given = np.array([[number(rsml_xml.attribute(p, axis), f"{axis} of a point of {name}") for axis in axes] for p in points])
         xyz = given if axes == "xyz" else np.stack([given[:, 0], np.zeros(len(given)), -given[:, 1]], axis=1)
         points_mm = xyz * self.step_mm
         diameters_mm = self._diameters(own, points_mm, name)
@@ -334,14 +326,14 @@ class _Reader:
         for word in ("diameter", "radius"):
             to_diameter = 1.0 if word == "diameter" else 2.0
             for written, element, samples in _functions(own):
-                match = _THICKNESS.fullmatch(written)
+                match = rsml_units.THICKNESS.fullmatch(written)
                 if match is None or match[1].lower() != word:
                     continue
-                scale_mm = to_diameter * (self._unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
+                scale_mm = to_diameter * (self.units.unit_mm(match[2], f"function of {name}") if match[2] else self.step_mm)
                 return self._checked(self._along(element, samples, points_mm, f"{word} of {name}") * scale_mm, name)
             text = rsml_xml.property_of(own, word)
             if text:
-                value = self._number(text, f"{word} of {name}")
+                value = self.units.number(text, f"{word} of {name}")
                 scale_mm = to_diameter * self.property_mm.get(word, self.step_mm)
                 return self._checked(np.full(len(points_mm), value * scale_mm), name)
         if self.diameter_mm is None:
@@ -352,7 +344,7 @@ class _Reader:
 
     def _along(self, function: ET.Element, samples: list[ET.Element], points_mm: Array, what: str) -> Array:
         """Return a function's values at the points (N,): one a point, or spread over the root's length."""
-        values = np.array([self._number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
+        values = np.array([self.units.number(rsml_xml.attribute(s, "value") or s.text, what) for s in samples])
         positions = [rsml_xml.attribute(s, "position") for s in samples]
         by_point = (rsml_xml.attribute(function, "domain") or "").lower() == "polyline"
         if len(values) == len(points_mm) and (by_point or None in positions):
@@ -365,7 +357,7 @@ class _Reader:
         if None in positions:
             at_mm = np.linspace(0.0, way_mm[-1], len(values))
         else:
-            at_mm = np.array([self._number(position, f"position in {what}") for position in positions]) * self.step_mm
+            at_mm = np.array([self.units.number(position, f"position in {what}") for position in positions]) * self.step_mm
             if np.any(np.diff(at_mm) < 0.0):
                 raise UserError(f"{self.path}: the positions of the {what} do not rise")
         along: Array = np.interp(way_mm, at_mm, values)
@@ -375,69 +367,3 @@ class _Reader:
         if diameters_mm.min() < 0.0 or diameters_mm.max() == 0.0:
             raise UserError(f"{self.path}: {name} has a diameter of {diameters_mm.min():g} mm; diameters must be above 0")
         return diameters_mm
-
-    def _step(self, unit: str | None) -> float:
-        """Return the mm of one step of the coordinates."""
-        if unit is not None:
-            match = re.fullmatch(r"\s*([0-9][0-9.eE+-]*)?\s*(\S+)\s*", unit)
-            if match is None:
-                raise UserError(
-                    f'{self.path}: the unit "{unit}" (--specimen-unit) must be mm, cm, m, um or inch, or a step such as "0.1 mm"'
-                )
-            size = self._number(match[1] or "1", "unit")
-            if size <= 0.0:
-                raise UserError(f'{self.path}: the unit "{unit}" (--specimen-unit) must be above 0')
-            return size * self._unit_mm(match[2], "option --specimen-unit")
-        written = self.metadata("unit")
-        if not written:
-            marked = {m[2] for e in self.document.iter() if (m := _THICKNESS.fullmatch(rsml_xml.attribute(e, "name") or "")) and m[2]}
-            if len(marked) == 1:  # "radius [m]": the only unit that the file names is taken for its points too
-                return self._unit_mm(marked.pop(), "a function's name")
-            raise UserError(f"{self.path}: names no unit; {_SET_UNIT}: mm, cm, m, um or inch, or a step such as 0.1 mm")
-        if written.lower() not in _UNITS_MM:
-            raise UserError(f'{self.path}: has the unit "{written}", whose size is unknown; {_SET_UNIT}, as the size of one such as 0.1 mm')
-        unit_mm = _UNITS_MM[written.lower()]
-        text = self.metadata("resolution")
-        if not text and unit_mm == 25.4:
-            raise UserError(
-                f"{self.path}: has the unit inch without a resolution in dpi; {_SET_UNIT}, as the size of a step such as 0.1 mm"
-            )
-        resolution = self._number(text or "1", "resolution")
-        if resolution <= 0.0:
-            raise UserError(
-                f"{self.path}: has the resolution {text}; it must be above 0; {_SET_UNIT}, as the size of a step such as 0.1 mm"
-            )
-        return unit_mm / resolution if resolution > 1.0 else unit_mm * resolution
-
-    def _property_unit(self) -> dict[str, float]:
-        """Return the mm of one unit of the properties that the metadata define with a unit of length."""
-        found: dict[str, float] = {}
-        for definition in self.document.iter():
-            if rsml_xml.local(definition) == "property-definition":
-                texts = {rsml_xml.local(child): (child.text or "").strip() for child in definition}
-                if texts.get("unit", "").lower() in _UNITS_MM:
-                    found[texts.get("label", "").lower()] = _UNITS_MM[texts["unit"].lower()]
-        return found
-
-    def metadata(self, key: str) -> str:
-        """Return an entry of the metadata, empty where there is none."""
-        for metadata in self.document:
-            if rsml_xml.local(metadata) == "metadata":
-                for child in metadata:
-                    if rsml_xml.local(child) == key:
-                        return (child.text or "").strip()
-        return ""
-
-    def _unit_mm(self, name: str, what: str) -> float:
-        if name.lower() not in _UNITS_MM:
-            raise UserError(f'{self.path}: the {what} has the unit "{name}"; known are mm, cm, m, um and inch')
-        return _UNITS_MM[name.lower()]
-
-    def _number(self, text: str | None, what: str) -> float:
-        try:
-            value = float(text or "")
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise UserError(f'{self.path}: the {what} is "{text or ""}", which is no finite number')
-        return value

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import colours
 from rhizotwin.viewer.guard import Served
 from rhizotwin.viewer.picking import Strung
@@ -160,7 +161,7 @@ class Drawing:
         with self.lock:
             self._tell()
             self._draw()
-        self._surfaces.submit(self._draw_surface)
+        self._surfaces.submit(self._draw_surface_or_say)
         self.drawn()
 
     def _draw(self) -> None:
@@ -204,6 +205,13 @@ class Drawing:
         if self._strung is None or self._strung[0] is not parts:
             self._strung = parts, Strung.of((number, line) for number, lines in parts.items() for line in lines)
         return self._strung[1]
+
+    def _draw_surface_or_say(self) -> None:
+        """Draw surfaces in their own thread, where nobody else hears what goes wrong."""
+        try:
+            self._draw_surface()
+        except UserError as error:
+            self.say(str(error))
 
     def _draw_surface(self) -> None:
         look, shown = self.look, self.shown

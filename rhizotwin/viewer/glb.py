@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rhizotwin.scenes.transfer import SRGB
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -27,18 +31,38 @@ _GLASS = {"alphaMode": "BLEND", "extensions": {"KHR_materials_unlit": {}}}
 """What fills the screen is not lit: software then draws it in a fifth of the time."""
 
 
-def glb(vertices_mm: Array, normals: Array, faces: Index, colours: Bytes, *, see_through: bool = False) -> bytes:
+@dataclass(frozen=True)
+class Triangles:
+    """Triangles with normals and colours."""
+
+    vertices_mm: Array
+    """(N, 3)"""
+    normals: Array
+    """(N, 3) outward, of unit length."""
+    faces: Index
+    """(F, 3) counter-clockwise from where they are seen."""
+    colours: Bytes
+    """(N, 3) or (N, 4) as a screen shows them, with opacity where there is a fourth column."""
+
+
+def joined(parts: Sequence[Triangles]) -> Triangles:
+    """Return all triangles of several parts in one."""
+    first = np.cumsum([0, *(len(part.vertices_mm) for part in parts[:-1])])
+    return Triangles(
+        np.concatenate([part.vertices_mm for part in parts]),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, first, strict=True)]),
+        np.concatenate([part.colours for part in parts]),
+    )
+
+
+def glb(triangles: Triangles, *, see_through: bool = False) -> bytes:
     """Return triangles as a binary glTF file.
 
     Parameters
     ----------
-    vertices_mm : (N, 3) float64 array
-    normals : (N, 3) float64 array
-        Outward, of unit length.
-    faces : (F, 3) int64 array
-        Counter-clockwise from where they are seen.
-    colours : (N, 3) or (N, 4) uint8 array
-        As a screen shows them, with opacity where there is a fourth column.
+    triangles : Triangles
+        At least one.
     see_through : bool
         Let what lies behind show through, as the opacity says.
 
@@ -47,13 +71,14 @@ def glb(vertices_mm: Array, normals: Array, faces: Index, colours: Bytes, *, see
     bytes
         The file.
     """
-    points = np.ascontiguousarray(vertices_mm, "<f4")
+    points, colours = np.ascontiguousarray(triangles.vertices_mm, "<f4"), triangles.colours
     opacity = colours[:, 3:] if colours.shape[1] == 4 else np.full((len(colours), 1), 255, np.uint8)
+    linear = np.rint(255.0 * SRGB.of(colours[:, :3] / 255.0)).astype(np.uint8)  # so glTF keeps colours of vertices
     parts: list[tuple[NDArray[Any], int, str, int]] = [
         (points, _FLOAT, "VEC3", _VERTICES),
-        (np.ascontiguousarray(normals, "<f4"), _FLOAT, "VEC3", _VERTICES),
-        (np.ascontiguousarray(np.hstack([_linear(colours[:, :3]), opacity])), _BYTE, "VEC4", _VERTICES),
-        (np.ascontiguousarray(faces.ravel(), "<u4"), _UNSIGNED, "SCALAR", _FACES),
+        (np.ascontiguousarray(triangles.normals, "<f4"), _FLOAT, "VEC3", _VERTICES),
+        (np.ascontiguousarray(np.hstack([linear, opacity])), _BYTE, "VEC4", _VERTICES),
+        (np.ascontiguousarray(triangles.faces.ravel(), "<u4"), _UNSIGNED, "SCALAR", _FACES),
     ]
     views, accessors, at = [], [], 0
     for place, (part, component, kind, use) in enumerate(parts):
@@ -81,10 +106,3 @@ def glb(vertices_mm: Array, normals: Array, faces: Index, colours: Bytes, *, see
     data = b"".join(part.tobytes() for part, *_ in parts)  # each a multiple of four bytes
     body = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(data), _BINARY) + data
     return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
-
-
-def _linear(colours: Bytes) -> Bytes:
-    """Return colours (N, 3) linear in light, as glTF keeps those of vertices (IEC 61966-2-1)."""
-    value = np.arange(256) / 255.0
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.round(255.0 * light)[colours], np.uint8)

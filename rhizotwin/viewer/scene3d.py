@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.results import shading
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import tubes
-from rhizotwin.viewer.glb import glb
-from rhizotwin.viewer.tubes import Solid
+from rhizotwin.viewer.glb import Triangles, glb, joined
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -85,7 +85,7 @@ class Scene3d:
             before = self._chunks.get(chunk)
             if before is not None and before[1] == key and list(map(id, before[0])) == list(map(id, now)):
                 continue
-            self._add_solid(f"/roots/{chunk}", tubes.of_lines(now, [colours(*one) for one in named], most=most))
+            self._add_triangles(f"/roots/{chunk}", tubes.of_lines(now, [colours(*one) for one in named], most=most))
             self._chunks[chunk] = (now, key)
 
     def show_chosen(self, lines: Sequence[Line], voxels_mm: Array, voxel_mm: float) -> None:
@@ -95,7 +95,7 @@ class Scene3d:
         if lines:
             wider = [replace(line, diameters_mm=1.25 * line.diameters_mm + 0.05) for line in lines]
             shades = [np.tile(np.array(_CHOSEN_RGB, np.uint8), (len(line.points_mm), 1)) for line in lines]
-            self._add_solid("/chosen/roots", tubes.of_lines(wider, shades))
+            self._add_triangles("/chosen/roots", tubes.of_lines(wider, shades))
         if len(voxels_mm):
             self._keep("/chosen/voxels", self._points("/chosen/voxels", voxels_mm, np.array(_CHOSEN_RGB, np.uint8), 1.1 * voxel_mm))
 
@@ -113,7 +113,7 @@ class Scene3d:
             return
         vertices, faces = mesh.vertices_mm + np.array([0.0, aside_mm, 0.0]), mesh.faces
         if colours is not None:
-            self._add_solid(name, Solid(vertices, tubes.normals(vertices, faces), faces, colours))
+            self._add_triangles(name, Triangles(vertices, _normals(vertices, faces), faces, colours))
         else:
             colour, opacity = (_TRUTH_RGB, 0.55) if name == "/truth" else (_SURFACE_RGB, None)
             self._add_mesh(name, vertices, faces, colour, opacity=opacity)
@@ -138,7 +138,7 @@ class Scene3d:
                 ends = middle - half, middle + half
                 parts.append(_wall(pot.outer_radius_mm - 0.2, low, low + strip.marker_mm, (*_BLACK, 204), *ends, steps=3))
         parts.append(_disc(can.inner_radius_mm, can.floor_z_mm, (150, 170, 185, 110)))
-        self._add_solid(CANISTER, tubes.joined(parts), see_through=True)
+        self._add_triangles(CANISTER, joined(parts), see_through=True)
 
     def show_cameras(self, pictures: Pictures, clicked: Callable[[int, viser.ClientHandle], None]) -> None:
         """Draw the cameras with their pictures; a click stands in one."""
@@ -204,8 +204,8 @@ class Scene3d:
         )
         self._keep(name, handle)
 
-    def _add_solid(self, name: str, solid: Solid, *, see_through: bool = False) -> None:
-        data = glb(solid.vertices_mm, solid.normals, solid.faces, solid.colours, see_through=see_through)
+    def _add_triangles(self, name: str, triangles: Triangles, *, see_through: bool = False) -> None:
+        data = glb(triangles, see_through=see_through)
         self._keep(name, self._server.scene.add_glb(name, data, cast_shadow=False, receive_shadow=False))
 
     def _points(self, name: str, points_mm: Array, colours: Bytes, size_mm: float) -> viser.SceneNodeHandle:
@@ -233,6 +233,11 @@ def quaternion(rotation: Array) -> Array:
     return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz)
 
 
+def _normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    normals = shading.vertex_normals(Mesh(vertices_mm=vertices, faces=faces))
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
 def _wall(
     radius: float,
     low: float,
@@ -241,7 +246,7 @@ def _wall(
     begin: float = 0.0,
     end: float = 2.0 * np.pi,
     steps: int = 72,
-) -> Solid:
+) -> Triangles:
     """Return a part of a cylinder's wall about z, seen from inside: the half before the roots is left out."""
     angle = np.linspace(begin, end, steps + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -249,14 +254,14 @@ def _wall(
     inward = np.tile(np.column_stack([-ring, np.zeros(len(ring))]), (2, 1))
     a, up = np.arange(steps), steps + 1
     faces = np.concatenate([np.stack([a + 1, a, a + 1 + up], axis=1), np.stack([a + 1 + up, a, a + up], axis=1)])
-    return Solid(vertices, inward, faces, np.tile(np.array(colour, np.uint8), (len(vertices), 1)))
+    return Triangles(vertices, inward, faces, np.tile(np.array(colour, np.uint8), (len(vertices), 1)))
 
 
-def _disc(radius: float, z: float, colour: tuple[int, int, int, int], steps: int = 72) -> Solid:
+def _disc(radius: float, z: float, colour: tuple[int, int, int, int], steps: int = 72) -> Triangles:
     """Return a disc that is seen from above."""
     angle = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(steps, z)], axis=1)])
     a = np.arange(steps)
     faces = np.stack([np.zeros(steps, np.int64), a + 1, (a + 1) % steps + 1], axis=1)
     count = len(vertices)
-    return Solid(vertices, np.tile([0.0, 0.0, 1.0], (count, 1)), faces, np.tile(np.array(colour, np.uint8), (count, 1)))
+    return Triangles(vertices, np.tile([0.0, 0.0, 1.0], (count, 1)), faces, np.tile(np.array(colour, np.uint8), (count, 1)))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.root_mesh import tube
+from rhizotwin.viewer.glb import Triangles, joined
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -26,21 +26,7 @@ _ROUNDS = 6
 """How often every other node may go: of 64 one is left."""
 
 
-@dataclass(frozen=True)
-class Solid:
-    """Triangles with normals and colours."""
-
-    vertices_mm: Array
-    """(N, 3)"""
-    normals: Array
-    """(N, 3)"""
-    faces: Index
-    """(F, 3)"""
-    colours: Bytes
-    """(N, 3) or (N, 4)"""
-
-
-def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Solid:
+def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOST) -> Triangles:
     """Return the tubes of roots or of parts of them.
 
     Parameters
@@ -54,7 +40,7 @@ def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOS
 
     Returns
     -------
-    Solid
+    Triangles
         Closed at all ends.
     """
     ends = np.cumsum([len(line.points_mm) for line in lines])
@@ -62,7 +48,7 @@ def of_lines(lines: Sequence[Line], colours: Sequence[Bytes], *, most: int = MOS
     return joined([_tube(line, shade, np.flatnonzero(keep), most) for line, shade, keep in zip(lines, colours, shown, strict=True)])
 
 
-def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Solid:
+def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Triangles:
     points, diameters, shades = line.points_mm[keep], line.diameters_mm[keep], colours[keep]
     around = min(corners(float(diameters.max()) / 2.0), most)
     vertices, faces = tube(points, diameters, around=around)
@@ -70,7 +56,7 @@ def _tube(line: Line, colours: Bytes, keep: Index, most: int) -> Solid:
     ends = np.stack([points[0] - points[1], points[-1] - points[-2]])
     normals = np.concatenate([out.reshape(-1, 3), ends])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Solid(vertices, normals, faces, np.concatenate([np.repeat(shades, around, axis=0), shades[[0, -1]]]))
+    return Triangles(vertices, normals, faces, np.concatenate([np.repeat(shades, around, axis=0), shades[[0, -1]]]))
 
 
 def kept(lines: Sequence[Line], colours: Bytes) -> NDArray[np.bool_]:
@@ -123,22 +109,3 @@ def corners(radius_mm: float) -> int:
     """Return how many corners a tube needs: the middles of its flats lie as near to the circle as is asked for."""
     inside = 1.0 - float(_off_mm(np.array(radius_mm))) / max(radius_mm, OFF_MM)
     return int(np.clip(np.ceil(np.pi / np.arccos(inside)), FEWEST, MOST))
-
-
-def joined(parts: Sequence[Solid]) -> Solid:
-    """Return several solids as one."""
-    first = np.cumsum([0, *(len(part.vertices_mm) for part in parts[:-1])])
-    return Solid(
-        np.concatenate([part.vertices_mm for part in parts]),
-        np.concatenate([part.normals for part in parts]),
-        np.concatenate([part.faces + start for part, start in zip(parts, first, strict=True)]),
-        np.concatenate([part.colours for part in parts]),
-    )
-
-
-def normals(vertices_mm: Array, faces: Index) -> Array:
-    """Return the normals of a surface at its vertices (N, 3): the mean of its triangles', weighted by their area."""
-    a, b, c = (vertices_mm[faces[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    found = np.stack([np.bincount(faces.ravel(), np.repeat(across[:, k], 3), len(vertices_mm)) for k in range(3)], axis=1)
-    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12))

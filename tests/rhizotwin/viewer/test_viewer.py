@@ -14,6 +14,7 @@ import pytest
 from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import app, colours, guard, picking, words
 from rhizotwin.viewer.app import Viewer
@@ -262,3 +263,13 @@ def test_the_panel_is_told_before_the_scene_is_drawn(viewer: Viewer, monkeypatch
     order.clear()
     viewer.choose_nothing()
     assert order == ["told", "_draw_chosen"]
+
+
+def test_a_surface_that_cannot_be_drawn_is_told(viewer: Viewer, monkeypatch: pytest.MonkeyPatch):
+    def broken() -> None:
+        raise UserError("shape.ply is not a readable mesh")
+
+    monkeypatch.setattr(viewer, "_draw_surface", broken)
+    viewer.refresh()
+    viewer._surfaces.shutdown(wait=True)
+    assert viewer.told == "shape.ply is not a readable mesh"
