@@ -223,7 +223,15 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
         *(() if told is None else told.terms),
-        *solid_uncertainty.estimate(carved.bank, carved.hull, trimmed, thick, slack_px=settings.hull.slack_px, half_excess=half),
+        *solid_uncertainty.estimate(
+            carved.bank,
+            carved.hull,
+            trimmed,
+            thick,
+            slack_px=settings.hull.slack_px,
+            half_excess=half,
+            binary=all(silhouette.binary for silhouette in carved.silhouettes),
+        ),
         sight.occluded(carved.bank, carved.maps, leaves, carved.water),
         wall_contact.wall_contact(thick.leaves, carved.water),
         solid_uncertainty.water(volume_mm3),

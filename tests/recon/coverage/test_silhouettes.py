@@ -28,6 +28,14 @@ def test_outline_keeps_the_width_of_strips(width_px: float) -> None:
     assert np.mean(widths) == pytest.approx(width_px, rel=0.05 if width_px < 2 else 0.02)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.2])
+def test_a_binary_silhouette_is_told_from_a_measured_one(angle: float) -> None:
+    coverage, seen = strip(40.0, angle, 0.3), np.ones((96, 128), bool)
+    assert not Silhouette(coverage, seen).binary
+    assert Silhouette((coverage > 0.5).astype(np.float32), seen).binary
+    assert not Silhouette(np.zeros_like(coverage), seen).binary
+
+
 def test_outline_level_matches_the_blurred_strip() -> None:
     """The level at the edge of a strip of half-width a under a Gaussian, from its peak: by numerical convolution."""
     x = np.linspace(-20, 20, 40001)

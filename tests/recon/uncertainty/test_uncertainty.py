@@ -110,9 +110,16 @@ def test_a_shape_goes_on_wherever_sight_ends(
     assert sight.occluded(bank, maps, block, Water(70.0, -8.0, -150.0)).more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
 
 
-@pytest.mark.parametrize(("beyond_mm", "more"), [(0.0, 1.0), (8.0, 0.1)], ids=["all round a ball", "a web beside it"])
-def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, more: float) -> None:
-    """A sphere fits into all outlines, the one with the largest error, too: what the hull has next to it counts in full, a web a tenth."""
+@pytest.mark.parametrize(
+    ("beyond_mm", "kept", "more"),
+    [(0.0, 0.0, 1.0), (8.0, 0.0, 0.1), (8.0, 1.0 / 3.0, 0.5), (8.0, 1.0, 1.0)],
+    ids=["all round a ball", "a web beside it", "of which a third as much was needed", "of which as much was needed"],
+)
+def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, kept: float, more: float) -> None:
+    """A sphere fits into all outlines, the one with the largest error, too: what the hull has next to it counts in full, a web a tenth.
+
+    Of a web beside which as much hull had to be kept, most may be there.
+    """
     grid, centre, radius = Grid(np.array([38.0, -7.0, -77.0]), 0.25, 1, (28, 28, 28)), np.array([45.0, 0.0, -70.0]), 5.0
     every = np.argwhere(np.ones((56, 56, 56), bool)).astype(np.int32)
     out_mm = np.linalg.norm(grid.origin_mm + (every + 0.5) * grid.size_mm - centre, axis=1)
@@ -125,11 +132,13 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, m
     ball = within(radius)
     larger = within(np.where(every[:, 2] > 50, radius + beyond_mm, radius) if beyond_mm else radius + 0.06)  # the web is at the top alone
     spheres = Spheres(centre[None], np.array([radius]))
-    trimmed = Trimmed(ball, spheres, np.zeros(len(ball.size), np.float32))
+    removed_mm3 = larger.volume_mm3() - ball.volume_mm3()
+    needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
+    trimmed = Trimmed(ball, spheres, (needed * ball.occupancy).astype(np.float32))
     hull = Hull(larger, larger.volume_mm3(), larger.volume_mm3(), 0.0)
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
     bank = ViewBank.of(exact_pictures.views_of(scene), Optics.of(scene))
-    terms = solid_uncertainty.estimate(bank, hull, trimmed, trimmed, slack_px=0.3, half_excess=0.0)
+    terms = solid_uncertainty.estimate(bank, hull, trimmed, trimmed, slack_px=0.3, half_excess=0.0, binary=False)
     trimmed_away = next(one for one in terms if one.name == "trimmed away")
     assert trimmed_away.less_mm3 == 0.0
     assert trimmed_away.more_mm3 == pytest.approx(more * (larger.volume_mm3() - ball.volume_mm3()), rel=0.1)
