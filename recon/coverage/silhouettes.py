@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.special import erf, erfinv
 from skimage import filters
 
+from rhizotwin.recon.coverage.level_distance import level_distance
 from rhizotwin.recon.robust import MAD
 from rhizotwin.recon.settings import CoverageSettings
 
@@ -55,7 +55,7 @@ class Silhouette:
     """(H, W), 0 to 1: fraction of the pixel covered by root."""
     seen: Mask
     """(H, W): the picture says something about the water here."""
-    opacity: Image | None = None
+    opacity: NDArray[np.float16] | None = None
     """(H, W), 0 to 1: light that roots absorb, over what an opaque root would; None where the picture is a silhouette
     already."""
 
@@ -195,42 +195,7 @@ def signed_distance(silhouette: Silhouette) -> Image:
     value = fine - level
     unseen = cv2.resize(silhouette.seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
     value[unseen] = 1.0
-    distance = level_distance(value) / np.float32(UPSAMPLING)
+    distance = level_distance(value)
+    distance /= np.float32(UPSAMPLING)
     distance[cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = UNSEEN_PX
     return distance
-
-
-def level_distance(value: Image) -> Image:
-    """Return the signed distance (H, W), in samples, to a picture's zero level, exact to first order beside it."""
-    inside = value > 0
-    if inside.all() or not inside.any():
-        return np.full(value.shape, 1e4 if inside.all() else -1e4, np.float32)
-    inverse_2 = np.zeros(value.size, np.float32)
-    size = np.abs(value).ravel()
-    for axis, step in ((0, value.shape[1]), (1, 1)):
-        crossing = np.diff(inside, axis=axis)
-        row, column = np.nonzero(crossing)
-        first = row * value.shape[1] + column
-        total = np.maximum(size[first] + size[first + step], 1e-9)
-        nearest = np.full(value.size, np.inf, np.float32)
-        nearest[first] = size[first] / total
-        nearest[first + step] = np.minimum(nearest[first + step], size[first + step] / total)
-        some = np.concatenate([first, first + step])
-        # samples that are crossed on both sides come twice, with one and the same value
-        inverse_2[some] += 1.0 / np.maximum(nearest[some], 1e-3) ** 2
-    inverse_2 = np.reshape(inverse_2, value.shape)
-    beside = inverse_2 > 0
-    near = np.where(beside, 1.0 / np.sqrt(np.maximum(inverse_2, 1e-9)), 0.0).astype(np.float32)
-    signed = np.where(inside, near, -near)
-    # distance to the nearest sample across the outline, less how far that sample lies beyond it
-    far, (row, column) = ndimage.distance_transform_edt(inside, return_indices=True)
-    use = inside & ~beside
-    signed[use] = np.maximum(far[use] - near[row[use], column[use]], 0.5)
-    # outside, where it only tells how far an outline is for certain, a chamfer's 2 % do no harm;
-    # they take 1.7 % of a sphere's radius
-    far, label = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    beyond = np.zeros(int(label.max()) + 1, np.float32)
-    beyond[label[inside]] = near[inside]
-    use = ~inside & ~beside
-    signed[use] = -np.maximum(far[use] - beyond[label[use]], 0.5)
-    return signed
