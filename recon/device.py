@@ -5,6 +5,7 @@ begin at a multiple of 64 bytes and inputs that do not. Small arrays begin anywh
 would be compiled time and again (a second each). These are copied to where they begin at a multiple of 64 bytes.
 """
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import drjit as dr
@@ -55,6 +56,18 @@ def numbers(values: NDArray[np.generic]) -> Float:
     return mi.Float(_aligned(values, np.dtype(np.float32)))
 
 
+def halves(pictures: Sequence[NDArray[np.generic]]) -> Kernel:
+    """Return mi.Float16 of pictures (H, W), flattened one after the other.
+
+    Halves keep a coverage to 1/4096, a twentieth of what the noise of a picture leaves of it.
+    """
+    size = pictures[0].size
+    placed = room(len(pictures) * size, np.dtype(np.float16))
+    for k, picture in enumerate(pictures):
+        placed[k * size : (k + 1) * size] = picture.ravel()
+    return mi.Float16(placed)
+
+
 def vectors(values: NDArray[np.generic]) -> Vector3f:
     """Return mi.Vector3f of (N, 3)."""
     return mi.Vector3f(*(numbers(part) for part in values.T))
@@ -71,21 +84,42 @@ def wholes(values: NDArray[np.generic]) -> UInt32:
 
 
 def _aligned(values: NDArray[np.generic], kind: np.dtype[np.generic]) -> NDArray[np.generic]:
-    buffer = np.empty(values.size * kind.itemsize + _ALIGNED, np.uint8)
-    begin = -buffer.ctypes.data % _ALIGNED
-    placed = buffer[begin : begin + values.size * kind.itemsize].view(kind)
+    placed = room(values.size, kind)
     placed[:] = values.ravel()
     return placed
 
 
+def room(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+    """Return an array (count,) to be filled, which Dr.Jit then takes as it lies."""
+    buffer = np.empty(count * kind.itemsize + _ALIGNED, np.uint8)
+    begin = -buffer.ctypes.data % _ALIGNED
+    return buffer[begin : begin + count * kind.itemsize].view(kind)
+
+
+def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
+    """Return some of the parts, each of ``size`` elements, that lie one after the other in an array."""
+    lane, length = dr.arange(mi.UInt32, len(which) * size), dr.opaque(mi.UInt32, size)
+    part = lane // length
+    found = dr.gather(type(source), source, dr.gather(mi.UInt32, wholes(np.asarray(which)), part) * length + (lane - part * length))
+    dr.eval(found)
+    return found
+
+
 def bilinear(
-    source: Kernel, base: UInt32, width: UInt32 | int, u: Float, v: Float, active: Bool = True, kind: type | None = None
+    source: Kernel,
+    base: UInt32,
+    width: UInt32 | int,
+    u: Float,
+    v: Float,
+    active: Bool = True,
+    kind: type | None = None,
+    most: float | None = None,
 ) -> Kernel:
     """Interpolate bilinearly in a picture.
 
     Parameters
     ----------
-    source : mi.Float
+    source : mi.Float or mi.Float16
         Pictures, flattened.
     base : mi.UInt32
         Where the picture begins, in elements of ``kind``.
@@ -94,10 +128,17 @@ def bilinear(
     u, v : mi.Float
         Column and row, between the first and the last.
     kind : type, optional
-        What an element is; mi.Float where not given.
+        What an element is; that of the source where not given. Halves become mi.Float.
+    most : float, optional
+        What a larger element counts as.
     """
+    kind = kind or type(source)
     column, row = mi.UInt32(u), mi.UInt32(v)
     fu, fv = u - mi.Float(column), v - mi.Float(row)
     at = base + row * width + column
-    c00, c01, c10, c11 = (dr.gather(kind or mi.Float, source, at + step, active) for step in (0, 1, width, width + 1))
+    c00, c01, c10, c11 = (dr.gather(kind, source, at + step, active) for step in (0, 1, width, width + 1))
+    if kind is mi.Float16:
+        c00, c01, c10, c11 = (mi.Float(corner) for corner in (c00, c01, c10, c11))
+    if most is not None:
+        c00, c01, c10, c11 = (dr.minimum(corner, most) for corner in (c00, c01, c10, c11))
     return (1 - fv) * ((1 - fu) * c00 + fu * c01) + fv * ((1 - fu) * c10 + fu * c11)

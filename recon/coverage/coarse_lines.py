@@ -49,6 +49,21 @@ class CoarseLines:
 
     def enlarged(self, values: NDArray[np.generic], *, nearest: bool = False) -> NDArray[np.float32]:
         """Return for every pixel (H, W) what was found for the lines (N,): interpolated, or the nearest line's."""
-        wide, how = (self.shape[1] * self.step, self.shape[0] * self.step), cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-        fine = cv2.resize(values.reshape(self.shape).astype(np.float32), wide, interpolation=how)
-        return np.asarray(fine[: self.image_wh[1], : self.image_wh[0]])
+        return enlarged(values.reshape(self.shape), self.step, self.image_wh, nearest=nearest)
+
+
+def enlarged(values: NDArray[np.generic], step: int, image_wh: tuple[int, int], *, nearest: bool = False) -> NDArray[np.float32]:
+    """Return for every pixel (H, W) what was found for some of them, interpolated.
+
+    Parameters
+    ----------
+    values : (h, w) array
+        Of one pixel in ``step`` each way, in the middle of its square.
+    step, image_wh : int, tuple of int
+        As in `CoarseLines`.
+    nearest : bool
+        The nearest one's instead.
+    """
+    wide, how = (values.shape[1] * step, values.shape[0] * step), cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    fine = cv2.resize(values.astype(np.float32), wide, interpolation=how)
+    return np.asarray(fine[: image_wh[1], : image_wh[0]])

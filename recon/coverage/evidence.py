@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
-from rhizotwin.recon.device import Float, Kernel, Vector3f, numbers, vectors, wholes
+from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
 
@@ -41,10 +41,10 @@ class Evidence:
     bank: ViewBank
     silhouettes: tuple[Silhouette, ...]
     """In the order of the bank's views."""
-    coverage: Float
-    """mi.Float, (V, H, W) flattened: coverage, opacity where roots are translucent."""
-    seen: Float
-    """mi.Float, (V, H, W) flattened: 1 where the picture says something, else 0."""
+    coverage: Kernel
+    """mi.Float16, (V, H, W) flattened: coverage, opacity where roots are translucent."""
+    seen: Kernel
+    """mi.Float16, (V, H, W) flattened: 1 where the picture says something, else 0."""
     image_wh: tuple[int, int]
     mu_per_mm: float | None = None
     """Attenuation of the roots; None for opaque ones."""
@@ -57,8 +57,7 @@ class Evidence:
     def of(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
         """Put silhouettes on the device."""
         height, width = silhouettes[0].coverage.shape
-        coverage = numbers(np.concatenate([s.coverage.ravel() for s in silhouettes]))
-        seen = numbers(np.concatenate([s.seen.ravel() for s in silhouettes]))
+        coverage, seen = halves([s.coverage for s in silhouettes]), halves([s.seen for s in silhouettes])
         return Evidence(bank, tuple(silhouettes), coverage, seen, (width, height))
 
     @property
@@ -74,22 +73,20 @@ class Evidence:
         ValueError
             Where the pictures were silhouettes from the beginning.
         """
-        pictures = [s.opacity.ravel() for s in self.silhouettes if s.opacity is not None]
+        pictures = [s.opacity for s in self.silhouettes if s.opacity is not None]
         if len(pictures) < len(self.silhouettes):
             raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
-        return replace(self, coverage=numbers(np.concatenate(pictures)), light=True)
+        return replace(self, coverage=halves(pictures), light=True)
 
     def beside(self, covered: NDArray[np.bool_]) -> Evidence:
         """Return what the pictures say where nothing else (V, H, W) covers them."""
-        seen = self.seen * numbers(~covered.ravel())
+        seen = self.seen * halves(list(~covered))
         dr.eval(seen)
         return replace(self, seen=seen)
 
     def of_views(self, which: Sequence[int]) -> Evidence:
         """Return what some of the views say."""
-        pixel = (np.asarray(which)[:, None] * self.pixels + np.arange(self.pixels)).ravel()
-        coverage, seen = (dr.gather(mi.Float, part, wholes(pixel)) for part in (self.coverage, self.seen))
-        dr.eval(coverage, seen)
+        coverage, seen = (some_parts(part, which, self.pixels) for part in (self.coverage, self.seen))
         return replace(
             self, bank=self.bank.chosen(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, seen=seen
         )

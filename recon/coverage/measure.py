@@ -148,27 +148,30 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
     """Measure coverage against the empty backlight."""
     keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
+    lit, exposures, seen = light.lit, light.exposures, light.seen
+    del light  # as large as all pictures
     with monitor.stage("wall"):
-        opacity, seen, film = _without_wall(cameras, opacity, light.seen, settings, monitor)
+        opacity, seen, film = _without_wall(cameras, opacity, seen, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
         px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
         attenuation = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
+            dark = opacity.pop(k)
             # noise and all, so that no faint root loses its flanks
-            clear = opacity[k] / np.float32(1.0 - attenuation.own)
+            clear = dark / np.float32(1.0 - attenuation.own)
             if attenuation.mu_per_mm is None:
-                drawn = silhouettes.measure(opacity[k], seen[k], settings, own=attenuation.own)
+                drawn = silhouettes.measure(dark, seen[k], settings, own=attenuation.own)
             else:
-                covered = translucency.covered(opacity[k], attenuation, px_a_mm)
-                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(opacity[k], seen[k], settings), seen[k])
-            return replace(drawn, opacity=clear)
+                covered = translucency.covered(dark, attenuation, px_a_mm)
+                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(dark, seen[k], settings), seen[k])
+            return replace(drawn, opacity=clear.astype(np.float16))
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
-    clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(light.lit[k].sum()) for k in keys))
+    clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
     dirt = None if film is None else 1.0 - (1.0 - film) * clear
-    return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=light.exposures, dirt=dirt)
+    return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=exposures, dirt=dirt)
 
 
 def _without_wall(
@@ -176,14 +179,14 @@ def _without_wall(
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
     """Take off the fouling of the wall, and tell the share of it that films cover.
 
-    In air nothing does, and few views do not tell.
+    In air nothing does, and few views do not tell. The opacities given are used up: all of them twice are much.
     """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
         return opacity, seen, None
     where = dict(zip(keys, monitor.each(lambda k: wall.crossings(views[k], optics), "wall", keys), strict=True))
     found = wall.study(opacity, seen, where, optics, monitor, settings)
-    cleared = monitor.each(lambda k: wall.cleared(opacity[k], seen[k], where[k], found), "clear", keys)
+    cleared = monitor.each(lambda k: wall.cleared(opacity.pop(k), seen[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
@@ -219,8 +222,11 @@ def _backgrounds(
     for ring in sorted({captured[k].ring for k in views}):
         members = [k for k in views if captured[k].ring == ring]
         if len(members) >= _RING_VIEWS and _still([views[k] for k in members]):
-            stack = np.stack([images[k] / (gain[k] * walls[k]) for k in members]).astype(np.float32)
+            stack = np.empty((len(members), *images[members[0]].shape), np.float32)
+            for view, k in zip(stack, members, strict=True):
+                view[:] = images[k] / (gain[k] * walls[k])
             panel = background.estimate(stack, np.stack([inside[k] for k in members]), settings)
+            del stack
             empty.update({k: panel.light * (gain[k] * walls[k]) for k in members})
             added.update({k: panel.added * (gain[k] * walls[k]) for k in members} if panel.added.any() else {})
             glare.update(dict.fromkeys(members, panel.glare))

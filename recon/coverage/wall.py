@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from rhizotwin.recon.coverage.coarse_lines import CoarseLines
+from rhizotwin.recon.coverage.coarse_lines import CoarseLines, enlarged
 from rhizotwin.recon.coverage.silhouettes import Image, Mask
 from rhizotwin.recon.optics import refraction
 from rhizotwin.recon.optics.cameras import View
@@ -48,10 +48,26 @@ _ROUNDS = 2
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where a view's lines of sight cross the wall: texel coordinates (H, W) of the near and the far side."""
+    """Where a view's lines of sight cross the wall: texel coordinates of the near and the far side."""
 
-    column: tuple[Image, Image]
-    row: tuple[Image, Image]
+    coarse: Image
+    """(2, 2, h, w) sides, columns and rows, for one pixel in `_STEP` each way: in full they would take more memory than
+    all pictures."""
+    image_wh: tuple[int, int]
+
+    @property
+    def column(self) -> tuple[Image, Image]:
+        """Return the columns (H, W) of every pixel."""
+        return self._enlarged(0)
+
+    @property
+    def row(self) -> tuple[Image, Image]:
+        """Return the rows (H, W) of every pixel."""
+        return self._enlarged(1)
+
+    def _enlarged(self, axis: int) -> tuple[Image, Image]:
+        near, far = (enlarged(side[axis], _STEP, self.image_wh) for side in self.coarse)
+        return near, far
 
 
 @dataclass(frozen=True)
@@ -80,7 +96,7 @@ def crossings(view: View, optics: Optics) -> Crossings:
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
     x, y, _ = view.centre_mm
     rows, columns = shape(optics)
-    found: list[tuple[Image, Image]] = []
+    found = []
     for side in (-1.0, 1.0):
         at = line.b_mm[:, None] * line.nu + side * half[:, None] * line.t
         centre = 0.0 if side < 0 else np.pi  # so that the azimuth is even over the picture
@@ -88,8 +104,8 @@ def crossings(view: View, optics: Optics) -> Crossings:
         z = line.entry_z_mm + line.slope * (1.0 + side) * half
         column = azimuth * columns / (2.0 * np.pi) - 0.5
         row = (optics.water_z_mm - z) * rows / (optics.water_z_mm - optics.floor_z_mm) - 0.5
-        found.append((lines.enlarged(column), lines.enlarged(row)))
-    return Crossings((found[0][0], found[1][0]), (found[0][1], found[1][1]))
+        found.append([column.reshape(lines.shape), row.reshape(lines.shape)])
+    return Crossings(np.array(found, np.float32), lines.image_wh)
 
 
 def look_up(panorama: Image, column: Image, row: Image) -> Image:
@@ -149,8 +165,8 @@ def _texels(where: Crossings, seen: Mask, sampled: tuple[slice, slice], size: tu
     """Return the texels (2, h, w) that a view's sampled pixels look through, near and far; -1 where nothing is seen."""
     rows, columns = size
     sides = []
-    for side in (0, 1):
-        row, column = (np.rint(at[side][sampled]).astype(np.int32) for at in (where.row, where.column))
+    for near_or_far in zip(where.row, where.column, strict=True):
+        row, column = (np.rint(at[sampled]).astype(np.int32) for at in near_or_far)
         here = seen[sampled] & (row >= 0) & (row < rows)
         sides.append(np.where(here, row * columns + np.mod(column, columns), -1))
     return np.stack(sides)
@@ -228,7 +244,8 @@ def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[I
     (H, W) float32 array, (H, W) bool array
         Opacity and where it tells anything.
     """
-    film = sum(look_up(wall.film, where.column[side], where.row[side]) for side in (0, 1))
-    bubble = sum(look_up(wall.bubbles.astype(np.float32), where.column[side], where.row[side]) for side in (0, 1))
+    sides = list(zip(where.column, where.row, strict=True))
+    film = sum(look_up(wall.film, *at) for at in sides)
+    bubble = sum(look_up(wall.bubbles.astype(np.float32), *at) for at in sides)
     free = 1.0 - (1.0 - opacity) * np.exp(film)
     return np.where(seen, free, 0.0).astype(np.float32), seen & (bubble < 0.5)

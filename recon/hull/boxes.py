@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,3 +42,48 @@ class Box:
         x, rest = np.divmod(number, self.step[0])
         y, z = np.divmod(rest, self.step[1])
         return np.stack([x, y, z], axis=1) + self.low
+
+
+@dataclass(frozen=True)
+class Scattered:
+    """Cells that are found by where they lie: memory goes with their count, not with the box about them."""
+
+    box: Box
+    """About the cells, with a layer of empty ones."""
+    number: NDArray[np.int64]
+    """(N,) of the cells in the box, rising."""
+    order: NDArray[np.int64]
+    """(N,) which of the cells each is."""
+
+    @staticmethod
+    def of(index: Whole) -> Scattered:
+        """Sort cells (N, 3), none of them twice."""
+        least = Box.around(index)
+        box = Box(least.low - 1, least.span + 2)
+        number = box.number(index)
+        order = np.argsort(number)
+        return Scattered(box, number[order], order)
+
+    def holds(self, index: Whole) -> NDArray[np.bool_]:
+        """Tell which cells (M, 3) are among them."""
+        inside = np.asarray(((index >= self.box.low) & (index < self.box.low + self.box.span)).all(axis=1))
+        inside[inside] = self.lists(self.box.number(index[inside]))
+        return inside
+
+    def lists(self, number: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which numbers (M,) in the box are those of cells."""
+        return np.asarray(self.number[self._place(number)] == number) if len(self.number) else np.zeros(len(number), bool)
+
+    def neighbours(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
+        """Yield each of 13 steps (3,) to a neighbour, with the cells (M,) that have one there, and these (M,).
+
+        The 13 opposite steps lead back.
+        """
+        for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
+            wanted = self.number + int(step @ self.box.step)
+            place = self._place(wanted)
+            some = np.flatnonzero(self.number[place] == wanted) if len(wanted) else place
+            yield step, self.order[some], self.order[place[some]]
+
+    def _place(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.minimum(np.searchsorted(self.number, number), len(self.number) - 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import drjit as dr
@@ -62,7 +61,7 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
     edge_mm = trimmed.grid.size_mm
     beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
-    values, columns = np.array(maps.values).reshape(bank.count, height, width), dr.opaque(mi.UInt32, width)
+    columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
         p, seen = _seen(bank, maps, view, solid)
         place = maps.sample(p.px) + 0.5
@@ -70,12 +69,13 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
         apart = 2.0 * edge_mm * _most_px_a_mm(p, seen) * UPSAMPLING  # samples from one of the solid's voxels to the next
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
-        deep = np.clip(1.5 * values[view] / _DEEP_PX - 1.0, 0.0, 1.0) * (values[view] < distance_maps.TELLS_PX)
+        values = maps.picture(view)
+        deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
         p, seen = _seen(bank, maps, view, places)
-        lacks = dr.select(seen, replace(maps, values=numbers(_spread(lacking, 5))).at(0, p.px, seen), 0.0)
+        lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, p.px, seen), 0.0)
         lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, p, beyond, lacks > 0.0, edge_mm)), 0.0, 1.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)

@@ -23,10 +23,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
+from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.leaves import Grid, Leaves, even
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 
@@ -70,11 +72,10 @@ class Cells:
 
     def parts(self) -> NDArray[np.int64]:
         """Return which connected part (N,) each cell belongs to."""
-        low = self.index.min(axis=0)
-        block = np.zeros(self.index.max(axis=0) - low + 1, bool)
-        at = tuple((self.index - low).T)
-        block[at] = True
-        return np.asarray(ndimage.label(block, np.ones((3, 3, 3)))[0][at], np.int64)
+        pairs = [(here, there) for _, here, there in Scattered.of(self.index).neighbours()]
+        here, there = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+        joined = coo_matrix((np.ones(len(here), bool), (here, there)), shape=(len(self.index),) * 2)
+        return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return some of the cells, by mask (N,) or number (M,)."""
@@ -119,8 +120,10 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     coverage = table.windows.cut(evidence, evidence.coverage)
     covered = dr.zeros(mi.Float, int(table.windows.begin[-1]))
     dr.eval(covered)
-    for organ in thick:
+    while thick:
+        organ = thick.pop()  # large, and of no use afterwards
         Table(organ, table.windows).cast(covered, every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
+        del organ
     shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * (_START * cells.grid.size_mm**2)
     dr.eval(shadow)
     done = 0
@@ -157,7 +160,7 @@ def _improve(table: Table, views: range, coverage: Float, covered: Float, shadow
     """Return the shadows after one step of MART over some views."""
     begin = table.windows.begin
     part = dr.arange(mi.UInt32, int(begin[views.start]), int(begin[views.stop]))
-    explained, measured = dr.gather(mi.Float, covered, part), dr.gather(mi.Float, coverage, part)
+    explained, measured = dr.gather(mi.Float, covered, part), mi.Float(dr.gather(mi.Float16, coverage, part))
     dr.eval(explained)
     table.cast(explained, views, shadow)
     ratio = (measured + _FLOOR) / (dr.minimum(explained, 1.0) + _FLOOR)

@@ -49,14 +49,14 @@ class Windows:
         size = np.maximum(high - low + 2, 0)  # none where nothing is seen
         return Windows(low, size, np.concatenate([[0], np.cumsum(size.prod(axis=1))]))
 
-    def cut(self, evidence: Evidence, pictures: Float) -> Float:
-        """Cut the windows out of whole pictures, mi.Float (V, H, W) flattened."""
-        stack = np.array(pictures).reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
+    def cut(self, evidence: Evidence, pictures: Kernel) -> Kernel:
+        """Cut the windows out of whole pictures, (V, H, W) flattened; in the kind of these."""
+        stack = pictures.numpy().reshape(len(self.low), evidence.image_wh[1], evidence.image_wh[0])
         parts = [
             picture[low[1] : low[1] + size[1], low[0] : low[0] + size[0]].ravel()
             for picture, low, size in zip(stack, self.low, self.size, strict=True)
         ]
-        return mi.Float(np.concatenate(parts))
+        return type(pictures)(np.concatenate(parts))
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Footprints:
         p = projection.project(evidence.bank, view, point, mi.Bool(True))
         seen = p.seen & readable(p.px, width, height)
         px = dr.select(seen, p.px, mi.Vector2f(0.0))
-        told = dr.gather(mi.Float, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
+        told = dr.gather(mi.Float16, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
         area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)

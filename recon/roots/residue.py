@@ -57,7 +57,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
         Optical depth of the tubes in all views, as `recon.tubes.tube_picture.optical_depth` draws it.
     """
     free = dr.exp(-depth)
-    left = (evidence.coverage - (1.0 - free)) * evidence.seen
+    left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.seen)
     dr.eval(free, left)
     width, height = evidence.image_wh
     point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)

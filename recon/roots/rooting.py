@@ -201,5 +201,5 @@ def find_blur(seen: Evidence, fitted: Tubes) -> float:
     cost = []
     for blur_px in _BLURS_PX:
         _, difference = tube_picture.compared(seen, fitted, at, blur_px)
-        cost.append(float(np.square(np.array(difference)).sum(dtype=np.float64)))
+        cost.append(float(np.square(difference.numpy(), dtype=np.float32).sum(dtype=np.float64)))
     return _BLURS_PX[int(np.argmin(cost))]

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.hull.boxes import Box
+from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.roots import crown
 from rhizotwin.recon.roots.density import Cells
 
@@ -65,29 +64,18 @@ def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Arr
     depth = np.full(len(cells.index), -reach_mm)
     if not len(core):
         return depth
-    low = core.min(axis=0) - 1
-    box = Box(low.astype(np.int64), core.max(axis=0).astype(np.int64) - low + 2)
-    full = np.zeros(int(box.span.prod()), bool)
-    place = box.number(core)
-    full[place] = True
+    full = Scattered.of(core)
+    box = full.box
     # the nearest cell of the other kind is one of those that touch this kind with a face
-    touching = place[:, None] + np.concatenate([box.step, -box.step])
-    rim = core[~full[touching].all(axis=1)]
-    beyond = np.unique(touching[~full[touching]])
-    inside = _held(full, box, cells.index)
+    touching = box.number(core)[:, None] + np.concatenate([box.step, -box.step])
+    empty = ~full.lists(touching.ravel()).reshape(touching.shape)
+    rim, beyond = core[empty.any(axis=1)], np.unique(touching[empty])
+    inside = full.holds(cells.index)
     size_mm = cells.grid.size_mm
     depth[inside] = cKDTree(box.cell(beyond)).query(cells.index[inside], workers=-1)[0] * size_mm
     away = cKDTree(rim).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
     depth[~inside] = np.maximum(-away * size_mm, -reach_mm)
     return depth
-
-
-def _held(full: NDArray[np.bool_], box: Box, index: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which cells (N,) of a lattice are among the full ones of a box."""
-    at = index - box.low
-    near = np.asarray(((at >= 0) & (at < box.span)).all(axis=1))
-    near[near] = full[box.number(index[near])]
-    return near
 
 
 def trace(cells: Cells, depth_mm: Array) -> list[Path]:
@@ -156,30 +144,28 @@ def _top(plant: Index, height_mm: Array, depth_mm: Array) -> Index:
 
 def _smooth(cells: Cells) -> Array:
     """Return the density (N,) of cells, shadow a volume in 1/mm, smoothed by a Gaussian of 0.7 cells."""
-    low = cells.index.min(axis=0) - 2
-    block = np.zeros(cells.index.max(axis=0) - low + 3, np.float32)
-    block[tuple((cells.index - low).T)] = cells.shadow_mm2 / cells.grid.size_mm**3
-    smooth = ndimage.gaussian_filter(block, _SMOOTH_CELLS, truncate=2.0)
-    return np.asarray(smooth[tuple((cells.index - low).T)], np.float64)
+    density = cells.shadow_mm2.astype(np.float64) / cells.grid.size_mm**3
+    beside = np.exp(-0.5 / _SMOOTH_CELLS**2)
+    middle = 1.0 / (1.0 + 2.0 * beside)  # cut off at the neighbours
+    smooth = middle**3 * density
+    for step, here, there in Scattered.of(cells.index).neighbours():
+        share = middle**3 * beside ** np.abs(step).sum()
+        smooth[here] += share * density[there]
+        smooth[there] += share * density[here]
+    return smooth
 
 
 def graph(cells: Cells, density: Array) -> csr_matrix:
     """Join each cell (N,) with its 26 neighbours at the cost of the way between their centres: (N, N)."""
-    low = cells.index.min(axis=0) - 1
-    box = Box(low.astype(np.int64), cells.index.max(axis=0).astype(np.int64) - low + 2)
-    place = box.number(cells.index)
-    number = np.full(int(box.span.prod()), -1, np.int32)
-    number[place] = np.arange(len(place))
+    count = len(cells.index)
     cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
     ends: list[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]] = []
-    for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
-        there = number[place + int(step @ box.step)]
-        here = np.flatnonzero(there >= 0).astype(np.int32)
-        there = there[here]
+    for step, here, there in Scattered.of(cells.index).neighbours():
         way = np.float32(cells.grid.size_mm * np.linalg.norm(step))
-        ends.append((here, there, way * np.float32(0.5) * (cost[here] + cost[there])))
+        ends.append((here.astype(np.int32), there.astype(np.int32), way * np.float32(0.5) * (cost[here] + cost[there])))
     rows, columns, values = (np.concatenate(part) for part in zip(*ends, strict=True))
-    return coo_matrix((values, (rows, columns)), shape=(len(place), len(place))).tocsr()
+    del ends
+    return coo_matrix((values, (rows, columns)), shape=(count, count)).tocsr()
 
 
 def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -25,7 +26,7 @@ _DENSE_MM = 0.15
 _NEAR = 24
 """Such points that are looked at about a place."""
 _AT_ONCE = 100_000
-"""Places that are looked about at once: 40 MB of distances and neighbours."""
+"""Points that are made, and places that are looked about, at once: 40 MB of distances and neighbours."""
 _THICK_MM = 0.5
 """Tubes of more than this radius are few: they are looked up by themselves."""
 
@@ -43,18 +44,51 @@ class Filled:
     along_mm: Array
     """(M,) how far along its branch, that of the last node in its round tip."""
 
+    def chosen(self, which: Mask) -> Filled:
+        """Return some of them (M,)."""
+        return Filled(*(getattr(self, field.name)[which] for field in fields(self)))
+
 
 def fill(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
     """Fill the union of tubes, less nodes (N,) that are left out, with points some ``spacing_mm`` apart."""
-    filled = fill_each(tubes, spacing_mm, left_out=left_out)
-    earlier = np.zeros(len(filled.branch), bool)
-    point, other, _ = within(tubes, filled.point_mm, filled.branch)
-    earlier[point[other < filled.branch[point]]] = True
-    return Filled(filled.point_mm[~earlier], filled.volume_mm3[~earlier], filled.branch[~earlier], filled.along_mm[~earlier])
+    others, kept = _Dense.of(tubes), list[Filled]()
+    for filled in _filled(tubes, spacing_mm, left_out):
+        earlier = np.zeros(len(filled.branch), bool)
+        point, other, _ = others.holding(filled.point_mm, filled.branch)
+        earlier[point[other < filled.branch[point]]] = True
+        kept.append(filled.chosen(~earlier))
+    return _joined(kept)
 
 
-def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) -> Filled:
-    """Fill every tube for itself with points some ``spacing_mm`` apart, overlaps and all.
+def fill_each(tubes: Tubes, spacing_mm: float) -> Filled:
+    """Fill every tube for itself with points some ``spacing_mm`` apart, overlaps and all."""
+    return _joined(list(_filled(tubes, spacing_mm, None)))
+
+
+def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
+    """Find which points (M, 3) of branches (M,) lie inside other branches.
+
+    Returns
+    -------
+    point, other : (K,) int64 array
+        A point and a branch it lies in.
+    along_mm : (K,) float64 array
+        How far along that branch.
+    """
+    others, found = _Dense.of(tubes), list[tuple[Index, Index, Array]]()
+    for begin in range(0, max(len(point), 1), _AT_ONCE):
+        inside, other, along = others.holding(point[begin : begin + _AT_ONCE], branch[begin : begin + _AT_ONCE])
+        found.append((begin + inside, other, along))
+    inside, other, along = (np.concatenate(part) for part in zip(*found, strict=True))
+    return inside, other, along
+
+
+def _joined(parts: list[Filled]) -> Filled:
+    return Filled(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Filled)))
+
+
+def _filled(tubes: Tubes, spacing_mm: float, left_out: Mask | None) -> Iterator[Filled]:
+    """Fill every tube for itself with points some ``spacing_mm`` apart, overlaps and all; `_AT_ONCE` of them at a time.
 
     Every cross-section is a sunflower (Vogel 1979, Math. Biosci. 44:179).
 
@@ -75,15 +109,18 @@ def fill_each(tubes: Tubes, spacing_mm: float, *, left_out: Mask | None = None) 
     first, last = piece.radii_mm[segment].T
     radius = (first + share * (last - first)) * np.sqrt(square)
     count = np.maximum(np.ceil(np.pi * radius**2 / spacing_mm**2), _LEAST_SAMPLES).astype(np.int64)
-    disc, place = _counted(count)
-    at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # discs beside each other are turned
+    each_mm3 = np.pi * radius**2 * (length / slices)[segment] / count
+    reached = piece.along_mm[segment] + np.where(piece.is_cap[segment], 0.0, share * length[segment])
     along, side, up = _frames(piece.way_mm)
-    of = segment[disc]
-    point = piece.begin_mm[of] + share[disc, None] * along[of]
-    point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
-    volume = (np.pi * radius**2 * (length / slices)[segment] / count)[disc]
-    reached = piece.along_mm[of] + np.where(piece.is_cap[of], 0.0, (share * length[segment])[disc])
-    return Filled(point, volume, piece.branch[of], reached)
+    ends = np.cumsum(count)
+    for discs in np.split(np.arange(len(count)), np.searchsorted(ends, np.arange(_AT_ONCE, count.sum(), _AT_ONCE))):
+        number, place = _counted(count[discs])
+        disc = discs[number]
+        at, turn = radius[disc] * np.sqrt((place + 0.5) / count[disc]), _GOLDEN * (place + 0.61 * disc)  # neighbours are turned
+        of = segment[disc]
+        point = piece.begin_mm[of] + share[disc, None] * along[of]
+        point += at[:, None] * (np.cos(turn)[:, None] * side[of] + np.sin(turn)[:, None] * up[of])
+        yield Filled(point, each_mm3[disc], piece.branch[of], reached[disc])
 
 
 @dataclass(frozen=True)
@@ -147,48 +184,55 @@ def _frames(along: Array) -> tuple[Array, Array, Array]:
     return along, side, np.cross(unit, side)
 
 
-def within(tubes: Tubes, point: Array, branch: Index) -> tuple[Index, Index, Array]:
-    """Find which points (M, 3) of branches (M,) lie inside other branches.
+@dataclass(frozen=True)
+class _Dense:
+    """Points (P, 3) close together on all branches, that tell what lies inside of these."""
 
-    Returns
-    -------
-    point, other : (K,) int64 array
-        A point and a branch it lies in.
-    along_mm : (K,) float64 array
-        How far along that branch.
-    """
-    centre, radius, owner, along = _dense(tubes)
-    pairs: list[tuple[Index, Index]] = []
-    # only points near two branches need a closer look: those whose node's neighbourhood holds another branch
-    tree, thick = cKDTree(centre), radius > _THICK_MM
-    reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
-    mixed = np.zeros(len(centre), bool)
-    close = tree.query_pairs(reach, output_type="ndarray")
-    close = close[owner[close[:, 0]] != owner[close[:, 1]]]
-    mixed[close.ravel()] = True
-    if thick.any():
-        apart = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
-        one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
-        touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
-        mixed[one[touch]] = mixed[other[touch]] = True
-    unproven = np.flatnonzero(mixed[tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
-    for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
-        if not len(part) or not len(unproven):
-            continue
-        tree, width = cKDTree(centre[part]), radius[part]
-        nearest, reach = list(range(1, min(_NEAR, tree.n) + 1)), float(width.max())
-        for some in np.split(unproven, range(_AT_ONCE, len(unproven), _AT_ONCE)):
-            distance, near = tree.query(point[some], k=nearest, distance_upper_bound=reach, workers=-1)
+    centre_mm: Array
+    radius_mm: Array
+    """(P,)"""
+    branch: Index
+    """(P,)"""
+    along_mm: Array
+    """(P,) how far along it."""
+    mixed: Mask
+    """(P,) those about which there may be another branch: points near no others need no closer look."""
+
+    @staticmethod
+    def of(tubes: Tubes) -> _Dense:
+        """Put points on tubes."""
+        centre, radius, owner, along = _on_branches(tubes)
+        tree, thick = cKDTree(centre), radius > _THICK_MM
+        reach = 2.0 * min(float(np.quantile(radius, 0.99)) + _DENSE_MM, _THICK_MM)
+        mixed = np.zeros(len(centre), bool)
+        close = tree.query_pairs(reach, output_type="ndarray")
+        close = close[owner[close[:, 0]] != owner[close[:, 1]]]
+        mixed[close.ravel()] = True
+        if thick.any():
+            apart = cKDTree(centre[thick]).sparse_distance_matrix(tree, 2.0 * (float(radius.max()) + _DENSE_MM), output_type="ndarray")
+            one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
+            touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
+            mixed[one[touch]] = mixed[other[touch]] = True
+        return _Dense(centre, radius, owner, along, mixed)
+
+    def holding(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
+        """Find which points (M, 3) of branches (M,) lie inside other branches, as `within`."""
+        pairs, thick = [np.zeros((2, 0), np.int64)], self.radius_mm > _THICK_MM
+        unproven = np.flatnonzero(self.mixed[cKDTree(self.centre_mm).query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
+        for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
+            if not len(part) or not len(unproven):
+                continue
+            tree, width = cKDTree(self.centre_mm[part]), self.radius_mm[part]
+            numbers = list(range(1, min(_NEAR, tree.n) + 1))
+            distance, near = tree.query(point[unproven], k=numbers, distance_upper_bound=width.max(), workers=-1)
             near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
-            row, column = np.nonzero((distance < width[near]) & (owner[part][near] != branch[some][:, None]))
-            pairs.append((some[row], part[near[row, column]]))
-    if not pairs:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-    inside, node = (np.concatenate(found) for found in zip(*pairs, strict=True))
-    return inside, owner[node], along[node]
+            row, column = np.nonzero((distance < width[near]) & (self.branch[part][near] != branch[unproven][:, None]))
+            pairs.append(np.stack([unproven[row], part[near[row, column]]]))
+        inside, node = np.concatenate(pairs, axis=1)
+        return inside, self.branch[node], self.along_mm[node]
 
 
-def _dense(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
+def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
     """Return points (P, 3) close together on all branches, with radius (P,), branch (P,) and how far along it (P,)."""
     centres, radii, owners, ways = list[Array](), list[Array](), list[Index](), list[Array]()
     for k, nodes in enumerate(tubes.branches):

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
-from rhizotwin.recon.device import Bool, Float, Int32, UInt32, Vector2f, numbers, vectors, wholes
+from rhizotwin.recon.device import Bool, Float, Int32, Kernel, UInt32, Vector2f, numbers, vectors, wholes
 from rhizotwin.recon.optics.projection import Projected
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
@@ -63,7 +63,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     evidence, tubes, at, blur_px : Evidence, Tubes, Nodes, float
         Views and what hides the tubes; the tree, and where its nodes lie in the pictures; blur of these.
     """
-    depth = (1.0 - evidence.seen) * _HIDDEN
+    depth = (1.0 - mi.Float(evidence.seen)) * _HIDDEN
     dr.eval(depth)
     strips = _Strips.of(evidence, tubes, at)
     if strips is None:
@@ -219,8 +219,8 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
     return cut(onto, joined[0], onward, joined[1]), cut(onward, joined[1], onto, joined[0])
 
 
-def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Float]:
-    """Return the optical depth of tubes, and what they leave `unexplained`, in all views: mi.Float, flattened.
+def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Kernel]:
+    """Return the optical depth of tubes, and what they leave `unexplained`, in all views, flattened.
 
     Parameters
     ----------
@@ -233,15 +233,15 @@ def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tup
 
     Returns
     -------
-    mi.Float, mi.Float
+    mi.Float, mi.Float16
         (V, H, W) flattened.
     """
     depth = optical_depth(evidence, tubes, at, blur_px)
     return depth, unexplained(evidence, depth)
 
 
-def unexplained(evidence: Evidence, depth: Float) -> Float:
-    """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float, flattened."""
-    difference = (evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen
+def unexplained(evidence: Evidence, depth: Float) -> Kernel:
+    """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float16, flattened."""
+    difference = mi.Float16((evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen)
     dr.eval(difference)
     return difference

@@ -51,7 +51,7 @@ def of_radii(system: RootSystem) -> Array:
     depth, difference = tube_picture.compared(seen, tubes, at, system.blur_px)
     profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
     covered = dr.select(1.0 - dr.exp(-depth) > EXPLAINED, mi.Float(1.0), 0.0) * seen.seen
-    return combined(tubes, profiles, _mean(dr.square(difference), covered))
+    return combined(tubes, profiles, _mean(dr.square(mi.Float(difference)), covered))
 
 
 def combined(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:

@@ -136,10 +136,9 @@ def half_excess(bank: ViewBank, frames: Sequence[int], maps: DistanceMaps, hull:
     high = low + np.array(fine.coarse_shape) * fine.size_mm * 2**fine.levels
     grid = Grid.over(low, high, fine.size_mm * _COARSER)
     every_other = every_second(frames)
-    half_maps = replace(maps, values=mi.Float(np.array(maps.values).reshape(bank.count, -1)[every_other].ravel()))
     volumes = [
         carve.carve(some, outlines, grid, water).leaves.volume_mm3()
-        for some, outlines in ((bank, maps), (bank.chosen(every_other), half_maps))
+        for some, outlines in ((bank, maps), (bank.chosen(every_other), maps.of_views(every_other)))
     ]
     return max(0.0, volumes[1] / max(volumes[0], 1e-9) - 1.0)
 

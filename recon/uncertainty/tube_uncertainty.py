@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -12,7 +12,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float
+from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
+from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
@@ -206,39 +207,81 @@ class _Rest:
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, depth: Float, difference: Float, px_a_mm: float) -> _Rest:
-        """Look at all views."""
+    def of(seen: Evidence, depth: Float, difference: Kernel, px_a_mm: float) -> _Rest:
+        """Look at all views, one after the other: together they would fill the memory."""
         (width, height), count = seen.image_wh, seen.bank.count
-        known = np.array(seen.seen).reshape(count, height, width) > 0
-        rest = np.array(difference).reshape(count, height, width)
-        drawn = (1.0 - np.exp(-np.array(depth).reshape(count, height, width))) * known
-        near = np.stack([cv2.dilate((picture > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) for picture in drawn]) > 0
-        area, far = float(drawn.sum(dtype=np.float64)), rest * ~near
-        if seen.light:  # what does not stand out from the noise is none
-            far *= np.stack([picture.coverage > 0.0 for picture in seen.silhouettes])
-        fills, missing = [], []
-        for picture, beyond, close, free in zip(seen.silhouettes, far, near, known, strict=True):
-            rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
-            if not len(rows):
-                continue
-            (top, bottom), (left, right) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
-            zone = np.s_[top : bottom + 1, left : right + 1]
-            fills.append(float(np.where(free, picture.coverage, 0.0)[zone].mean()))
-            inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
-            width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
-            if seen.mu_per_mm is None:
-                volume = 0.25 * np.pi * float((beyond * width_px).sum(dtype=np.float64))
-            else:  # faint roots absorb light by their volume
-                volume = float(beyond.sum(dtype=np.float64)) * px_a_mm / seen.mu_per_mm
-            missing.append(volume / max(1.0 - float(close[zone].mean()), _LEAST_FREE))
-        whole = area + sum(
-            float((picture.coverage * picture.seen * ~free).sum()) for picture, free in zip(seen.silhouettes, known, strict=True)
-        )
-        beyond_px2 = max(0.0, float(far.sum(dtype=np.float64)))
+        pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, depth, difference)]
+        views = [
+            _RestOfView.of(seen, silhouette, known > 0, 1.0 - np.exp(-drawn), left.astype(np.float32), px_a_mm)
+            for silhouette, known, drawn, left in zip(seen.silhouettes, *pictures, strict=True)
+        ]
+        area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
+        beyond = max(0.0, sum(view.beyond for view in views))
+        fills, missing = ([view.fill for view in views if view.has_roots], [view.missing_px3 for view in views if view.has_roots])
         return _Rest(
-            variance=float(np.mean(rest[near] ** 2)) if near.any() else 0.0,
-            balance=float((rest * near).sum(dtype=np.float64)) / max(area, 1.0),
+            variance=sum(view.square for view in views) / max(pixels, 1),
+            balance=sum(view.balance for view in views) / max(area, 1.0),
             missing_px3=max(0.0, float(np.mean(missing))) if missing else 0.0,
-            unexplained=beyond_px2 / max(whole + beyond_px2, 1.0),
+            unexplained=beyond / max(area + sum(view.hidden for view in views) + beyond, 1.0),
             fill=float(np.median(fills)) if fills else 0.0,
         )
+
+
+@dataclass(frozen=True)
+class _RestOfView:
+    """What one view has of it, areas in pixels."""
+
+    area: float
+    """Covered by the tubes."""
+    hidden: float
+    """Covered where nothing is known beside taproot and hypocotyl."""
+    pixels: int
+    """On the tubes and two pixels about them."""
+    square: float
+    """Squared difference there, and ..."""
+    balance: float
+    """... the difference itself."""
+    beyond: float
+    """Difference elsewhere."""
+    has_roots: bool
+    fill: float = 0.0
+    missing_px3: float = 0.0
+
+    @staticmethod
+    def of(seen: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _RestOfView:
+        """Compare a picture with tubes.
+
+        Parameters
+        ----------
+        known : (H, W) bool array
+            Where the picture tells of them.
+        drawn, left : (H, W) float32 array
+            Coverage by the tubes, and what they leave.
+        """
+        drawn = drawn * known
+        near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        far = left * ~near
+        if seen.light:  # what does not stand out from the noise is none
+            far *= picture.coverage > 0.0
+        rest = _RestOfView(
+            area=float(drawn.sum(dtype=np.float64)),
+            hidden=float((picture.coverage * picture.seen * ~known).sum(dtype=np.float64)),
+            pixels=int(near.sum()),
+            square=float(np.square(left[near]).sum(dtype=np.float64)),
+            balance=float(left[near].sum(dtype=np.float64)),
+            beyond=float(far.sum(dtype=np.float64)),
+            has_roots=False,
+        )
+        rows, columns = np.nonzero((picture.coverage > 0.5) & picture.seen)
+        if not len(rows):
+            return rest
+        (top, bottom), (first, last) = np.quantile(rows, _ZONE).astype(int), np.quantile(columns, _ZONE).astype(int)
+        zone = np.s_[top : bottom + 1, first : last + 1]
+        inside = cv2.distanceTransform((picture.coverage > _INSIDE).astype(np.uint8), cv2.DIST_L2, 3)
+        width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
+        if seen.mu_per_mm is None:
+            volume = 0.25 * np.pi * float((far * width_px).sum(dtype=np.float64))
+        else:  # faint roots absorb light by their volume
+            volume = rest.beyond * px_a_mm / seen.mu_per_mm
+        missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
+        return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rhizotwin.recon.hull.boxes import Box
+from rhizotwin.recon.hull.boxes import Box, Scattered
 
 
 def test_numbers_are_those_of_numpy_and_give_the_cells_back() -> None:
@@ -15,3 +15,24 @@ def test_numbers_are_those_of_numpy_and_give_the_cells_back() -> None:
 
 def test_no_cells_lie_in_a_box_of_one() -> None:
     assert len(Box.around(np.zeros((0, 3), np.int32)).number(np.zeros((0, 3), np.int32))) == 0
+
+
+def test_scattered_cells_know_their_neighbours() -> None:
+    rng = np.random.default_rng(1)
+    index = rng.permutation(np.unique(rng.integers(-5, 4, (300, 3)), axis=0)).astype(np.int32)
+    cells = Scattered.of(index)
+    away = index[:, None] - index
+    joined = np.zeros((len(index), len(index)), int)
+    for step, here, there in cells.neighbours():
+        np.testing.assert_array_equal(index[there] - index[here], np.broadcast_to(step, (len(here), 3)))
+        joined[here, there] += 1
+        joined[there, here] += 1
+    np.testing.assert_array_equal(joined, (np.abs(away).max(axis=2) == 1).astype(int))
+    asked = np.stack(np.meshgrid(*[np.arange(-9, 9)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    np.testing.assert_array_equal(cells.holds(asked), (asked[:, None] == index).all(axis=2).any(axis=1))
+
+
+def test_no_cells_have_no_neighbours() -> None:
+    none = Scattered.of(np.zeros((0, 3), np.int32))
+    assert not none.holds(np.zeros((2, 3), np.int32)).any()
+    assert all(len(here) == len(there) == 0 for _, here, there in none.neighbours())

@@ -83,7 +83,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     bank, maps = seen_ball((0.0, 0.0, -50.0))
     row = float(np.array(distance_maps.look(bank, maps, mi.UInt32(0), mi.Point3f(0.0, 0.0, -47.3), mi.Bool(True))[0].px.y)[0])
     values = np.array(maps.values).reshape(bank.count, 360, 480)
-    values[:, : int(2 * row)] = silhouettes.UNSEEN_PX
+    values[:, : int(2 * row)] = np.inf
     half = DistanceMaps.of(values)
     grid = Grid.over(np.array([-12.0, -12.0, -62.0]), np.array([12.0, 12.0, -38.0]), 0.4)
     leaves = carve.carve(bank, half, grid, Water(73.0, -38.0, -62.0), min_votes=5).leaves

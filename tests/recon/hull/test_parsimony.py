@@ -131,7 +131,7 @@ def test_many_pixels_a_node_leave_no_gaps_in_what_is_explained() -> None:
 def test_no_ball_stands_where_hardly_any_view_sees() -> None:
     """Above the net pot's grid every picture is silent, so nothing bounds a sphere there: it must not swallow the hull."""
     bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
-    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), silhouettes.UNSEEN_PX, np.float32)))
+    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), np.inf, np.float16)))
     spheres = parsimony.grow_spheres(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
     assert len(spheres.radius_mm) == 0
 

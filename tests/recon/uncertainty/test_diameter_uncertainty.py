@@ -61,5 +61,6 @@ def test_roots_get_the_uncertainty_of_their_own_nodes() -> None:
     for root, first in ((alone, -1), (lateral, -2)):
         found = diameter_uncertainty.told([root], system)[0].diameter_sigma_mm
         assert found is not None
-        assert found[1:] == pytest.approx(sigma[tubes.branches[1]][::-1][1:])
-        assert found[0] == pytest.approx(sigma[tubes.branches[1]][first])
+        # drawn twice, some pixel of what is left may be rounded to the next half
+        assert found[1:] == pytest.approx(sigma[tubes.branches[1]][::-1][1:], rel=1e-4)
+        assert found[0] == pytest.approx(sigma[tubes.branches[1]][first], rel=1e-4)
