@@ -31,6 +31,8 @@ from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traced import once
 
 Array = NDArray[np.float64]
+Fixed = NDArray[np.int32]
+"""Places and sizes in parts of pixels, as OpenCV draws them."""
 
 VIEWS = 16
 """Pictures that are compared; carving orders them so that neighbours are spread over the turn. More change the
@@ -39,6 +41,8 @@ _FINER = 4
 """Parts of a pixel's edge that roots are drawn with."""
 _SHIFT = 4
 """Binary places of a part that OpenCV draws with: a sixteenth."""
+_LEAST_PX = 1e-6
+"""Pieces shorter than this in a picture have no direction there."""
 _SMOOTH_PX = 0.8
 """Both pictures are smoothed by this, so that the lens's own blur (about a pixel) makes little difference."""
 _LINE = 0.2
@@ -194,6 +198,27 @@ class _Places:
         scale = float(np.median(np.linalg.norm(self.gradient, axis=-1)[self.seen])) if self.seen.any() else 0.0
         return float(self.step_mm[2.0 * self.radius_mm * scale < _THIN_PX].sum()) / max(float(self.step_mm.sum()), 1e-9)
 
+    def pieces(self, view: int, first: NDArray[np.int64]) -> tuple[NDArray[np.int64], Fixed, Fixed, Fixed]:
+        """Place pieces of tube from nodes (M,) to the next of their root in a picture, as OpenCV draws them.
+
+        Returns
+        -------
+        first : (K,) int64 array
+            Nodes with which the pieces begin that have a length in the picture.
+        corners, end, radius : (K, 4, 2), (K, 2), (K,) int32 array
+            Of their sides, and of their round ends.
+        """
+        step = self.px[view, first + 1] - self.px[view, first]
+        size = np.hypot(*step.T)
+        first, step, size = (part[size >= _LEAST_PX] for part in (first, step, size))
+        across, last = np.stack([-step[:, 1], step[:, 0]], axis=1) / size[:, None], first + 1
+        begin, end = self.px[view, first], self.px[view, last]
+        gradient = (np.einsum("mi,mij->mj", across, self.gradient[view, at]) for at in (first, last))
+        half = [self.radius_mm[at] * np.linalg.norm(way, axis=1) for at, way in zip((first, last), gradient, strict=True)]  # of a sphere
+        to_side, to_other = (wide[:, None] * across for wide in half)
+        corners = np.stack([begin + to_side, end + to_other, end - to_other, begin - to_side], axis=1)
+        return first, _fixed(corners), _fixed(end), np.rint(half[1] * _FINER * 2**_SHIFT).astype(np.int32)
+
 
 def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | None) -> list[NDArray[np.float32]]:
     """Draw roots into views: as filled pieces of tube, as dark as their mean chord makes them."""
@@ -203,23 +228,15 @@ def _draw(at: _Places, silhouettes: Sequence[Silhouette], mu_per_mm: float | Non
         height, width = silhouette.coverage.shape
         canvas = np.zeros((height * _FINER, width * _FINER), np.float32)
         use = at.seen[k, :-1] & at.seen[k, 1:] & (at.step_mm[:-1] > 0.0)
-        for i in np.argsort(dark[:-1], kind="stable"):  # the darkest last
-            if use[i]:
-                _piece(canvas, at.px[k, i : i + 2], at.gradient[k, i : i + 2], at.radius_mm[i : i + 2], float(dark[i]))
+        order = np.argsort(dark[:-1], kind="stable")  # the darkest last
+        first, sides, ends, radii = at.pieces(k, order[use[order]])
+        for corners, end, radius, shade in zip(sides, ends.tolist(), radii.tolist(), dark[first].tolist(), strict=True):
+            cv2.fillConvexPoly(canvas, corners, shade, lineType=cv2.LINE_8, shift=_SHIFT)
+            cv2.circle(canvas, end, radius, shade, thickness=-1, shift=_SHIFT)
         pictures.append(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA))
     return pictures
 
 
-def _piece(canvas: NDArray[np.float32], px: Array, gradient: Array, radius_mm: Array, dark: float) -> None:
-    """Fill a piece of tube between two points (2, 2) of a picture, with a round end."""
-    step = px[1] - px[0]
-    size = float(np.hypot(*step))
-    if size < 1e-6:
-        return
-    across = np.array([-step[1], step[0]]) / size
-    half = radius_mm * np.linalg.norm(np.einsum("i,nij->nj", across, gradient), axis=1)  # of a sphere's outline, across
-    corners = np.stack([px[0] + half[0] * across, px[1] + half[1] * across, px[1] - half[1] * across, px[0] - half[0] * across])
-    fixed = np.round(((corners + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)  # pixel centres at integers
-    cv2.fillConvexPoly(canvas, fixed, dark, lineType=cv2.LINE_8, shift=_SHIFT)
-    centre = np.round(((px[1] + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)
-    cv2.circle(canvas, (int(centre[0]), int(centre[1])), round(float(half[1]) * _FINER * 2**_SHIFT), dark, thickness=-1, shift=_SHIFT)
+def _fixed(px: Array) -> Fixed:
+    """Return pixels, whose centres are at integers, as OpenCV draws them."""
+    return np.rint(((px + 0.5) * _FINER - 0.5) * 2**_SHIFT).astype(np.int32)
