@@ -60,6 +60,8 @@ class Trimmed:
     leaves: Leaves
     spheres: Spheres
     """Spheres along the centre lines."""
+    doubtful: Spheres
+    """Those of them that few views bound, and those that too few do to be any: as large as the outlines allow."""
     kept: NDArray[np.float32]
     """(N,) of the leaves' occupancies what is hull still, because the spheres leave a silhouette unexplained."""
 
@@ -86,9 +88,9 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
 
     The trimmed shape's occupancies are at most the hull's.
     """
-    spheres = grow_spheres(bank, maps, centre_lines(leaves))
+    spheres, doubtful = grow_spheres(bank, maps, centre_lines(leaves))
     if not len(spheres.radius_mm):
-        return Trimmed(leaves, spheres, leaves.occupancy)
+        return Trimmed(leaves, spheres, doubtful, leaves.occupancy)
     index, size, hull, inside = against(spheres, leaves)
     kept = np.minimum(hull, inside)
     missing = hull - kept > _MISSING
@@ -97,7 +99,7 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
         kept[missing] += needed * (hull - kept)[missing]
     some = kept > 0
     trimmed = replace(leaves, index=index[some], size=size[some], occupancy=kept[some])
-    return Trimmed(trimmed, spheres, (kept - np.minimum(hull, inside))[some])
+    return Trimmed(trimmed, spheres, doubtful, (kept - np.minimum(hull, inside))[some])
 
 
 def _across(points: Array) -> Array:
@@ -116,10 +118,13 @@ def _across(points: Array) -> Array:
     return across
 
 
-def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> Spheres:
-    """Move points (N, 3) across their curve to where the largest spheres fit into all silhouettes; return these."""
+def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Spheres, Spheres]:
+    """Move points (N, 3) across their curve to where the largest spheres fit into all silhouettes.
+
+    Return the spheres, shrunk where few views bound them, and those that few do as large as the outlines allow.
+    """
     if not len(points):
-        return Spheres(points, np.zeros(0))
+        return Spheres(points, np.zeros(0)), Spheres(points, np.zeros(0))
     everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
     points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
     # where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that none about them exceeds
@@ -129,12 +134,12 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> Spheres:
         freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
         points, radius = np.concatenate([points, freed[0]]), np.concatenate([radius, freed[1]])
     blunt, radius = radius, np.maximum(radius, _radius(bank, maps, points, sharpen=True))
-    good = radius > 0
-    if good.any():
-        none, whole = _HELD
-        radius[good] *= np.clip((_held(bank, maps, points[good], blunt[good]) - none) / (whole - none), 0.0, 1.0)
-        good = radius > 0
-    return Spheres(points[good], radius[good])
+    points, radius, blunt = points[radius > 0], radius[radius > 0], blunt[radius > 0]
+    if not len(points):
+        return Spheres(points, radius), Spheres(points, radius)
+    none, whole = _HELD
+    share = np.clip((_held(bank, maps, points, blunt) - none) / (whole - none), 0.0, 1.0)
+    return Spheres(points[share > 0.0], (share * radius)[share > 0.0]), Spheres(points[share < 1.0], radius[share < 1.0])
 
 
 def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:

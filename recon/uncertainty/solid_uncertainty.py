@@ -8,6 +8,7 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon import device
@@ -27,8 +28,8 @@ direction."""
 _ABSENT = 0.1
 """What no picture needs is taken to be absent; at 90 % confidence, a tenth of it may be there, if the shape is round as
 roots are. The hull that pictures need beside the round parts tells how far it is not: as a share of all hull beside
-them, what is needed is what may be expected of the rest, too, and at 90 % confidence twice as much. (Of a comb's square
-bar, where few views look along it, all that was taken away was there; of prints and radishes a tenth is needed.)"""
+them, what is needed is what may be there of the rest, too. (Of a comb's square bar, which few views look along, all that
+was taken away was there, and 69 % of the comb's hull beside round parts is needed; 17 % of a print's.)"""
 _LEAST_PX, _LEAST_BINARY_PX = 0.2, 0.4
 """A sphere is as large as the one outline allows that allows least. Of some hundred (24 to 40 views, in each of which a
 ball's outline passes a handful of places with errors of their own) with 0.1 px at 90 %, the least lies 2.5 to 3.3
@@ -66,7 +67,7 @@ def estimate(
     outline, removed, kept = share * _OUTLINE_PX * by_px, share * max(0.0, whole - volume), thick.kept_mm3
     least_px = _LEAST_BINARY_PX if binary else _LEAST_PX
     beside = min(_beside_spheres(bank, hull, thick, least_px), removed) if removed > 0.0 else 0.0
-    absent = max(_ABSENT, min(1.0, 2.0 * kept / max(kept + removed, 1e-9)))
+    absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
@@ -87,21 +88,32 @@ def estimate(
 
 
 def _beside_spheres(bank: ViewBank, hull: Hull, thick: Trimmed, least_px: float) -> float:
-    """Return how much of a hull (mm3) lies so near to thick parts' spheres that outlines cannot tell what is there."""
-    leaves, spheres = thick.leaves, thick.spheres
-    if not len(leaves.size) or not len(spheres.radius_mm):
+    """Return how much of a hull (mm3) lies beside thick parts' spheres where outlines cannot tell what is there.
+
+    That is what lies within some pixels of them, and what spheres would fill that few views bound.
+    """
+    leaves = thick.leaves
+    if not len(leaves.size) or not len(thick.spheres.radius_mm):
         return 0.0
-    inside = cKDTree(leaves.middles_mm).query(spheres.centre_mm)[0] < leaves.grid.size_mm * leaves.size.max()
-    if not inside.any():
+    tree, reach_mm = cKDTree(leaves.middles_mm), leaves.grid.size_mm * float(leaves.size.max())
+    spheres, doubtful = (_some(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
+    if not len(spheres.radius_mm):
         return 0.0
-    spheres = Spheres(spheres.centre_mm[inside], spheres.radius_mm[inside])
-    wider = replace(spheres, radius_mm=spheres.radius_mm + least_px / _px_a_mm(bank, spheres))
+    wider = Spheres(
+        np.concatenate([spheres.centre_mm, doubtful.centre_mm]),
+        np.concatenate([spheres.radius_mm, doubtful.radius_mm]) + least_px / _px_a_mm(bank, spheres),
+    )
     low = (wider.centre_mm - wider.radius_mm[:, None]).min(axis=0)
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
-    reach_mm = 0.5 * hull.leaves.grid.size_mm * hull.leaves.size[:, None]
+    half_mm = 0.5 * hull.leaves.grid.size_mm * hull.leaves.size[:, None]
     middle = hull.leaves.middles_mm
-    near = hull.leaves.some(((middle > low - reach_mm) & (middle < high + reach_mm)).all(axis=1))
+    near = hull.leaves.some(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
     return in_common_mm3(wider, near) - in_common_mm3(spheres, near)
+
+
+def _some(spheres: Spheres, chosen: NDArray[np.bool_]) -> Spheres:
+    """Return chosen spheres (N,)."""
+    return Spheres(spheres.centre_mm[chosen], spheres.radius_mm[chosen])
 
 
 def _px_a_mm(bank: ViewBank, spheres: Spheres) -> float:

@@ -132,8 +132,8 @@ def test_no_ball_stands_where_hardly_any_view_sees() -> None:
     """Above the net pot's grid every picture is silent, so nothing bounds a sphere there: it must not swallow the hull."""
     bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
     silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), np.inf, np.float16)))
-    spheres = parsimony.grow_spheres(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
-    assert len(spheres.radius_mm) == 0
+    spheres, doubtful = parsimony.grow_spheres(bank, silent, np.array([[0.0, 0.0, -40.0], [1.0, 0.0, -40.0]]))
+    assert len(spheres.radius_mm) == len(doubtful.radius_mm) == 0
 
 
 def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
@@ -144,4 +144,17 @@ def test_views_bound_a_ball_on_the_axis_and_few_bound_one_beside_it() -> None:
     assert share[0] > 0.8
     assert share[1] < parsimony._HELD[0]
     lines = at + np.linspace(-1.0, 1.0, 15)[:, None, None] * np.array([0.0, 0.0, 1.0])
-    assert len(parsimony.grow_spheres(bank, maps, lines[:, 0]).radius_mm) > 10
+    assert len(parsimony.grow_spheres(bank, maps, lines[:, 0])[0].radius_mm) > 10
+
+
+def test_a_sphere_that_few_views_bound_is_doubtful_at_its_full_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between none and whole it shrinks; what it would have been is told."""
+    bank, maps, _ = hull_of((TRUNK, TWIG, OTHER))
+    line = np.array([0.0, 0.0, -75.0]) + np.linspace(-1.0, 1.0, 15)[:, None] * np.array([0.0, 0.0, 1.0])
+    whole, none = parsimony.grow_spheres(bank, maps, line)
+    assert len(none.radius_mm) == 0
+    for held, radii in ((0.3, 0.3), (0.1, 0.0)):  # of 0.25 and 0.42
+        monkeypatch.setattr(parsimony, "_held", lambda _bank, _maps, points, _radius, held=held: np.full(len(points), held))
+        shrunk, doubtful = parsimony.grow_spheres(bank, maps, line)
+        assert np.allclose(doubtful.radius_mm, whole.radius_mm)
+        assert np.allclose(shrunk.radius_mm, radii * whole.radius_mm) if radii else not len(shrunk.radius_mm)

@@ -51,7 +51,7 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     index = np.array([[64, 64, 200]], np.int32)
     solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
-    trimmed = Trimmed(solid, Spheres(np.zeros((0, 3)), np.zeros(0)), np.zeros(1, np.float32))
+    trimmed = Trimmed(solid, Spheres(np.zeros((0, 3)), np.zeros(0)), Spheres(np.zeros((0, 3)), np.zeros(0)), np.zeros(1, np.float32))
     core = grid.origin_mm + (index + 4) * 0.125
     path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
     system = strung(path)
