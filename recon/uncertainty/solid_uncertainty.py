@@ -22,14 +22,15 @@ from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty.budget import Term
 
-_OUTLINE_PX = 0.1
+_OUTLINE_PX, _OUTLINE_BINARY_PX = 0.1, 0.25
 """An outline may be this far off (90 %): bands of 1 to 3 px come out with 0.97 to 1.02 of their width, whatever their
-direction."""
+direction. Of a binary silhouette nobody knows what was asked of a pixel: whether any, half or all of it be covered.
+These are half a pixel apart, and half of that is 90 % of what lies between, nearly."""
 _ABSENT = 0.1
 """What no picture needs is taken to be absent; at 90 % confidence, a tenth of it may be there, if the shape is round as
 roots are. The hull that pictures need beside the round parts tells how far it is not: as a share of all hull beside
-them, what is needed is what may be there of the rest, too. (Of a comb's square bar, which few views look along, all that
-was taken away was there, and 69 % of the comb's hull beside round parts is needed; 17 % of a print's.)"""
+them, what is needed is what may be there of the rest, too. (Of a comb's square bar, which few views look along, all
+that was taken away was there, and 69 % of the comb's hull beside round parts is needed; 17 % of a print's.)"""
 _LEAST_PX, _LEAST_BINARY_PX = 0.2, 0.4
 """A sphere is as large as the one outline allows that allows least. Of some hundred (24 to 40 views, in each of which a
 ball's outline passes a handful of places with errors of their own) with 0.1 px at 90 %, the least lies 2.5 to 3.3
@@ -64,14 +65,14 @@ def estimate(
     volume, whole, thick_mm3 = (leaves.volume_mm3() for leaves in (trimmed.leaves, hull.leaves, thick.leaves))
     share = thick_mm3 / max(volume, 1e-9)
     by_px = mm3_per_px(hull, slack_px=slack_px) * min(1.0, volume / whole)
-    outline, removed, kept = share * _OUTLINE_PX * by_px, share * max(0.0, whole - volume), thick.kept_mm3
-    least_px = _LEAST_BINARY_PX if binary else _LEAST_PX
+    outline_px, least_px = (_OUTLINE_BINARY_PX, _LEAST_BINARY_PX) if binary else (_OUTLINE_PX, _LEAST_PX)
+    outline, removed, kept = share * outline_px * by_px, share * max(0.0, whole - volume), thick.kept_mm3
     beside = min(_beside_spheres(bank, hull, thick, least_px), removed) if removed > 0.0 else 0.0
     absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
     return (
-        Term.even("outlines", outline, "outlines of thick parts are known to a tenth of a pixel"),
+        Term.even("outlines", outline, f"outlines of thick parts are known to {outline_px:g} of a pixel"),
         Term(
             name="trimmed away",
             less_mm3=0.0,
