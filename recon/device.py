@@ -5,6 +5,8 @@ begin at a multiple of 64 bytes and inputs that do not. Small arrays begin anywh
 would be compiled time and again (a second each). These are copied to where they begin at a multiple of 64 bytes.
 """
 
+import ctypes
+import gc
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -94,6 +96,19 @@ def room(count: int, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
     buffer = np.empty(count * kind.itemsize + _ALIGNED, np.uint8)
     begin = -buffer.ctypes.data % _ALIGNED
     return buffer[begin : begin + count * kind.itemsize].view(kind)
+
+
+def release() -> None:
+    """Give back the memory that is used no more.
+
+    Dr.Jit and the C library (glibc) keep what was freed to use it again, but what follows a stage, a fit or a thinning
+    has other sizes. What loops of Dr.Jit refer to is freed by Python's search for cycles only.
+    """
+    gc.collect()
+    dr.flush_malloc_cache()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:

@@ -17,6 +17,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
+from rhizotwin.recon.device import release
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
 from rhizotwin.recon.results.by_plant import OfPlant
@@ -77,11 +78,13 @@ def reconstruct(
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
     settings, monitor = settings or Settings(), Monitor.of(monitor)
+    monitor.after_stage = release
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
-    of_pictures = _checks(pictures, cameras, coverage, settings.trust)
+    of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
+    del pictures
     hull = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     roots = None
@@ -90,6 +93,7 @@ def reconstruct(
         settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
         cameras, roots = tree.cameras, stages.keep("roots", settled, leave=_ON_DEVICE)
         if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
+            del hull
             hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
             stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
@@ -97,7 +101,7 @@ def reconstruct(
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     roots_said = () if roots is None else roots.attenuation.warnings()
-    warnings = (*pictures.warnings, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *plants_said, *shoot_said)
+    warnings = (*pictures_said, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
 

@@ -33,6 +33,8 @@ class Monitor:
     ----------
     timings_s : dict of str to float
         Seconds that each stage took, in the order in which they ended.
+    after_stage : callable or None
+        Called at the end of every stage, such as to give memory back.
     """
 
     def __init__(self, progress: type[Any] | Listener | None = None) -> None:
@@ -40,6 +42,7 @@ class Monitor:
         self._listener: Listener | None = None if isinstance(progress, type) else progress
         self._cancelled = False
         self.timings_s: dict[str, float] = {}
+        self.after_stage: Callable[[], object] | None = None
 
     @staticmethod
     def of(given: Monitor | type[Any] | Listener | None) -> Monitor:
@@ -67,6 +70,8 @@ class Monitor:
         self.check()
         begin = time.perf_counter()
         yield
+        if self.after_stage is not None:
+            self.after_stage()
         self.timings_s[name] = self.timings_s.get(name, 0.0) + time.perf_counter() - begin
 
     @contextmanager

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
-from rhizotwin.recon.device import Bool, Float, Point3f, numbers
+from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, even, evenly
@@ -27,6 +27,8 @@ not at all, a third more in full."""
 _NEAREST = 1.5, 2.5
 """Nodes on a line of sight that are so many of their edges farther from the spheres than the nearest count in full, and
 not at all: a line is as wide as a node, so that two in its cross-section are up to 1.4 edges apart."""
+_LEAST_EDGE_PX = 0.5
+"""A line of sight is at least a sample of the maps wide."""
 
 
 def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArray[np.int32], spheres: Spheres) -> NDArray[np.float32]:
@@ -63,42 +65,44 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
     most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
-        p, seen = _seen(bank, maps, view, solid)
-        place = maps.sample(p.px) + 0.5
+        px, scale, seen = _seen(bank, maps, view, solid)
+        place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
-        apart = 2.0 * edge_mm * _most_px_a_mm(p, seen) * UPSAMPLING  # samples from one of the solid's voxels to the next
+        apart = 2.0 * edge_mm * _most(scale, seen) * UPSAMPLING  # samples from one of the solid's voxels to the next
         explained = _spread(np.array(covered).reshape(height, width), max(3, 2 * math.ceil(0.5 * apart) - 1))
         values = maps.picture(view)
         deep = np.clip(1.5 * values / _DEEP_PX - 1.0, 0.0, 1.0) * (values < distance_maps.TELLS_PX)
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        p, seen = _seen(bank, maps, view, places)
-        lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, p.px, seen), 0.0)
-        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, p, beyond, lacks > 0.0, edge_mm)), 0.0, 1.0)
+        px, scale, seen = _seen(bank, maps, view, places)
+        lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
+        dr.eval(lacks)
+        edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
+        lacks *= dr.clip(_NEAREST[1] - (beyond - _nearest(maps, px, beyond, lacks > 0.0, edge_px)), 0.0, 1.0)
         most, second = dr.maximum(most, lacks), dr.maximum(second, dr.minimum(most, lacks))
         dr.eval(most, second)
     return np.array(second)
 
 
-def _nearest(maps: DistanceMaps, p: projection.Projected, beyond: Float, active: Bool, edge_mm: float) -> Float:
+def _nearest(maps: DistanceMaps, px: Vector2f, beyond: Float, active: Bool, edge_px: float) -> Float:
     """Return how far from the spheres the nearest node on the line of sight of each node is, in edges of a node.
 
-    A line of sight is as wide as a node.
+    A line of sight is as wide as a node, ``edge_px``.
     """
-    edge_px = max(edge_mm * _most_px_a_mm(p, active), 0.5)
     width, height = (int(count / edge_px) + 1 for count in maps.image_wh)
-    place = dr.clip(p.px + 0.5, 0.0, mi.Vector2f(maps.image_wh) - 1.0) / edge_px
-    at = mi.UInt32(place.y) * width + mi.UInt32(place.x)
+    # opaque: as literals they would make a kernel for every view
+    last, edge = (mi.Vector2f(*(dr.opaque(mi.Float, part) for part in pair)) for pair in ([n - 1.0 for n in maps.image_wh], [edge_px] * 2))
+    place = dr.clip(px + 0.5, 0.0, last) / edge
+    at = mi.UInt32(place.y) * dr.opaque(mi.UInt32, width) + mi.UInt32(place.x)
     nearest = dr.full(mi.Float, 1e6, width * height)
     dr.scatter_reduce(dr.ReduceOp.Min, nearest, beyond, at, active)
     return dr.gather(mi.Float, nearest, at, active)
 
 
-def _most_px_a_mm(p: projection.Projected, active: Bool) -> float:
-    """Return how many pixels a millimetre has in a view where it has most."""
-    return float(dr.max(dr.select(active, dr.sqrt(dr.norm(p.du) * dr.norm(p.dv)), 0.0))[0])
+def _most(value: Float, active: Bool) -> float:
+    return float(dr.max(dr.select(active, value, 0.0))[0])
 
 
 def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
@@ -112,9 +116,11 @@ def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
     return device.points(centres)
 
 
-def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[projection.Projected, Bool]:
-    """Project points into a view: (projection, whether the view sees them on its distance map)."""
+def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
+    """Project points into a view: pixels, px/mm, and whether the view sees them on its distance map."""
     p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
     (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
     seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
-    return p, seen
+    scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+    dr.eval(p.px, scale, seen)  # one by one, each would be a projection of its own
+    return p.px, scale, seen

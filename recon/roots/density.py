@@ -27,7 +27,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float
+from rhizotwin.recon.device import Float, release
 from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.leaves import Grid, Leaves, even
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
@@ -134,6 +134,7 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
             kept = dr.compress(shadow > _NOTHING * cells.grid.size_mm**2)
             number, shadow, table = number[np.array(kept)], dr.gather(mi.Float, shadow, kept), table.chosen(kept)
             dr.eval(shadow)
+            release()  # the steps of later passes are over more views
         done += count
     found = cells.chosen(number)
     return replace(found, shadow_mm2=np.array(shadow, np.float32), tops_mm=evidence.tops_mm), number

@@ -112,34 +112,29 @@ class Footprints:
         pixels = np.array([np.array(part) for part in found], np.int64).reshape(4, self.views, _PARTS)
         return pixels[:2].min(axis=-1).T, pixels[2:].max(axis=-1).T
 
-    def chosen(self, kept: UInt32) -> Footprints:
-        """Return those of some cells, by number (mi.UInt32)."""
-        count = dr.width(kept)
-        lane = dr.arange(mi.UInt32, count * self.views)
-        view = lane // dr.opaque(mi.UInt32, count)
-        source = view * dr.opaque(mi.UInt32, self.count) + dr.gather(mi.UInt32, kept, lane - view * dr.opaque(mi.UInt32, count))
-        place, area = dr.gather(mi.UInt32, self.place, source), dr.gather(mi.Float16, self.px2_a_mm2, source)
-        dr.eval(place, area)
-        return Footprints(self.views, count, self.steps_a_px, place, area)
-
 
 class Table:
-    """Footprints with the windows that they are looked up in."""
+    """Footprints of cells with the windows that they are looked up in.
 
-    def __init__(self, footprints: Footprints, windows: Windows) -> None:
+    Where cells are left out, a list tells which are not: a copy of their footprints, most of the memory, would be there
+    beside the whole.
+    """
+
+    def __init__(self, footprints: Footprints, windows: Windows, cells: UInt32 = None) -> None:
         self.footprints, self.windows = footprints, windows
+        self._cells = dr.arange(mi.UInt32, footprints.count) if cells is None else cells
         self._low = [numbers(windows.low[:, axis]) for axis in (0, 1)]
         self._width, self._begin = mi.UInt32(windows.size[:, 0].astype(np.uint32)), mi.UInt32(windows.begin.astype(np.uint32))
-        dr.eval(self._low, self._width, self._begin)
+        dr.eval(self._low, self._width, self._begin, self._cells)
 
     def chosen(self, kept: UInt32) -> Table:
         """Return those of some cells, by number (mi.UInt32)."""
-        return Table(self.footprints.chosen(kept), self.windows)
+        return Table(self.footprints, self.windows, dr.gather(mi.UInt32, self._cells, kept))
 
     def _at(self, view: UInt32) -> tuple[Float, Float, UInt32, UInt32, Float]:
         """Return column and row within the window, its begin and width, and the area, of all cells in a view."""
         footprints = self.footprints
-        lane = view * dr.opaque(mi.UInt32, footprints.count) + dr.arange(mi.UInt32, footprints.count)
+        lane = view * dr.opaque(mi.UInt32, footprints.count) + self._cells
         place, area = dr.gather(mi.UInt32, footprints.place, lane), mi.Float(dr.gather(mi.Float16, footprints.px2_a_mm2, lane))
         u, v = (
             mi.Float(steps) / footprints.steps_a_px - dr.gather(mi.Float, low, view)
@@ -184,12 +179,12 @@ class Table:
             value = bilinear(pictures, begin - first, width, u, v, seen)
             return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
 
-        count = self.footprints.count
+        count = dr.width(self._cells)
         _, total, votes = self._loop(views, (dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)), body)
         return total / dr.maximum(votes, 1.0)
 
     def _loop(self, views: range, state: tuple[Kernel, ...], body: Callable[..., tuple[Kernel, ...]]) -> tuple[Kernel, ...]:
         end = dr.opaque(mi.UInt32, views.stop)
-        begin = dr.opaque(mi.UInt32, views.start, self.footprints.count)
+        begin = dr.opaque(mi.UInt32, views.start, dr.width(self._cells))
         found: tuple[Kernel, ...] = dr.while_loop((begin, *state), lambda view, *_: view < end, body)
         return found

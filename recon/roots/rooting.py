@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,10 +100,8 @@ def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, m
         cells, core = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
         if not len(cells.index):
             return None
-        dr.flush_malloc_cache()  # what carving left to be used again is in the footprints' way, and these in what follows
     with monitor.stage("density"):
         cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
-        dr.flush_malloc_cache()
     with monitor.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,7 +131,6 @@ class _Trials:
             left = tube_profiles.misfit(seen, self.start.tubes, difference)
             loss = np.where(self.lone, OUTLIER * np.log1p(np.nan_to_num(left) / OUTLIER), 0.0)
             self.made[mu_per_mm, blur_px] = _Trial(mu_per_mm, blur_px, fitted, loss, float(loss.sum()))
-            dr.flush_malloc_cache()  # no trial's kernels have the sizes of another's
         return self.made[mu_per_mm, blur_px]
 
     def _guess(self, mu_per_mm: float | None) -> Tubes:

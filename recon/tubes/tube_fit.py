@@ -13,6 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from rhizotwin.recon.coverage.evidence import Evidence
+from rhizotwin.recon.device import release
 from rhizotwin.recon.tubes import tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes, moved
@@ -71,12 +72,18 @@ def fit(evidence: Evidence, tubes: Tubes, fixed: Mask, *, blur_px: float, steps:
     """
     smooth = prior(tubes)
     for _ in range(steps):
-        at = evidence.project(tubes.centre_mm)
-        drawn = tube_picture.compared(evidence, tubes, at, blur_px)
-        residual = tube_profiles.profiles(evidence, tubes, at, *drawn, blur_px).residual_gradient()
+        residual = _asked(evidence, tubes, blur_px)
         tubes = _step(tubes, residual, smooth, fixed)
         tubes = moved(tubes, tubes.centre_mm, np.where(fixed, tubes.radius_mm, _even(tubes)))
+    release()  # no other tree's kernels have these sizes
     return tubes, residual
+
+
+def _asked(evidence: Evidence, tubes: Tubes, blur_px: float) -> ResidualGradient:
+    """Return what the pictures want of each node."""
+    at = evidence.project(tubes.centre_mm)
+    depth, difference = tube_picture.compared(evidence, tubes, at, blur_px)
+    return tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).residual_gradient()
 
 
 def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, fixed: Mask) -> Tubes:

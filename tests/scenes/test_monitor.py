@@ -39,6 +39,14 @@ def test_stages_are_timed_and_add_up() -> None:
     assert 0.04 <= monitor.timings_s["sleep"] < 1.0
 
 
+def test_the_end_of_a_stage_is_told() -> None:
+    monitor, told = Monitor(), list[str]()
+    monitor.after_stage = lambda: told.append("end")
+    with monitor.stage("one"):
+        assert not told
+    assert told == ["end"]
+
+
 def test_a_bar_counts_what_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     Monitor(tqdm).each(str, "letters", "abc")
     assert "letters" in (shown := capsys.readouterr().err)

@@ -92,10 +92,19 @@ def test_pictures_are_read_where_cells_are_seen(seen: Evidence, points_mm: np.nd
 
 
 def test_chosen_cells_keep_their_footprints(seen: Evidence, points_mm: np.ndarray) -> None:
-    footprints = Footprints.of(seen, points_mm)
-    some = footprints.chosen(mi.UInt32([3, 250, 17]))
-    for whole, part in ((footprints.place, some.place), (footprints.px2_a_mm2, some.px2_a_mm2)):
-        np.testing.assert_array_equal(np.array(part).reshape(VIEWS, 3), np.array(whole).reshape(VIEWS, -1)[:, [3, 250, 17]])
+    table, number = table_of(seen, points_mm), np.arange(300)
+    pictures = table.windows.cut(seen, seen.coverage)
+    whole = np.array(table.mean_log(pictures, range(VIEWS), 0.2, 0.9))
+    for kept in ([299, 3, 250, 17], [0, 2]):  # of those that were kept before
+        table, number = table.chosen(mi.UInt32(kept)), number[kept]
+        np.testing.assert_allclose(np.array(table.mean_log(pictures, range(VIEWS), 0.2, 0.9)), whole[number], rtol=1e-6)
+    cast = [dr.zeros(mi.Float, int(table.windows.begin[-1])) for _ in range(2)]
+    dr.eval(cast)
+    table.cast(cast[0], range(VIEWS), mi.Float([1.0, 2.0]))
+    amount = np.zeros(300, np.float32)
+    amount[number] = 1.0, 2.0
+    table_of(seen, points_mm).cast(cast[1], range(VIEWS), mi.Float(amount))
+    np.testing.assert_allclose(np.array(cast[0]), np.array(cast[1]), atol=1e-6)
 
 
 @pytest.mark.parametrize("views", [3, 12, 24, 40, 41, 80, 200])
