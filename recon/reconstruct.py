@@ -159,7 +159,7 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
     if not dataset.masks:
         made += [
             picture_checks.of_exposure(coverage.exposures, trust),
-            shape_checks.of_dirt(coverage.dirt, _spread(coverage, cameras), trust),
+            shape_checks.of_dirt(coverage.dirt, _spread(pictures, coverage, cameras), trust),
         ]
     if found is not None:
         made += [
@@ -171,9 +171,10 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
     return tuple(made)
 
 
-def _spread(coverage: Coverage, cameras: Cameras) -> float | None:
+def _spread(pictures: Pictures, coverage: Coverage, cameras: Cameras) -> float | None:
     """Return the share of the light that is spread about roots, by the views in the order of their cameras."""
-    return halo.spread([coverage.silhouettes[k] for k in cameras.order])
+    order = cameras.order
+    return halo.spread([coverage.silhouettes[k] for k in order], [pictures.frames[k].station for k in order])
 
 
 def gather(
