@@ -65,8 +65,8 @@ def test_empty_pictures_tell_nothing() -> None:
 
 def test_milky_water_takes_the_trust_away() -> None:
     assert shape_checks.of_dirt(0.0, 0.001).state == "good"
-    found = shape_checks.of_dirt(0.0, 0.03)
+    found = shape_checks.of_dirt(0.0, 0.05)
     assert found.state == "bad"
-    assert "3.0 %" in found.found
-    assert "too bright" in shape_checks.of_dirt(0.0, -0.03).found
+    assert "5.0 %" in found.found
+    assert "too bright" in shape_checks.of_dirt(0.0, -0.05).found
     assert shape_checks.of_dirt(None, None).state == "untold"
