@@ -9,6 +9,7 @@ dense cell is left. Gaps are bridged where the search space allows it, at a cost
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from rhizotwin.recon.roots.density import Cells
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+T = TypeVar("T", bound=np.generic)
 
 _SMOOTH_CELLS = 0.7
 """Standard deviation of the smoothing of the density: noise of single cells is no ridge."""
@@ -159,13 +161,20 @@ def graph(cells: Cells, density: Array) -> csr_matrix:
     """Join each cell (N,) with its 26 neighbours at the cost of the way between their centres: (N, N)."""
     count = len(cells.index)
     cost = (1.0 / (density + _BRIDGE)).astype(np.float32)
-    ends: list[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]] = []
+    rows, columns, values = list[NDArray[np.int32]](), list[NDArray[np.int32]](), list[NDArray[np.float32]]()
     for step, here, there in Scattered.of(cells.index).neighbours():
         way = np.float32(cells.grid.size_mm * np.linalg.norm(step))
-        ends.append((here.astype(np.int32), there.astype(np.int32), way * np.float32(0.5) * (cost[here] + cost[there])))
-    rows, columns, values = (np.concatenate(part) for part in zip(*ends, strict=True))
-    del ends
-    return coo_matrix((values, (rows, columns)), shape=(count, count)).tocsr()
+        rows.append(here.astype(np.int32))
+        columns.append(there.astype(np.int32))
+        values.append(way * np.float32(0.5) * (cost[here] + cost[there]))
+    return coo_matrix((_strung(values), (_strung(rows), _strung(columns))), shape=(count, count)).tocsr()
+
+
+def _strung(parts: list[NDArray[T]]) -> NDArray[T]:
+    """Put arrays one after the other; the list is used up, so that they are not held twice."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
 
 
 def lengths(cost: Array, before: NDArray[np.int32], centre: Array) -> Array:
