@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -85,8 +86,9 @@ class DistanceMaps:
         values = room(len(views) * samples, np.dtype(np.float16))
 
         def draw(view: int) -> None:
-            with np.errstate(over="ignore"):  # `UNSEEN_PX` becomes infinite
-                values[view * samples : (view + 1) * samples] = outline(views[view].cut(window)).ravel()
+            # `UNSEEN_PX` becomes infinite; NumPy takes five times as long, and twenty times where it does
+            drawn = cv2.multiply(outline(views[view].cut(window)), 1.0, dtype=cv2.CV_16F)
+            values[view * samples : (view + 1) * samples] = drawn.ravel()
 
         monitor.each(draw, name, range(len(views)))
         return DistanceMaps(mi.Float16(values), (width, height), window)
