@@ -158,8 +158,8 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
-            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures have a camera pose and at least "
-            f"{LEAST_VIEWS} are needed ({reasons})."
+            f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures of roots have a camera pose and at least "
+            f"{LEAST_VIEWS} are needed ({reasons or 'take more of the turn'})."
         )
     return cameras
 
