@@ -95,13 +95,14 @@ def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
         mesh=trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False),
         hull_mm3=float(summary["hull_mm3"]),
         blades_mm2=tuple(float(area) for area in summary.get("blades_mm2", ())),
-        leaf_area_mm2=float(summary.get("leaf_area_mm2", 0.5 * mesh.areas_mm2.sum())),
+        leaf_area_mm2=summary.get("leaf_area_mm2", 0.5 * float(mesh.areas_mm2.sum())),
         stalks_mm3=float(summary.get("stalks_mm3", 0.0)),
         leaf_thickness_mm=summary.get("leaf_thickness_mm"),
         pot_top_mm=float(summary["pot_top_mm"]),
         covered_px={str(file): float(pixels) for file, pixels in summary["covered_px"].items()},
         mm2_per_px={str(file): float(area) for file, area in summary["mm2_per_px"].items()},
         hidden_share=float(summary["hidden_share"]),
+        enclosed_share=float(summary.get("enclosed_share", 0.0)),
     )
 
 

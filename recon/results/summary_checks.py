@@ -156,8 +156,8 @@ _MAYBE: dict[str, Fits] = {
         _with(
             {"hull_mm3": _number, "pot_top_mm": _number, "hidden_share": _number},
             {
-                **dict.fromkeys(("leaf_area_mm2", "stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves"), _number),
-                **dict.fromkeys(("leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
+                **dict.fromkeys(("stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves", "enclosed_share"), _number),
+                **dict.fromkeys(("leaf_area_mm2", "leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
                 "blades_mm2": _list(_number),
             },
         )

@@ -20,10 +20,10 @@ class ShootScore:
     surface_area_true_mm2: float
     """Half of the true solid's surface: one side of its blades, and half of its stalks."""
     surface_area_error: float
-    leaf_area_mm2: float
+    leaf_area_mm2: float | None
+    """Of the blades alone, one side; None where leaves enclose room that no picture looks into."""
     leaf_area_true_mm2: float
-    leaf_area_error: float
-    """Of the blades alone, one side."""
+    leaf_area_error: float | None
     leaves: int
     leaves_true: int
     projected_error: float
@@ -45,19 +45,21 @@ class ShootScore:
                 "  surface, one side",
                 f"{self.surface_area_mm2:.0f} mm2, true {self.surface_area_true_mm2:.0f} mm2: {100.0 * self.surface_area_error:+.2f} %",
             ),
-            (
-                "  leaf area",
-                f"{self.leaf_area_mm2:.0f} mm2, true {self.leaf_area_true_mm2:.0f} mm2: {100.0 * self.leaf_area_error:+.2f} %",
-            ),
+            ("  leaf area", self._leaf_area()),
             ("  leaves", f"{self.leaves}, true {self.leaves_true}"),
             ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, worst {100.0 * self.projected_error_max:.2f} %"),
             ("  volume", self._volume()),
             ("  hull", f"{self.hull_mm3:.0f} mm3, {self.hull_mm3 / self.volume_true_mm3:.2f} times the true volume"),
         ]
 
+    def _leaf_area(self) -> str:
+        if self.leaf_area_mm2 is None or self.leaf_area_error is None:
+            return f"not told, since leaves enclose room that no picture looks into, true {self.leaf_area_true_mm2:.0f} mm2"
+        return f"{self.leaf_area_mm2:.0f} mm2, true {self.leaf_area_true_mm2:.0f} mm2: {100.0 * self.leaf_area_error:+.2f} %"
+
     def _volume(self) -> str:
         if self.volume_mm3 is None or self.volume_error is None:
-            return f"not told without the leaves' thickness, true {self.volume_true_mm3:.0f} mm3"
+            return f"not told without the leaves' area and thickness, true {self.volume_true_mm3:.0f} mm3"
         return f"{self.volume_mm3:.0f} mm3, true {self.volume_true_mm3:.0f} mm3: {100.0 * self.volume_error:+.2f} %"
 
 
@@ -79,7 +81,7 @@ def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) ->
         surface_area_error=found.surface_area_mm2 / half_mm2 - 1.0,
         leaf_area_mm2=found.leaf_area_mm2,
         leaf_area_true_mm2=truth["leaf_area_mm2"],
-        leaf_area_error=found.leaf_area_mm2 / truth["leaf_area_mm2"] - 1.0,
+        leaf_area_error=None if found.leaf_area_mm2 is None else found.leaf_area_mm2 / truth["leaf_area_mm2"] - 1.0,
         leaves=found.leaves,
         leaves_true=round(truth["leaves"]),
         projected_error=float(np.median(errors)),

@@ -16,6 +16,9 @@ from rhizotwin.scenes.monitor import Monitor
 
 FINEST_MM = 0.27
 """Edge of the finest nodes: a pixel of the usual camera at the plant."""
+MUCH_ENCLOSED = 0.05
+"""Share of the hull beyond which leaf area is not told: with hulls of blades 0.7 mm thick, a ball of it has a
+twenty-fifth of their area."""
 MUCH_HIDDEN = 0.05
 """Share of hidden pixels beyond which the area is told to be too small by more than its own error (docs/shoots.md)."""
 
@@ -48,18 +51,20 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         told = blades.find(mesh)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
-    said = () if hidden <= MUCH_HIDDEN else (_hidden(hidden),)
+    enclosed = shoot_hull.enclosed_share(hull, told)
+    said = (*(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)), *(() if enclosed <= MUCH_ENCLOSED else (_enclosed(enclosed),)))
     return Shoot(
         mesh=mesh,
         hull_mm3=hull.leaves.volume_mm3(),
         blades_mm2=told.areas_mm2,
-        leaf_area_mm2=told.area_mm2,
+        leaf_area_mm2=told.area_mm2 if enclosed <= MUCH_ENCLOSED else None,
         stalks_mm3=shoot_hull.stalks_mm3(hull, told),
         leaf_thickness_mm=settings.shoot.leaf_thickness_mm or None,
         pot_top_mm=dataset.scene.net_pot.top_mm,
         covered_px={pictures.frames[k].file: float(one.coverage.sum()) for k, one in drawn.items()},
         mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},
         hidden_share=hidden,
+        enclosed_share=enclosed,
         warnings=said,
     )
 
@@ -68,6 +73,13 @@ def _hidden(share: float) -> str:
     return (
         f"{100.0 * share:.0f} % of what is seen of the shoot lies before the net pot, where its shape is not told: "
         "height and projected areas hold, the surface is too small; bring the camera lower or the panel higher"
+    )
+
+
+def _enclosed(share: float) -> str:
+    return (
+        f"{100.0 * share:.0f} % of the shoot's hull is thicker than leaves are: they enclose room that no picture looks into, so that "
+        "leaf area is not told and the surface is too small; height and projected areas hold; take a ring from higher above"
     )
 
 

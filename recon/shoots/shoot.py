@@ -22,9 +22,9 @@ class Shoot:
     """Volume of the visual hull, which no shoot with these silhouettes exceeds; several times that of thin leaves."""
     blades_mm2: tuple[float, ...]
     """One-sided area of each blade that stands by itself, the largest first; two that touch are one."""
-    leaf_area_mm2: float
+    leaf_area_mm2: float | None
     """One-sided area of all blades: half of the hull's surface there, for the hull of a blade is a lens about it, whose
-    two sides lie along the blade's."""
+    two sides lie along the blade's. None where leaves enclose room that no picture looks into: there it is solid."""
     stalks_mm3: float
     """Volume of the hull's stem and petioles."""
     leaf_thickness_mm: float | None = None
@@ -37,6 +37,8 @@ class Shoot:
     """Area of a pixel at the canister's axis, by the frame's file."""
     hidden_share: float
     """Share of the covered pixels before the pot or beside the panel, where the hull is not told."""
+    enclosed_share: float
+    """Share of the hull's volume that lies deeper in it than leaves and stalks do."""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -67,8 +69,10 @@ class Shoot:
 
     @property
     def volume_mm3(self) -> float | None:
-        """Volume of stalks, and of blades by their area and measured thickness; None where nobody measured it."""
-        return None if self.leaf_thickness_mm is None else self.stalks_mm3 + self.leaf_area_mm2 * self.leaf_thickness_mm
+        """Volume of stalks, and of blades by their area and measured thickness; None where either is not known."""
+        if self.leaf_thickness_mm is None or self.leaf_area_mm2 is None:
+            return None
+        return self.stalks_mm3 + self.leaf_area_mm2 * self.leaf_thickness_mm
 
     @property
     def projected_mean_mm2(self) -> float:
@@ -99,4 +103,5 @@ class Shoot:
             "convex_mm3": self.convex_mm3,
             "pot_top_mm": self.pot_top_mm,
             "hidden_share": self.hidden_share,
+            "enclosed_share": self.enclosed_share,
         }

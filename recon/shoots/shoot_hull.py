@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull import carve, surface
@@ -16,11 +17,14 @@ from rhizotwin.recon.hull.leaves import Hull
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.shoots.blades import Blades
+from rhizotwin.recon.shoots.blades import NEAR_MM, Blades
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 
+_DEEP_MM = NEAR_MM / 2.0
+"""No blade and hardly a stalk reaches so deep: the hull of a blade 40 mm wide, seen from 9 degrees apart, is 1.6 mm
+thick. Of the twin's default shoot nothing lies deeper than 1.5 mm, of a cup of nine leaves that touch, 45 %."""
 SLACK_PX = 0.3
 """As for roots: how far an outline may be off."""
 _ROOM = 0.8
@@ -83,6 +87,14 @@ def stalks_mm3(hull: Hull, blades: Blades) -> float:
     middle = np.asarray(grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * grid.size_mm
     mm3 = leaves.occupancy * (leaves.size * grid.size_mm).astype(np.float64) ** 3
     return float(mm3[~blades.near(middle)].sum())
+
+
+def enclosed_share(hull: Hull, blades: Blades) -> float:
+    """Return the share of a hull's volume that lies deeper in it than leaves and stalks do."""
+    leaves, grid = hull.leaves, hull.leaves.grid
+    mm3 = leaves.occupancy * (leaves.size * grid.size_mm).astype(np.float64) ** 3
+    depth_mm = cKDTree(blades.points_mm).query(leaves.middles_mm, workers=-1)[0]
+    return float(mm3[depth_mm > _DEEP_MM].sum() / mm3.sum())
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:

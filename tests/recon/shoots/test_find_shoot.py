@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.optics.cameras import View, matrix
-from rhizotwin.recon.shoots import shoot_hull, shoot_silhouettes
+from rhizotwin.recon.shoots import blades, find_shoot, shoot_hull, shoot_silhouettes
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -46,19 +46,21 @@ def ball(radius_mm: float, at_mm: tuple[float, float, float]) -> np.ndarray:
     return radius_mm * direction / np.linalg.norm(direction, axis=1, keepdims=True) + np.array(at_mm)
 
 
-def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """Return hull volume, bounds of its mesh, and half of its surface."""
+def found(points_mm: np.ndarray) -> tuple[float, np.ndarray, float, float]:
+    """Return hull volume, bounds of its mesh, half of its surface, and the share of it that leaves would enclose."""
     every = views()
     silhouettes = shoot_silhouettes.of_ring([drawn(view, points_mm) for view in every], every, SCENE)
     hull, mesh = shoot_hull.find(silhouettes, every, SCENE, finest_mm=0.5, monitor=Monitor.of(None))
-    return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area)
+    enclosed = shoot_hull.enclosed_share(hull, blades.find(mesh))
+    return hull.leaves.volume_mm3(), np.asarray(mesh.bounds), 0.5 * float(mesh.area), enclosed
 
 
 def test_a_ball_in_the_air_has_its_size_and_place() -> None:
-    volume_mm3, bounds, _ = found(ball(15.0, (10.0, -5.0, 75.0)))
+    volume_mm3, bounds, _, enclosed = found(ball(15.0, (10.0, -5.0, 75.0)))
     assert volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * 15.0**3, rel=0.04)
     assert bounds[0] == pytest.approx([-5.0, -20.0, 60.0], abs=0.7)
     assert bounds[1] == pytest.approx([25.0, 10.0, 90.0], abs=0.7)
+    assert enclosed == pytest.approx((13.0 / 15.0) ** 3, abs=0.05), "what is deeper than 2 mm"
 
 
 def test_a_disc_that_leans_has_its_one_sided_area() -> None:
@@ -67,7 +69,9 @@ def test_a_disc_that_leans_has_its_one_sided_area() -> None:
     flat = 20.0 * np.stack([np.cos(angle), np.sin(angle) * np.cos(lean), np.sin(angle) * np.sin(lean)], axis=1)
     across = 0.5 * np.array([0.0, -np.sin(lean), np.cos(lean)])
     disc = np.concatenate([flat + across, flat - across]) + np.array([0.0, 0.0, 80.0])  # 1 mm thick: 1.5 px
-    assert found(disc)[2] == pytest.approx(np.pi * (400.0 + 20.0), rel=0.06)
+    *_, half_mm2, enclosed = found(disc)
+    assert half_mm2 == pytest.approx(np.pi * (400.0 + 20.0), rel=0.06)
+    assert enclosed < find_shoot.MUCH_ENCLOSED
 
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
