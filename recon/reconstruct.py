@@ -77,8 +77,7 @@ def reconstruct(
         After `Monitor.cancel`.
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    settings, monitor = settings or Settings(), Monitor.of(monitor)
-    monitor.after_stage = release
+    settings, monitor = settings or Settings(), _releasing(monitor)
     pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
@@ -100,10 +99,17 @@ def reconstruct(
     checked = (*of_pictures, *solid.checks)
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
-    roots_said = () if roots is None else roots.attenuation.warnings()
-    warnings = (*pictures_said, *cameras.warnings, *roots_said, *solid.warnings, *_lost(solid), *plants_said, *shoot_said)
+    solid_said = (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_lost(solid))
+    warnings = (*pictures_said, *cameras.warnings, *solid_said, *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
+
+
+def _releasing(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
+    """Return a monitor after whose stages memory that is used no more is given back."""
+    made = Monitor.of(monitor)
+    made.after_stage = release
+    return made
 
 
 def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
