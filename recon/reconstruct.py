@@ -24,6 +24,7 @@ from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import crown, plants, rooting
+from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
@@ -85,8 +86,7 @@ def reconstruct(
     of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
     del pictures
     hull = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE)
-    tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
-    roots = None
+    tree, roots = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor), None
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
@@ -99,8 +99,7 @@ def reconstruct(
     checked = (*of_pictures, *solid.checks)
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
-    solid_said = (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_lost(solid))
-    warnings = (*pictures_said, *cameras.warnings, *solid_said, *plants_said, *shoot_said)
+    warnings = (*pictures_said, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
 
@@ -134,6 +133,11 @@ def _judged(solid: Solid, checked: tuple[Check, ...]) -> Solid:
     """Return a solid whose volume is not trusted where a check failed."""
     failed = checks.failed(checked)
     return replace(solid, volume=solid.volume.distrusted(failed)) if failed else solid
+
+
+def _said(solid: Solid, roots: RootSystem | None) -> tuple[str, ...]:
+    """Return what is to be said of roots and solid."""
+    return (*(() if roots is None else roots.attenuation.warnings()), *solid.warnings, *_lost(solid))
 
 
 def _lost(solid: Solid) -> tuple[str, ...]:
