@@ -146,7 +146,9 @@ def _refined(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenu
 
 def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, learned: Attenuation | None) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Find how much light thin roots let through; return that, what the pictures say then, and the tubes."""
-    attenuation, fitted = tube_attenuation.find(seen, fitted, organ, find_blur(seen, fitted))
+    attenuation, fitted = tube_attenuation.find(
+        seen, fitted, organ, find_blur(seen, fitted), None if learned is None else learned.mu_per_mm
+    )
     if attenuation.mu_per_mm is None and learned is not None and learned.mu_per_mm is not None:
         # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is
         # their coverage

@@ -129,6 +129,17 @@ def test_tubes_tell_the_attenuation() -> None:
     assert again.sigma < 0.15
 
 
+def test_too_few_tubes_to_tell_let_as_much_light_through_as_the_widest_roots_seemed_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = strung(*STAR)
+    seen, organ = pictured(truth, 2.0, noise=0.005), np.zeros(len(truth.radius_mm), bool)
+    start = tube_attenuation.scaled(truth, organ, 2.0, None)
+    monkeypatch.setattr(tube_attenuation, "_LEAST_LONE", 10**9)
+    assert tube_attenuation.find(seen, start, organ, 0.0)[0].mu_per_mm is None
+    attenuation, found = tube_attenuation.find(seen, start, organ, 0.0, 2.0)
+    assert (attenuation.mu_per_mm, attenuation.sigma) == (2.0, tube_attenuation._LEARNED_SIGMA)
+    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.05)
+
+
 def test_opaque_tubes_stay_opaque() -> None:
     truth = strung(*STAR)
     seen = pictured(truth, None, noise=0.005)
