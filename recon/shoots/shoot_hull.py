@@ -83,18 +83,13 @@ def find(
 
 def stalks_mm3(hull: Hull, blades: Blades) -> float:
     """Return the volume of the part of a hull that is nearest to stem or petioles."""
-    leaves, grid = hull.leaves, hull.leaves.grid
-    middle = np.asarray(grid.origin_mm) + (leaves.index + 0.5 * leaves.size[:, None]) * grid.size_mm
-    mm3 = leaves.occupancy * (leaves.size * grid.size_mm).astype(np.float64) ** 3
-    return float(mm3[~blades.near(middle)].sum())
+    return hull.leaves.some(~blades.near(hull.leaves.middles_mm)).volume_mm3()
 
 
 def enclosed_share(hull: Hull, blades: Blades) -> float:
     """Return the share of a hull's volume that lies deeper in it than leaves and stalks do."""
-    leaves, grid = hull.leaves, hull.leaves.grid
-    mm3 = leaves.occupancy * (leaves.size * grid.size_mm).astype(np.float64) ** 3
-    depth_mm = cKDTree(blades.points_mm).query(leaves.middles_mm, workers=-1)[0]
-    return float(mm3[depth_mm > _DEEP_MM].sum() / mm3.sum())
+    depth_mm = cKDTree(blades.points_mm).query(hull.leaves.middles_mm, workers=-1)[0]
+    return hull.leaves.some(depth_mm > _DEEP_MM).volume_mm3() / hull.leaves.volume_mm3()
 
 
 def _room(drawn: Sequence[Silhouette], views: Sequence[View], scene: Scene) -> Water:

@@ -198,6 +198,10 @@ class _Dense:
     mixed: Mask
     """(P,) those about which there may be another branch: points near no others need no closer look."""
 
+    tree: cKDTree
+    parts: tuple[tuple[Index, cKDTree], ...]
+    """The thick ones and the others, each with a tree: the radius of the thickest bounds the search."""
+
     @staticmethod
     def of(tubes: Tubes) -> _Dense:
         """Put points on tubes."""
@@ -213,16 +217,15 @@ class _Dense:
             one, other = np.flatnonzero(thick)[apart["i"]], apart["j"]
             touch = (apart["v"] < radius[one] + radius[other] + 2.0 * _DENSE_MM) & (owner[one] != owner[other])
             mixed[one[touch]] = mixed[other[touch]] = True
-        return _Dense(centre, radius, owner, along, mixed)
+        parts = tuple((part, cKDTree(centre[part])) for part in (np.flatnonzero(thick), np.flatnonzero(~thick)) if len(part))
+        return _Dense(centre, radius, owner, along, mixed, tree, parts)
 
     def holding(self, point: Array, branch: Index) -> tuple[Index, Index, Array]:
         """Find which points (M, 3) of branches (M,) lie inside other branches, as `within`."""
-        pairs, thick = [np.zeros((2, 0), np.int64)], self.radius_mm > _THICK_MM
-        unproven = np.flatnonzero(self.mixed[cKDTree(self.centre_mm).query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
-        for part in (np.flatnonzero(thick), np.flatnonzero(~thick)):
-            if not len(part) or not len(unproven):
-                continue
-            tree, width = cKDTree(self.centre_mm[part]), self.radius_mm[part]
+        pairs = [np.zeros((2, 0), np.int64)]
+        unproven = np.flatnonzero(self.mixed[self.tree.query(point, workers=-1)[1]]) if len(point) else np.zeros(0, np.int64)
+        for part, tree in self.parts if len(unproven) else ():
+            width = self.radius_mm[part]
             numbers = list(range(1, min(_NEAR, tree.n) + 1))
             distance, near = tree.query(point[unproven], k=numbers, distance_upper_bound=width.max(), workers=-1)
             near = np.minimum(near, tree.n - 1)  # farther ones come as infinitely far
