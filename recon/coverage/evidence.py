@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
+from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
@@ -48,6 +49,8 @@ class Evidence:
     image_wh: tuple[int, int]
     mu_per_mm: float | None = None
     """Attenuation of the roots; None for opaque ones."""
+    hairs: Hairs | None = None
+    """What stands about the roots; None: nothing that was seen."""
     light: bool = False
     """Whether ``coverage`` is opacity, which comes with its noise; coverage comes without."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()

@@ -83,6 +83,15 @@ _THINNEST_MM = 0.08
 
 
 @dataclass(frozen=True)
+class Hairs:
+    """Root hairs, as a grey sleeve about every root."""
+
+    length_mm: float
+    mu_per_mm: float
+    """Attenuation of the sleeve."""
+
+
+@dataclass(frozen=True)
 class Attenuation:
     """How roots look before the backlight."""
 

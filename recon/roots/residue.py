@@ -114,8 +114,7 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     paths, radii, parents = [], [], []
     for way in lines:
         thick = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        if evidence.mu_per_mm is not None:
-            thick = radius_of(thick, evidence.mu_per_mm)
+        thick = radius_of(thick, evidence.mu_per_mm, evidence.hairs)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(thick[1:]))))
         first = int(node[nearest[way[0]]])

@@ -76,7 +76,9 @@ def find(
         return None
     if attenuation.mu_per_mm is not None:
         with monitor.stage("translucency again"):
-            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation)
+            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
+    with monitor.stage("hairs"):
+        attenuation, seen, fitted = tube_attenuation.with_hairs(seen, fitted, organ, attenuation)
     return RootTree(
         tubes=fitted,
         buried=buried,
@@ -136,9 +138,11 @@ def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_m
     return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
 
 
-def _refined(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation) -> tuple[TubeAttenuation, Evidence, Tubes]:
+def _refined(
+    seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation, learned: Attenuation | None
+) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Find the attenuation once more with all roots there, and fit the tubes with it; return as `_attenuated`."""
-    attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation)
+    attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation, None if learned is None else learned.mu_per_mm)
     seen = replace(seen, mu_per_mm=attenuation.mu_per_mm)
     fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=attenuation.blur_px, steps=AFTER_STEPS)
     return attenuation, seen, fitted

@@ -9,6 +9,11 @@ of the light. Cut into levels, alpha is a heap of strips of half-widths s, ``int
 integral s^(2k+1) dh``, and Gauss's quadrature of this heap (Golub and Welsch 1969, Math. Comp. 23:221) gives the two
 strips of half-widths e w and heights h that have the integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6
 alpha`` in common with it: a pixel and a blur as wide as the root tell no more of it.
+
+Hairs of length l stand about it as a grey sleeve of attenuation m. A line of sight through the sleeve alone passes
+``sqrt((w + l)^2 - x^2) - sqrt(w^2 - x^2)`` of it on either side, so that its faint opacity adds up to ``pi m l (2 w +
+l) / sin(theta)``, and x^2 over it to three quarters of ``w^2 + (w + l)^2``, a third of that being a strip's: one strip
+more, behind which the root's own strips have what light is left.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.device import Float, numbers
 
 Array = NDArray[np.float64]
@@ -79,23 +85,35 @@ class Layer:
     """Derivative of the height by the root's half-width, 1/px."""
 
 
-def layers(mu_per_mm: float | None, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+def layers(mu_per_mm: float | None, hairs: Hairs | None, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips in place of roots.
 
     `strips` in a picture, as a kernel has it; one and opaque without attenuation.
 
     Parameters
     ----------
+    mu_per_mm : float or None
+        Attenuation; None for opaque roots.
+    hairs : Hairs or None
+        What stands about them.
     radius_mm, half_px : Float
         The roots', mi.Float.
     sine : Float
         Of the angle between axis and line of sight, mi.Float.
     """
+    sine = dr.maximum(sine, LEAST_SINE)
     if mu_per_mm is None:
-        return [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
+        own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
+    else:
+        own = _translucent(mu_per_mm, radius_mm, sine, half_px)
+    return own if hairs is None else _hairy(own, hairs, radius_mm, sine, half_px)
+
+
+def _translucent(mu_per_mm: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+    """Return the strips of translucent roots without hairs."""
     log_tau, table = _table()
     rows = numbers(np.moveaxis(table, -1, 0))  # widths and heights of both strips, then their slopes
-    tau = dr.opaque(mi.Float, mu_per_mm) * radius_mm / dr.maximum(sine, LEAST_SINE)
+    tau = dr.opaque(mi.Float, mu_per_mm) * radius_mm / sine
     place = (dr.log(dr.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
     before = dr.minimum(mi.UInt32(place), len(log_tau) - 2)
     part = place - mi.Float(before)
@@ -109,23 +127,50 @@ def layers(mu_per_mm: float | None, radius_mm: Float, sine: Float, half_px: Floa
     return [Layer(half_px * e[n], h[n], h[n] * (e[n] + e_slope[n]), h_slope[n] / half_px) for n in range(LAYERS)]
 
 
-def radius_of(opaque_mm: Array, mu_per_mm: float) -> Array:
-    """Return the radii (N,) of translucent roots that absorb as much light as opaque ones of given radii (N,).
+def _hairy(own: list[Layer], hairs: Hairs, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+    """Return the strips of roots behind that of their hairs, and that."""
+    long, mu = dr.opaque(mi.Float, hairs.length_mm), dr.opaque(mi.Float, hairs.mu_per_mm)
+    px_a_mm = half_px / radius_mm
+    outer = radius_mm + long
+    half_mm = dr.sqrt(0.75 * (dr.square(radius_mm) + dr.square(outer)))
+    wider = 0.75 * (radius_mm + outer) / half_mm  # d half_mm / d radius_mm
+    depth = (0.5 * np.pi) * mu * long * (radius_mm + outer) / (half_mm * sine)
+    left = dr.exp(-depth)
+    darker = left * depth * (2.0 / (radius_mm + outer) - wider / half_mm) / px_a_mm  # d height / d half_px
+    sleeve = Layer(half_mm * px_a_mm, 1 - left, (1 - left) * wider, darker)
+    behind = [Layer(one.half_px, one.height * left, one.by_width * left, one.by_height * left - one.height * darker) for one in own]
+    return [*behind, sleeve]
+
+
+_RADII_MM = np.geomspace(1e-3, 30.0, 3001)
+"""Radii at which it is tabulated how much light roots take, a third of a percent apart."""
+
+
+def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: Hairs | None = None) -> Array:
+    """Return the radii (N,) of roots that absorb as much light as opaque bare ones of given radii (N,).
 
     Seen from the side.
     """
-    log_tau, (width, height, *_) = _table()
-    area = _TAU * (width * height).sum(axis=0)
-    return np.asarray(np.exp(np.interp(np.log(opaque_mm * mu_per_mm), np.log(area), log_tau)) / mu_per_mm)
+    if mu_per_mm is None and hairs is None:
+        return opaque_mm
+    area = np.log(opaque_radius(_RADII_MM, mu_per_mm, hairs))
+    return np.asarray(np.exp(np.interp(np.log(opaque_mm), area, np.log(_RADII_MM))))
 
 
-def opaque_radius(radius_mm: Array, mu_per_mm: float) -> Array:
-    """Return the radii (N,) of opaque roots that absorb as much light as translucent ones of given radii (N,).
+def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: Hairs | None = None) -> Array:
+    """Return the radii (N,) of opaque bare roots that absorb as much light as given ones (N,).
 
     Seen from the side.
     """
-    seen = strips(mu_per_mm * radius_mm)
-    return np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
+    own = radius_mm
+    if mu_per_mm is not None:
+        seen = strips(mu_per_mm * radius_mm)
+        own = np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
+    if hairs is None:
+        return own
+    half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + hairs.length_mm) ** 2))
+    left = np.exp(-0.5 * np.pi * hairs.mu_per_mm * hairs.length_mm * (2.0 * radius_mm + hairs.length_mm) / half_mm)
+    return np.asarray(own * left + half_mm * (1.0 - left))
 
 
 @cache

@@ -188,7 +188,7 @@ class _Strips:
             du, dv = (dr.gather(mi.Vector3f, part, end) for part in (p.du, p.dv))
             radius_mm = dr.gather(mi.Float, numbers(radii), segment)
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
-            layers.append(translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
+            layers.append(translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         # the water magnifies sideways: the picture of a sphere is an ellipse
         is_tip = dr.gather(mi.Float, numbers(tubes.segment_neighbours[:, 1] == segments[:, 1]), segment)

@@ -85,7 +85,7 @@ class Sections:
         across = normal.x * du + normal.y * dv
         scale = dr.norm(across)
         half_px = radius_mm * scale
-        layers = translucent_tube.layers(evidence.mu_per_mm, radius_mm, sine_to_sight(du, dv, t), half_px)
+        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine_to_sight(du, dv, t), half_px)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, layers)
 

@@ -15,7 +15,7 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
@@ -36,6 +36,9 @@ _FLAT, _FLAT_PX = 0.1, 0.1
 _FLATTEST = 0.26
 """Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r
 / (3 pi)."""
+_HAIRS_KNOWN = 0.5
+"""Hairs of radish are a tenth to half a millimetre long: what they take is known to half of what those of the middle
+do."""
 _FLAT_NODES = 5
 """Nodes along which a section is taken to be alike: 3 mm."""
 _LEAST_FREE = 0.1
@@ -85,6 +88,7 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
         ),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
         *_translucency(system),
+        *_hairs(system),
         Term.even("uncertain ends", ends, "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
@@ -97,7 +101,7 @@ def _translucency(system: RootSystem) -> tuple[Term, ...]:
     attenuation, tubes = system.attenuation, system.tubes
 
     def volume_mm3(mu_per_mm: float | None) -> float:
-        radius = tube_attenuation.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm).radius_mm
+        radius = tube_attenuation.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
         return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
 
     if attenuation.mu_per_mm is not None:
@@ -111,6 +115,23 @@ def _translucency(system: RootSystem) -> tuple[Term, ...]:
         why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
         return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(attenuation.rival_per_mm) - volume_mm3(None), why=why),)
     return ()
+
+
+def _hairs(system: RootSystem) -> tuple[Term, ...]:
+    """Return what the light that hairs take means: roots without them would be wider."""
+    told, tubes, mu = system.attenuation.hairs, system.tubes, system.attenuation.mu_per_mm
+    if told == "none":
+        return ()
+    there = system.seen.hairs
+    light = translucent_tube.opaque_radius(tubes.radius_mm, mu, there)
+    other = translucent_tube.radius_of(light, mu, tube_attenuation.HAIRS if there is None else None)
+    free = np.where(system.buried, 0.0, np.pi * _lengths(tubes))
+    change = float(free @ np.square(other) - free @ np.square(tubes.radius_mm))
+    if there is None:
+        why = "the pictures do not tell whether hairs stand about the roots"
+        return (Term(name="hairs", less_mm3=max(0.0, -change), more_mm3=0.0, why=why),)
+    why = "hairs stand about the roots, and what they take of the light is known to a half"
+    return (Term.even("hairs", _HAIRS_KNOWN * abs(change), why),)
 
 
 def _signed(name: str, change_mm3: float, why: str) -> Term:

@@ -91,7 +91,7 @@ def test_a_tube_that_no_view_sees_has_no_sections() -> None:
 def test_layers_of_the_kernel_are_the_strips(mu: float) -> None:
     radius, sine = np.geomspace(0.02, 3.0, 50), np.linspace(0.01, 1.0, 50)
     strips = translucent_tube.strips(mu * radius / np.maximum(sine, translucent_tube.LEAST_SINE))
-    found = translucent_tube.layers(mu, mi.Float(radius), mi.Float(sine), mi.Float(10.0 * radius))
+    found = translucent_tube.layers(mu, None, mi.Float(radius), mi.Float(sine), mi.Float(10.0 * radius))
     w = 10.0 * radius
     for n, layer in enumerate(found):
         dr.eval(layer.half_px, layer.height, layer.by_width, layer.by_height)
