@@ -1,6 +1,9 @@
 """Steps that several commands take: the engine started, a dataset reconstructed and drawn."""
 
+import gc
 import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +72,22 @@ def _refuse_place(output: Path, dataset: Path) -> None:
         raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
 
 
+@contextmanager
+def _old_left_alone() -> Iterator[None]:
+    """Keep Python's search for cycles from looking at what was there before, such as all modules.
+
+    A reconstruction searches some fifty times, to give memory back.
+    """
+    import rhizotwin.recon.reconstruct  # noqa: F401 - to be there before
+
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 def reconstruct_whole(
     dataset: Path,
     output: Path,
@@ -114,7 +133,7 @@ def reconstruct_whole(
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
     # once: what happens to the folder meanwhile does not change what the result was made from
     loaded = load_dataset(dataset)
-    with new_folder(output, replaces=RESULT_NAMES) as building:
+    with new_folder(output, replaces=RESULT_NAMES) as building, _old_left_alone():
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
             reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, monitor=monitor).save(building)

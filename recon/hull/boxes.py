@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 Whole = NDArray[np.integer]
 
@@ -79,11 +81,41 @@ class Scattered:
 
         The 13 opposite steps lead back.
         """
+        place = np.arange(len(self.number))
         for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)):
             wanted = self.number + int(step @ self.box.step)
-            place = self._place(wanted)
-            some = np.flatnonzero(self.number[place] == wanted) if len(wanted) else place
+            # one further along z than the last: there, or the next one
+            onward = np.minimum(place + (self.number[place] == wanted - 1), len(self.number) - 1)
+            place = self._place(wanted) if step[2] < 0 else onward
+            some = np.flatnonzero(self.number[place] == wanted)
             yield step, self.order[some], self.order[place[some]]
+
+    def parts(self) -> NDArray[np.int64]:
+        """Return which connected part (N,) each cell belongs to.
+
+        Rows along z are joined, whose cells are connected anyway: two of them touch where one of them begins.
+        """
+        first = np.append(True, np.diff(self.number) > 1)[: len(self.number)]
+        row, begin = np.cumsum(first) - 1, self.number[first]
+        here, there = list[NDArray[np.int64]](), list[NDArray[np.int64]]()
+        for step in (np.array(s) - 1 for s in np.ndindex(3, 3, 3) if s[:2] != (1, 1)):
+            wanted = begin + int(step @ self.box.step)
+            place = self._place(wanted)
+            some = np.flatnonzero(self.number[place] == wanted)
+            here.append(some)
+            there.append(row[place[some]])
+        ends = np.concatenate(here), np.concatenate(there)
+        joined = coo_matrix((np.ones(len(ends[0]), bool), ends), shape=(len(begin),) * 2)
+        found = np.empty(len(self.number), np.int64)
+        found[self.order] = connected_components(joined, directed=False)[1][row]
+        return found
+
+    def faces(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return which cells (M,) have a face in common with an empty one, and these empty cells (K, 3)."""
+        beside = [self.number + step for step in (*self.box.step, *-self.box.step)]
+        empty = [~self.lists(number) for number in beside]
+        beyond = np.unique(np.concatenate([number[some] for number, some in zip(beside, empty, strict=True)]))
+        return self.order[np.any(empty, axis=0)], self.box.cell(beyond)
 
     def _place(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.minimum(np.searchsorted(self.number, number), len(self.number) - 1)

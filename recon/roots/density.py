@@ -17,18 +17,17 @@ the work. Along a root the shadows add up to its diameter a millimetre of length
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float, release
-from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.leaves import Grid, Leaves, even
 from rhizotwin.recon.roots.footprints import Footprints, Table, Windows
 
@@ -70,12 +69,10 @@ class Cells:
         """Return the centres (N, 3), canister frame."""
         return np.asarray(self.grid.origin_mm) + (self.index + 0.5) * self.grid.size_mm
 
-    def parts(self) -> NDArray[np.int64]:
-        """Return which connected part (N,) each cell belongs to."""
-        pairs = [(here, there) for _, here, there in Scattered.of(self.index).neighbours()]
-        here, there = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
-        joined = coo_matrix((np.ones(len(here), bool), (here, there)), shape=(len(self.index),) * 2)
-        return np.asarray(connected_components(joined, directed=False)[1], np.int64)
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Return the tree of the centres."""
+        return cKDTree(self.centre_mm)
 
     def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Cells:
         """Return some of the cells, by mask (N,) or number (M,)."""
@@ -113,8 +110,8 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     number = np.arange(len(cells.index))
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
-    footprints = Footprints.of(evidence, cells.centre_mm)
-    thick = [Footprints.of(evidence, solid.centre_mm)] if len(solid.index) else []
+    footprints = Footprints.of(evidence, cells.grid, cells.index)
+    thick = [Footprints.of(evidence, solid.grid, solid.index)] if len(solid.index) else []
     table = Table(footprints, Windows.around(footprints, *thick))
     every = range(evidence.bank.count)
     coverage = table.windows.cut(evidence, evidence.coverage)

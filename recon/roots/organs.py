@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import readable, vectors
+from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.spheres import Spheres, depth_in_spheres
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.roots import tracing
@@ -45,9 +46,11 @@ def thick(core: Cells, spheres: Spheres, least_mm: float) -> Cells:
         return core
     large = spheres.radius_mm >= least_mm
     kept = depth_in_spheres(Spheres(spheres.centre_mm[large], _TO_CORNER * spheres.radius_mm[large]), core.centre_mm) > 0.0
-    part = core.parts()
-    deep = part[tracing.core_depth(core, core.index, reach_mm=core.grid.size_mm) > least_mm]
-    return core.chosen(kept | (np.isin(part, deep) & ~np.isin(part, part[kept])))
+    part = Scattered.of(core.index).parts()
+    alone = np.flatnonzero(~np.isin(part, part[kept]))
+    others = core.chosen(alone)
+    kept[alone] = np.isin(part[alone], part[alone][tracing.core_depth(others, others.index, reach_mm=core.grid.size_mm) > least_mm])
+    return core.chosen(kept)
 
 
 def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.bool_]:
@@ -60,9 +63,10 @@ def footprint(evidence: Evidence, core: Cells, margin_px: float) -> NDArray[np.b
     """
     (width, height), views = evidence.image_wh, evidence.bank.count
     covered = np.zeros((views, height, width), bool)
-    points = vectors(core.centre_mm)
-    for view in range(views if len(core.index) else 0):
-        p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(core.index)), points, mi.Bool(True))
+    rim = core.chosen(Scattered.of(core.index).faces()[0])  # it hides the others
+    points = vectors(rim.centre_mm)
+    for view in range(views if len(rim.index) else 0):
+        p = projection.project(evidence.bank, dr.opaque(mi.UInt32, view, len(rim.index)), points, mi.Bool(True))
         lane = dr.compress(p.seen & readable(p.px, width, height))
         if dr.width(lane):
             column, row = mi.UInt32(p.px.x + 0.5), mi.UInt32(p.px.y + 0.5)
@@ -99,7 +103,7 @@ def thicken(start: Tubes, core: Cells, spheres: Spheres, near_mm: float) -> tupl
     none = np.zeros(len(start.radius_mm), bool)
     if not len(core.index) or not len(spheres.radius_mm):
         return start, none, none
-    buried: Mask = cKDTree(core.centre_mm).query(start.centre_mm)[0] < near_mm
+    buried: Mask = core.tree.query(start.centre_mm)[0] < near_mm
     away, nearest = cKDTree(spheres.centre_mm).query(start.centre_mm)
     radius, organ = spheres.radius_mm[nearest], none.copy()
     width = np.where(away < radius + near_mm, 2.0 * radius, np.inf)  # what lies in no sphere is no root
@@ -168,6 +172,6 @@ def in_solids(tree: Tubes, core: Cells, organ: Mask, margin_mm: float) -> Mask:
     """
     if not len(core.index):
         return np.zeros(len(organ), bool)
-    away, nearest = cKDTree(core.centre_mm).query(tree.centre_mm)
-    part = core.parts()[nearest]
+    away, nearest = core.tree.query(tree.centre_mm)
+    part = Scattered.of(core.index).parts()[nearest]
     return (away < margin_mm) & ~np.isin(part, part[organ])

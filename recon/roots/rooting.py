@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,8 @@ _FLANK_PX = 0.5
 """About `CORE_PX` and this beyond a core point lies the flank of a taproot or hypocotyl."""
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a taproot's flank: half a pixel of outline, and its swelling."""
+_RIND_CELLS = 1.5
+"""A core's cells deeper than this hide nothing that the rind about them does not: one layer covers what is behind."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 """Standard deviations of blurs that are tried, beside the square pixel's own."""
 _BLUR_VIEWS = 24
@@ -60,7 +64,7 @@ def find(
         near_mm = 1.5 * cells.grid.size_mm
         whole = seen
         seen, core, fitted, organ = _first_fit(seen, start, core, spheres, near_mm, px_a_mm)
-        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
+        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm, most_mm=0.0)
     with monitor.stage("translucency"):
         attenuation, seen, fitted = _attenuated(seen, fitted, organ, learned)
     with monitor.stage("branches"):
@@ -134,7 +138,8 @@ def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_m
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
-    thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(organ))
+    rind = organ & (depth < _RIND_CELLS * cells.grid.size_mm)
+    thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(rind))
     return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
 
 
@@ -204,5 +209,5 @@ def find_blur(seen: Evidence, fitted: Tubes) -> float:
     cost = []
     for blur_px in _BLURS_PX:
         _, difference = tube_picture.compared(seen, fitted, at, blur_px)
-        cost.append(float(np.square(difference.numpy(), dtype=np.float32).sum(dtype=np.float64)))
+        cost.append(float(dr.sum(dr.square(mi.Float64(difference)))[0]))
     return _BLURS_PX[int(np.argmin(cost))]

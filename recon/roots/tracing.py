@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.hull.boxes import Scattered
@@ -38,6 +38,9 @@ _IN_CORE, _BY_DEPTH = 10.0, 100.0
 """Density given to cells inside taproot and hypocotyl, and its rise with depth, a mm: paths keep to their middle."""
 CLAIM_CELLS = 1.5
 """Cells this near to a traced root are its own."""
+_STILL_OPEN = 0.5
+"""Cells to be claimed are sorted anew where fewer than this share of those sorted are left: each time costs as much as
+all times after it."""
 _CORE_CLAIM_MM = 0.65
 """Cells this far beyond the core about a path in a taproot or hypocotyl are claimed with it."""
 _LEAST_MM = 1.0
@@ -58,24 +61,29 @@ class Path:
     """(N,) shadow of the cells about each point."""
 
 
-def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float) -> Array:
-    """Return how deep (N,) cells lie in a core, given as indices (M, 3) on the same lattice, mm.
+def core_depth(cells: Cells, core: NDArray[np.int32], *, reach_mm: float, most_mm: float = np.inf) -> Array:
+    """Return how deep (N,) cells lie in a core, mm; outside it is less the distance to the core.
 
-    Outside it is less the distance to the core, or less ``reach_mm`` where that is farther.
+    Parameters
+    ----------
+    cells : Cells
+        Whose depth is asked.
+    core : (M, 3) int32 array
+        Cells of the core, on the same lattice.
+    reach_mm : float
+        What lies farther from the core is so far from it.
+    most_mm : float
+        What lies deeper is so deep.
     """
     depth = np.full(len(cells.index), -reach_mm)
     if not len(core):
         return depth
     full = Scattered.of(core)
-    box = full.box
-    # the nearest cell of the other kind is one of those that touch this kind with a face
-    touching = box.number(core)[:, None] + np.concatenate([box.step, -box.step])
-    empty = ~full.lists(touching.ravel()).reshape(touching.shape)
-    rim, beyond = core[empty.any(axis=1)], np.unique(touching[empty])
-    inside = full.holds(cells.index)
-    size_mm = cells.grid.size_mm
-    depth[inside] = cKDTree(box.cell(beyond)).query(cells.index[inside], workers=-1)[0] * size_mm
-    away = cKDTree(rim).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
+    rim, beyond = full.faces()  # the nearest cell of the other kind is one of those that touch this kind with a face
+    inside, size_mm = full.holds(cells.index), cells.grid.size_mm
+    deep = cKDTree(beyond).query(cells.index[inside], distance_upper_bound=most_mm / size_mm, workers=-1)[0]
+    depth[inside] = np.minimum(deep * size_mm, most_mm)
+    away = cKDTree(core[rim]).query(cells.index[~inside], distance_upper_bound=reach_mm / size_mm, workers=-1)[0]
     depth[~inside] = np.maximum(-away * size_mm, -reach_mm)
     return depth
 
@@ -95,8 +103,8 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     -------
     Branches, parents before children; empty where nothing is dense.
     """
-    density = np.minimum(_smooth(cells), _CAP)
-    density = np.where(depth_mm > 0, _IN_CORE + _BY_DEPTH * depth_mm, density)
+    density, thin = _IN_CORE + _BY_DEPTH * depth_mm, depth_mm <= 0
+    density[thin] = np.minimum(_smooth(cells.chosen(thin)), _CAP)  # cells of a core have no shadow
     dense = (density > _DENSE) & ((depth_mm > 0) | (depth_mm <= depth_mm.min()))
     if not dense.any():
         return []
@@ -107,7 +115,7 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         # The top of what hangs together best: a fibre of the felt or a bubble may reach higher than the plant.
         # with the organs, and what lies between them and the roots on them
         body = (density > _DENSE) | (depth_mm > depth_mm.min())
-        number, part = np.flatnonzero(body), connected_components(joined[body][:, body], directed=False)[1]
+        number, part = np.flatnonzero(body), Scattered.of(cells.index[body]).parts()
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre[:, 2], density, depth_mm) for top, plant in members.items()}
@@ -117,8 +125,9 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     lines = branches(centre, before, np.where(dense & np.isfinite(cost), length, -1.0), claim)
     if not lines:
         return []
-    nearest = cKDTree(centre[np.concatenate(lines)]).query(centre, workers=-1)[1]
-    total = np.bincount(nearest, weights=cells.shadow_mm2, minlength=sum(len(line) for line in lines)).astype(np.float64)
+    some = np.flatnonzero(cells.shadow_mm2)
+    nearest = cKDTree(centre[np.concatenate(lines)]).query(centre[some], workers=-1)[1]
+    total = np.bincount(nearest, weights=cells.shadow_mm2[some], minlength=sum(len(line) for line in lines)).astype(np.float64)
     shadows = np.split(total, np.cumsum([len(line) for line in lines])[:-1])
     paths = [Path(centre[line], shadow) for line, shadow in zip(lines, shadows, strict=True)]
     if not cells.tops_mm:
@@ -204,9 +213,9 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
     least_mm : float
         Length that a branch must have among cells that no other has claimed.
     """
-    tree = cKDTree(centre)
-    owned = np.zeros(len(centre), bool)
-    left = length.copy()
+    owned, left = np.zeros(len(centre), bool), length.copy()
+    some = np.flatnonzero(left >= 0.0)
+    tree = cKDTree(centre[some])
     lines: list[Index] = []
     for tip in np.argsort(-length, kind="stable"):
         if length[tip] <= 0:
@@ -219,13 +228,16 @@ def branches(centre: Array, before: NDArray[np.int32], length: Array, claim_mm: 
         line = np.array(way[::-1])
         fresh = np.linalg.norm(np.diff(centre[line], axis=0), axis=1)[left[line[1:]] >= 0].sum()
         if fresh < max(least_mm, claim_mm[tip]):
-            left[tree.query_ball_point(centre[tip], claim_mm[tip])] = -1.0
+            left[some[tree.query_ball_point(centre[tip], claim_mm[tip])]] = -1.0
             continue
         # in taproot and hypocotyl the spheres are large: a few of them cover the way
         for cell in line[_apart(centre[line], claim_mm[line])]:
-            left[tree.query_ball_point(centre[cell], claim_mm[cell])] = -1.0
+            left[some[tree.query_ball_point(centre[cell], claim_mm[cell])]] = -1.0
         owned[line] = True
         lines.append(line)
+        open_ = some[left[some] >= 0.0]
+        if len(open_) < _STILL_OPEN * len(some):  # the first branches claim most
+            some, tree = open_, cKDTree(centre[open_])
     return lines
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.hull.boxes import Box
-from rhizotwin.recon.hull.leaves import Leaves, even
+from rhizotwin.recon.hull.boxes import Box, Scattered
+from rhizotwin.recon.hull.leaves import Leaves
 from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.filling import Filled, fill, levelled
@@ -63,21 +63,20 @@ def _painted(thick: Leaves, filled: Filled) -> Leaves:
     """Add filled tubes to leaves; leaves larger than a node are full already."""
     large = thick.size > 1
     fine = thick.index[~large].astype(np.int64)
-    coarse = even(thick.index[large], thick.size[large]).astype(np.int64)
     at = np.floor((filled.point_mm - np.asarray(thick.grid.origin_mm)) / thick.grid.size_mm).astype(np.int64)
-    everything = np.concatenate([at, fine, coarse])
-    if not len(everything):
-        return thick
-    box = Box.around(everything)
-    keys, inverse = np.unique(box.number(np.concatenate([at, fine])), return_inverse=True)
+    small = np.concatenate([at, fine])
+    box = Box.around(small)
+    keys, inverse = np.unique(box.number(small), return_inverse=True)
     tube = np.bincount(inverse[: len(at)], weights=filled.volume_mm3 / thick.grid.size_mm**3, minlength=len(keys)).astype(np.float64)
     organ = np.zeros(len(keys))
     organ[inverse[len(at) :]] = thick.occupancy[~large]
     occupancy = np.maximum(levelled(tube), organ)
-    new = (occupancy > 0) & ~np.isin(keys, box.number(coarse))
+    index, new = box.cell(keys), occupancy > 0
+    for edge in np.unique(thick.size[large]):
+        new &= ~Scattered.of(thick.index[thick.size == edge] // edge).holds(index // edge)
     return Leaves(
         thick.grid,
-        np.concatenate([thick.index[large], box.cell(keys[new]).astype(np.int32)]),
+        np.concatenate([thick.index[large], index[new].astype(np.int32)]),
         np.concatenate([thick.size[large], np.ones(int(new.sum()), np.int32)]),
         np.concatenate([thick.occupancy[large], occupancy[new].astype(np.float32)]),
     )

@@ -108,7 +108,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
         value = _faded(c, before * scale, (beyond - strips.cap_px) * scale, is_tip)
         place = strips.start + mi.UInt32(v * width + u)
-        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end))
+        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
         ended, (low, high) = u >= end, covered(v + 1)
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 

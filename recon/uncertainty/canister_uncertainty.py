@@ -121,12 +121,11 @@ def _shifts(views: Sequence[tuple[View, View]], believed: Optics, true: Optics, 
     """Return how far (N, 3) from where they are points are found; NaN where too few views see one."""
     count = len(points_mm)
     normal, side, votes = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count, int)
+    steps_mm = np.concatenate([points_mm, *(points_mm + STEP_MM * axis for axis in np.eye(3))])
     for view, true_view in views:
-        here, there = project_inner(view, believed, points_mm), project_inner(true_view, true, points_mm)
-        gradient = np.stack(
-            [(project_inner(view, believed, points_mm + STEP_MM * axis) - here) / STEP_MM for axis in np.eye(3)], axis=-1
-        )  # (N, 2, 3)
-        away = there - here
+        here, *ahead = project_inner(view, believed, steps_mm).reshape(4, count, 2)
+        gradient = np.stack([(px - here) / STEP_MM for px in ahead], axis=-1)  # (N, 2, 3)
+        away = project_inner(true_view, true, points_mm) - here
         seen = np.isfinite(gradient).all(axis=(1, 2)) & np.isfinite(away).all(axis=1)
         normal[seen] += np.einsum("nki,nkj->nij", gradient[seen], gradient[seen])
         side[seen] += np.einsum("nki,nk->ni", gradient[seen], away[seen])

@@ -95,7 +95,8 @@ def _beside_spheres(bank: ViewBank, hull: Hull, thick: Trimmed, least_px: float)
     leaves = thick.leaves
     if not len(leaves.size) or not len(thick.spheres.radius_mm):
         return 0.0
-    tree, reach_mm = cKDTree(leaves.middles_mm), leaves.grid.size_mm * float(leaves.size.max())
+    reach_mm = leaves.grid.size_mm * float(leaves.size.max())
+    tree = cKDTree(leaves.middles_mm, balanced_tree=False, compact_nodes=False)  # made in a third of the time, asked seldom
     spheres, doubtful = (_some(all_, tree.query(all_.centre_mm)[0] < reach_mm) for all_ in (thick.spheres, thick.doubtful))
     if not len(spheres.radius_mm):
         return 0.0
