@@ -31,6 +31,7 @@ SHARES = {
     "translucency": 3.8,
     "branches": 2.7,
     "residue": 3.7,
+    "hairs": 0.8,
     "calibration": 0.6,
     "last tubes": 0.2,
     "unite": 0.4,

@@ -40,6 +40,9 @@ last is a tenth of the thinnest roots."""
 _TIGHT_PX = 0.4
 """A view bounds a sphere when its outline is no farther than this beyond it: outlines' noise, and the crease that
 sampling rounds off. Half of this bounds it in full, half as much again not at all."""
+_TIGHT_SHARE = 0.05
+"""Of a sphere's radius, where that is more: a canister half a millimetre out of round, as bought, moves outlines by
+half a pixel and more, and with 0.4 px alone the upper half of a carrot of 18 mm was in no sphere."""
 _HELD = 0.25, 5.0 / 12.0
 """A sphere that a smaller share of the seeing views bounds is none, one that a larger share bounds is whole; between
 them it shrinks.
@@ -189,7 +192,8 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
-        bounds = dr.clip(1.5 - (allowed - reach) * px_a_mm / _TIGHT_PX, 0.0, 1.0)
+        tight_mm = dr.maximum(_TIGHT_PX / px_a_mm, _TIGHT_SHARE * reach)
+        bounds = dr.clip(1.5 - (allowed - reach) / tight_mm, 0.0, 1.0)
         return view + 1, tight + dr.select(seen, bounds, 0.0), votes + dr.select(seen, 1.0, 0.0)
 
     point, reach = device.points(points), numbers(radius)
