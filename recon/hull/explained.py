@@ -10,14 +10,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon import device
 from rhizotwin.recon.coverage.silhouettes import UPSAMPLING
-from rhizotwin.recon.device import Bool, Float, Vector2f, numbers
+from rhizotwin.recon.device import Bool, Float, Point3f, Vector2f, numbers
 from rhizotwin.recon.hull import distance_maps
-from rhizotwin.recon.hull.blocks import Blocks
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Leaves, even, evenly
 from rhizotwin.recon.hull.spheres import Spheres, beyond_mm
 from rhizotwin.recon.hull.surface import to_voxels
+from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import ViewBank
 
 _DEEP_PX = 0.75
@@ -56,15 +57,15 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
     width, height = maps.samples_wh
     voxel, size, filled = to_voxels(trimmed, 2)
     some = filled > 0.25
-    solid = Blocks.of(bank, trimmed.grid, 2 * even(voxel[some], size[some]), 2)
+    solid = _points(trimmed, 2 * even(voxel[some], size[some]), 2)
     share = numbers(np.clip(2.0 * evenly(filled[some], size[some]) - 0.5, 0.0, 1.0))
-    places = Blocks.of(bank, trimmed.grid, uncertain)
+    places = _points(trimmed, uncertain, 1)
     edge_mm = trimmed.grid.size_mm
     beyond = numbers(beyond_mm(spheres, np.asarray(trimmed.grid.origin_mm) + (uncertain + 0.5) * edge_mm) / edge_mm)
-    most, second = dr.zeros(mi.Float, places.count), dr.zeros(mi.Float, places.count)
+    most, second = dr.zeros(mi.Float, dr.width(places)), dr.zeros(mi.Float, dr.width(places))
     columns = dr.opaque(mi.UInt32, width)
     for view in range(bank.count):
-        px, scale, seen = _seen(maps, view, solid)
+        px, scale, seen = _seen(bank, maps, view, solid)
         place = maps.sample(px) + 0.5
         covered = dr.zeros(mi.Float, width * height)
         dr.scatter_reduce(dr.ReduceOp.Max, covered, share, mi.UInt32(place.y) * columns + mi.UInt32(place.x), seen)
@@ -75,7 +76,7 @@ def needed(bank: ViewBank, maps: DistanceMaps, trimmed: Leaves, uncertain: NDArr
         lacking = (deep * (1.0 - explained)).astype(np.float32)
         if not lacking.any():
             continue
-        px, scale, seen = _seen(maps, view, places)
+        px, scale, seen = _seen(bank, maps, view, places)
         lacks = dr.select(seen, DistanceMaps.of(_spread(lacking, 5)[None], maps.image_wh, maps.window).at(0, px, seen), 0.0)
         dr.eval(lacks)
         edge_px = max(edge_mm * _most(scale, lacks > 0.0), _LEAST_EDGE_PX)
@@ -109,11 +110,17 @@ def _spread(picture: NDArray[np.float32], edge: int) -> NDArray[np.float32]:
     return np.asarray(cv2.blur(cv2.dilate(picture, np.ones((edge, edge), np.uint8)), (3, 3)), np.float32)
 
 
-def _seen(maps: DistanceMaps, view: int, places: Blocks) -> tuple[Vector2f, Float, Bool]:
-    """Return the pixels of places in a view, px/mm, and whether the view sees them on its distance map."""
-    px, du, dv, seen = places.at(dr.opaque(mi.UInt32, view), dr.arange(mi.UInt32, places.count))
-    (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(px)
-    seen &= (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
-    scale = dr.sqrt(dr.norm(du) * dr.norm(dv))
-    dr.eval(px, scale, seen)
-    return px, scale, seen
+def _points(leaves: Leaves, index: NDArray[np.int32], edge: int) -> Point3f:
+    """Return the centres of nodes of an edge on the device."""
+    centres = np.asarray(leaves.grid.origin_mm) + (index + 0.5 * edge) * leaves.grid.size_mm
+    return device.points(centres)
+
+
+def _seen(bank: ViewBank, maps: DistanceMaps, view: int, points: Point3f) -> tuple[Vector2f, Float, Bool]:
+    """Project points into a view: pixels, px/mm, and whether the view sees them on its distance map."""
+    p = projection.project(bank, dr.opaque(mi.UInt32, view, dr.width(points)), points, mi.Bool(True))
+    (width, height), place = (dr.opaque(mi.Float, count) for count in maps.samples_wh), maps.sample(p.px)
+    seen = p.seen & (place.x >= -0.5) & (place.x < width - 0.5) & (place.y >= -0.5) & (place.y < height - 0.5)
+    scale = dr.sqrt(dr.norm(p.du) * dr.norm(p.dv))
+    dr.eval(p.px, scale, seen)  # one by one, each would be a projection of its own
+    return p.px, scale, seen

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rhizotwin.recon.device import Float, UInt32, numbers, vectors, wholes
 from rhizotwin.recon.hull.leaves import Leaves
@@ -18,8 +19,8 @@ _HALF_DIAGONAL = 0.87
 """Of a cube, sqrt(3) / 2 of its edge: what lies as deep lies wholly inside."""
 _BIN_MM = 4.0
 """Edge of the bins in which spheres are looked up: a sphere no larger lies in eight at most."""
-_NEAR_MM = 1.0
-"""Most of what lies beside spheres lies this near to them: the rest is looked at again, four times as far around."""
+_NEIGHBOURS = 4
+"""Of spheres alike in size (by a factor of two), the one that is nearest to a point is among so many."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +119,10 @@ class _Listed:
 
 
 def beyond_mm(spheres: Spheres, points: Array) -> Array:
-    """Return how far points (N, 3) lie outside of the union of the spheres; negative inside."""
-    beyond, open_, reach_mm = np.full(len(points), np.inf), np.arange(len(points)), _NEAR_MM
-    while len(open_):
-        beyond[open_] = -_Listed.of(spheres, points.min(axis=0), points.max(axis=0), reach_mm).depth_mm(points[open_])
-        open_ = open_[beyond[open_] > reach_mm]  # spheres farther than that are not listed
-        reach_mm *= 4.0
+    """Return how far points (N, 3) lie outside of the union of the spheres; near enough, inside."""
+    beyond, octave = np.full(len(points), np.inf), np.floor(np.log2(spheres.radius_mm))
+    for one in np.unique(octave):
+        some = np.flatnonzero(octave == one)
+        away, near = cKDTree(spheres.centre_mm[some]).query(points, k=list(range(1, min(_NEIGHBOURS, len(some)) + 1)), workers=-1)
+        beyond = np.minimum(beyond, (away - spheres.radius_mm[some][near]).min(axis=1))
     return beyond

@@ -110,8 +110,8 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     number = np.arange(len(cells.index))
     if not len(number):
         return replace(cells, tops_mm=evidence.tops_mm), number
-    footprints = Footprints.of(evidence, cells.grid, cells.index)
-    thick = [Footprints.of(evidence, solid.grid, solid.index)] if len(solid.index) else []
+    footprints = Footprints.of(evidence, cells.centre_mm)
+    thick = [Footprints.of(evidence, solid.centre_mm)] if len(solid.index) else []
     table = Table(footprints, Windows.around(footprints, *thick))
     every = range(evidence.bank.count)
     coverage = table.windows.cut(evidence, evidence.coverage)

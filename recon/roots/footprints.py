@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, readable
-from rhizotwin.recon.hull.blocks import Blocks
-from rhizotwin.recon.hull.leaves import Grid
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, points, readable
+from rhizotwin.recon.optics import projection
+
+Array = NDArray[np.float64]
 
 _STEPS = 65535
 """A picture's longer side in steps: 1/80 px where it is 800 px."""
@@ -72,17 +73,19 @@ class Footprints:
     """mi.Float16, (V, N) flattened: area of a mm2 in the picture; 0 where the view says nothing about the cell."""
 
     @staticmethod
-    def of(evidence: Evidence, grid: Grid, index: NDArray[np.int32]) -> Footprints:
-        """Project cells (N, 3) of a grid into all views."""
-        count, views, (width, height) = len(index), evidence.bank.count, evidence.image_wh
+    def of(evidence: Evidence, centre_mm: Array) -> Footprints:
+        """Project cells (N, 3) into all views."""
+        count, views, (width, height) = len(centre_mm), evidence.bank.count, evidence.image_wh
         steps_a_px = _STEPS / max(width, height)
-        lane, length = dr.arange(mi.UInt32, count * views), dr.opaque(mi.UInt32, count)
-        view = lane // length
-        px, du, dv, seen = Blocks.of(evidence.bank, grid, index).at(view, lane - view * length)
-        seen &= readable(px, width, height)
-        px = dr.select(seen, px, mi.Vector2f(0.0))
+        point = points(centre_mm)
+        lane = dr.arange(mi.UInt32, count * views)
+        view = lane // dr.opaque(mi.UInt32, count)
+        point = dr.gather(mi.Point3f, point, lane - view * dr.opaque(mi.UInt32, count))
+        p = projection.project(evidence.bank, view, point, mi.Bool(True))
+        seen = p.seen & readable(p.px, width, height)
+        px = dr.select(seen, p.px, mi.Vector2f(0.0))
         told = dr.gather(mi.Float16, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
-        area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(du, dv)), 0.0))
+        area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
         return Footprints(views, count, steps_a_px, place, area)

@@ -7,7 +7,6 @@ import pytest
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
@@ -17,9 +16,6 @@ from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
 VIEWS, WIDTH, HEIGHT = 5, 200, 150
-
-
-GRID = Grid(np.array([-8.0, -8.0, -50.0]), 0.2, 0, (80, 80, 100))
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +33,7 @@ def seen() -> Evidence:
 
 @pytest.fixture(scope="module")
 def points_mm() -> np.ndarray:
-    index = np.random.default_rng(6).integers(0, GRID.coarse_shape, (300, 3))
-    return GRID.origin_mm + (index + 0.5) * GRID.size_mm
+    return np.random.default_rng(6).uniform((-8.0, -8.0, -50.0), (8.0, 8.0, -30.0), (300, 3))
 
 
 def reference(seen: Evidence, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +57,7 @@ def shares(px: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def table_of(seen: Evidence, points_mm: np.ndarray) -> Table:
-    footprints = Footprints.of(seen, GRID, np.floor((points_mm - GRID.origin_mm) / GRID.size_mm).astype(np.int32))
+    footprints = Footprints.of(seen, points_mm)
     return Table(footprints, Windows.around(footprints))
 
 
