@@ -79,8 +79,6 @@ def _old_left_alone() -> Iterator[None]:
 
     A reconstruction searches some fifty times, to give memory back.
     """
-    import rhizotwin.recon.reconstruct  # noqa: F401 - to be there before
-
     gc.collect()
     gc.freeze()
     try:

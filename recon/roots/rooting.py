@@ -18,7 +18,7 @@ from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, 
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.roots.settling import AFTER_STEPS, Settling
-from rhizotwin.recon.tubes import root_calibration, tube_attenuation, tube_fit, tube_picture, tubes
+from rhizotwin.recon.tubes import root_calibration, root_hairs, tube_attenuation, tube_fit, tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.monitor import Monitor
@@ -82,7 +82,7 @@ def find(
         with monitor.stage("translucency again"):
             attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
     with monitor.stage("hairs"):
-        attenuation, seen, fitted = tube_attenuation.with_hairs(seen, fitted, organ, attenuation)
+        attenuation, seen, fitted = root_hairs.find(seen, fitted, organ, attenuation)
     return RootTree(
         tubes=fitted,
         buried=buried,

@@ -5,9 +5,6 @@ line of sight is darker by 1 / sin(theta) where it is faint and hardly darker wh
 shows how wide it is. So for every tried mu the radii are guessed anew from the same light, the tubes are refitted, and
 what they leave is compared on the profiles of lone roots (`tube_profiles.misfit`), with the loss that the fit itself
 has: a profile in which something else stands counts little.
-
-Hairs look like a root that is wider and fainter, and like blur. So tubes are fitted with and without them, each with
-its best blur, and the difference is compared with its scatter from root to root and from view to view.
 """
 
 from __future__ import annotations
@@ -26,6 +23,8 @@ from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Light = tuple[float | None, Hairs | None]
+"""What takes a root's light: its attenuation, 1/mm, or None where it is opaque, and its hairs."""
 
 _FAINTEST, _DARKEST = 0.5, 16.0
 """Attenuations, 1/mm, between which is sought; roots of more count as opaque (one of 0.2 mm absorbs 97 % of the
@@ -53,13 +52,7 @@ _LEARNED_SIGMA = 0.2
 hairs, three plants seemed to have 1.03, 1.03 and 1.18."""
 _PERHAPS = 1.1
 """Half of `CLEARLY`: opaque roots of the twin left up to 1.01 times as much as the darkest translucent ones."""
-HAIRS = Hairs(length_mm=0.3, mu_per_mm=0.05)
-"""Radish in water has hairs of a tenth to half a millimetre, 10 um thick, some thirty a millimetre of root, which take
-a third of the light: they stand before a seventh of it in each millimetre of the sleeve."""
-_TELLING = 2.0
-"""Standard deviations by which roots with and without hairs must differ to be told apart. Of plants of the twin with
-such hairs two had -3.0 and -4.9, without 4.4, 5.7 and 6.8; with a tenth of the profiles 1.4."""
-_BLUR_STEP_PX = 0.1
+BLUR_STEP_PX = 0.1
 """Blurs that differ by less are not told apart."""
 _MOST_BLUR_PX = 0.8
 """A camera in focus blurs less."""
@@ -84,7 +77,7 @@ class TubeAttenuation:
     rival_per_mm: float | None = None
     """Attenuation that explains the pictures better than opaque roots, but not clearly so."""
     hairs: Literal["none", "maybe", "there"] = "none"
-    """Whether `HAIRS` stand about the roots; maybe, where pictures with and without them would look alike."""
+    """Whether hairs stand about the roots; maybe, where pictures with and without them would look alike."""
 
     @staticmethod
     def opaque(blur_px: float, profiles: int = 0) -> TubeAttenuation:
@@ -95,7 +88,9 @@ class TubeAttenuation:
         """Return what is to be said of an attenuation that is not sure."""
         hairs = []
         if self.hairs == "there":
-            hairs = [f"hairs of about {HAIRS.length_mm:g} mm seem to stand about the roots; their light is not counted as root"]
+            hairs = [
+                f"hairs of about {translucent_tube.HAIRS.length_mm:g} mm seem to stand about the roots; their light is not counted as root"
+            ]
         if self.rival_per_mm is None:
             return hairs
         return [
@@ -119,7 +114,7 @@ class _Trial:
 
 
 @dataclass
-class _Trials:
+class Trials:
     """Trials on the same profiles, each made once."""
 
     light: Evidence
@@ -132,8 +127,20 @@ class _Trials:
     made: dict[tuple[float | None, float], _Trial] = field(default_factory=dict)
 
     @staticmethod
-    def of(light: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> _Trials:
-        """Begin with tubes that were fitted to the light, or nearly so."""
+    def of(light: Evidence, fitted: Tubes, organ: Mask, blur_px: float) -> Trials:
+        """Begin with tubes that were fitted to the light, or nearly so.
+
+        Parameters
+        ----------
+        light : Evidence
+            Opacity, with the attenuation and hairs that the tubes have.
+        fitted : Tubes
+            The tubes.
+        organ : (N,) bool array
+            Nodes whose radius stays.
+        blur_px : float
+            Of the pictures.
+        """
         light = _some_views(light, len(fitted.radius_mm))
         fitted, _ = tube_fit.fit(light, fitted, organ, blur_px=blur_px, steps=_STEPS)
         at = light.project(fitted.centre_mm)
@@ -141,15 +148,7 @@ class _Trials:
         found = tube_profiles.profiles(light, fitted, at, depth, difference, blur_px).host()
         alone = (found.shown > _ALONE * found.whole) & (found.whole > 0.0) & (at.sine(fitted.tangents) > _LEAST_SINE) & ~organ
         left = tube_profiles.misfit(light, fitted, difference)
-        return _Trials(light, organ, _Trial(light.mu_per_mm, blur_px, fitted, left, 0.0), fitted, alone & np.isfinite(left))
-
-    def hairy(self) -> _Trials:
-        """Return trials of the same profiles with `HAIRS`."""
-        before = translucent_tube.opaque_radius(self.nodes.radius_mm, self.start.mu_per_mm)
-        radius = translucent_tube.radius_of(before, self.start.mu_per_mm, HAIRS)
-        start = tubes.moved(self.nodes, self.nodes.centre_mm, np.where(self.organ, self.nodes.radius_mm, radius))
-        light = replace(self.light, hairs=HAIRS)
-        return _Trials(light, self.organ, replace(self.start, tubes=start), self.nodes, self.lone)
+        return Trials(light, organ, _Trial(light.mu_per_mm, blur_px, fitted, left, 0.0), fitted, alone & np.isfinite(left))
 
     def at(self, mu_per_mm: float | None, blur_px: float) -> _Trial:
         """Refit the tubes with some attenuation and blur."""
@@ -194,12 +193,12 @@ def find(seen: Evidence, fitted: Tubes, organ: Mask, blur_px: float, learned_per
     """
     if not seen.has_opacity:
         return TubeAttenuation.opaque(blur_px), fitted
-    trials = _Trials.of(seen.by_light(), fitted, organ, blur_px)
+    trials = Trials.of(seen.by_light(), fitted, organ, blur_px)
     count = int(trials.lone.sum())
     if count < _LEAST_LONE:
         if learned_per_mm is None:
             return TubeAttenuation.opaque(blur_px, count), fitted
-        best = _best_blur(trials, learned_per_mm, 0.0)
+        best = best_blur(trials, learned_per_mm, 0.0)
         return TubeAttenuation(learned_per_mm, _LEARNED_SIGMA, best.blur_px, 0.0, count), best.tubes
     opaque, dark = trials.at(None, blur_px), trials.at(_DARKEST, blur_px)
     if opaque.cost <= dark.cost:
@@ -247,11 +246,11 @@ def refine(
     """
     if attenuation.mu_per_mm is None:
         return attenuation, fitted
-    trials = _Trials.of(seen, fitted, organ, attenuation.blur_px)
+    trials = Trials.of(seen, fitted, organ, attenuation.blur_px)
     if trials.lone.sum() < _LEAST_LONE:
         return attenuation, fitted
     least = _joint(trials, attenuation.mu_per_mm, attenuation.blur_px)
-    opaque = _best_blur(trials, None, least.blur_px)
+    opaque = best_blur(trials, None, least.blur_px)
     if opaque.cost <= CLEARLY * least.cost:
         against, rival = opaque.cost / least.cost, least.mu_per_mm if opaque.cost > _PERHAPS * least.cost else None
         return TubeAttenuation(None, 0.0, opaque.blur_px, against, int(trials.lone.sum()), rival), opaque.tubes
@@ -270,49 +269,16 @@ class _Least:
     sigma: float
 
 
-def with_hairs(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation) -> tuple[TubeAttenuation, Evidence, Tubes]:
-    """Tell whether hairs stand about the roots.
-
-    Parameters
-    ----------
-    seen, fitted, organ : Evidence, Tubes, (N,) bool array
-        As in `refine`.
-    attenuation : TubeAttenuation
-        Of the roots themselves, which stays.
-
-    Returns
-    -------
-    TubeAttenuation, Evidence, Tubes
-        With hairs, where they are there for certain; else evidence and tubes as they were.
-    """
-    if not seen.has_opacity:
-        return attenuation, seen, fitted
-    mu_per_mm, blur_px = attenuation.mu_per_mm, attenuation.blur_px
-    trials = _Trials.of(seen.by_light(), fitted, organ, blur_px)
-    hairy = trials.hairy()
-    bald = _best_blur(trials, mu_per_mm, max(0.0, blur_px - _BLUR_STEP_PX))
-    found = _best_blur(hairy, mu_per_mm, max(0.0, blur_px - 2.0 * _BLUR_STEP_PX))
-    difference = found.loss - bald.loss
-    by_root = np.bincount(trials.nodes.owner, weights=difference.sum(axis=0))
-    by_view = difference.sum(axis=1)
-    sigma = float(np.sqrt(np.square(by_root).sum() + len(by_view) * by_view.var()))
-    if difference.sum() > _TELLING * sigma:
-        return attenuation, seen, fitted
-    if difference.sum() >= -_TELLING * sigma:
-        return replace(attenuation, hairs="maybe"), seen, fitted
-    return replace(attenuation, hairs="there", blur_px=found.blur_px), replace(seen.by_light(), hairs=HAIRS), found.tubes
-
-
 def _with_learned(least: _Least, learned_per_mm: float | None) -> tuple[float, float]:
     """Return what thin and wide roots together say of attenuation and the standard deviation of its logarithm."""
     if learned_per_mm is None:
         return least.mu_per_mm, least.sigma
-    told, learned = least.sigma**-2, _LEARNED_SIGMA**-2
+    told, learned = max(least.sigma, 1e-6) ** -2, _LEARNED_SIGMA**-2
     log_mu = (told * np.log(least.mu_per_mm) + learned * np.log(learned_per_mm)) / (told + learned)
     return float(np.exp(log_mu)), float((told + learned) ** -0.5)
 
 
-def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
+def _joint(trials: Trials, mu_per_mm: float, blur_px: float) -> _Least:
     """Walk from a blur to the best of the neighbouring blurs, each with its best attenuation.
 
     Blur and attenuation look alike to some degree, so that half of what a step of blur changes counts as uncertainty of
@@ -323,11 +289,11 @@ def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
     def at(step: int) -> _Least:
         if step not in known:
             near = min(known, key=lambda one: abs(one - step), default=None)
-            known[step] = _least(trials, mu_per_mm if near is None else known[near].mu_per_mm, blur_px + _BLUR_STEP_PX * step, _FINE)
+            known[step] = _least(trials, mu_per_mm if near is None else known[near].mu_per_mm, blur_px + BLUR_STEP_PX * step, _FINE)
         return known[step]
 
     def allowed(step: int) -> bool:
-        return -1e-6 < blur_px + _BLUR_STEP_PX * step < _MOST_BLUR_PX
+        return -1e-6 < blur_px + BLUR_STEP_PX * step < _MOST_BLUR_PX
 
     best = 0
     for way in (1, -1):
@@ -340,16 +306,16 @@ def _joint(trials: _Trials, mu_per_mm: float, blur_px: float) -> _Least:
         bend, slope = 0.5 * (known[best - 1].cost + known[best + 1].cost) - found.cost, 0.5 * (known[best + 1].cost - known[best - 1].cost)
         off = float(np.clip(-slope / (2.0 * bend), -0.5, 0.5)) if bend > 0.0 else 0.0
         mu_per_mm = found.mu_per_mm * float(np.exp(0.5 * (change[1] - change[0]) * off + 0.5 * (change[0] + change[1]) * off**2))
-        found = replace(found, mu_per_mm=mu_per_mm, blur_px=found.blur_px + _BLUR_STEP_PX * off)
+        found = replace(found, mu_per_mm=mu_per_mm, blur_px=found.blur_px + BLUR_STEP_PX * off)
     more = 0.5 * sum(abs(one) for one in change) / max(len(beside), 1)
     return replace(found, sigma=float(np.hypot(found.sigma, more)))
 
 
-def _best_blur(trials: _Trials, mu_per_mm: float | None, blur_px: float) -> _Trial:
+def best_blur(trials: Trials, mu_per_mm: float | None, blur_px: float) -> _Trial:
     """Walk from a blur to the one with which roots of some attenuation explain the pictures best."""
     best = trials.at(mu_per_mm, blur_px)
-    while blur_px + _BLUR_STEP_PX < _MOST_BLUR_PX:
-        blur_px += _BLUR_STEP_PX
+    while blur_px + BLUR_STEP_PX < _MOST_BLUR_PX:
+        blur_px += BLUR_STEP_PX
         wider = trials.at(mu_per_mm, blur_px)
         if wider.cost >= best.cost:
             break
@@ -357,7 +323,7 @@ def _best_blur(trials: _Trials, mu_per_mm: float | None, blur_px: float) -> _Tri
     return best
 
 
-def _least(trials: _Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _Least:
+def _least(trials: Trials, mu_per_mm: float, blur_px: float, ratio: float) -> _Least:
     """Walk from an attenuation to the least cost in its neighbourhood, and put a parabola through it."""
 
     def trial(step: int) -> _Trial:
@@ -403,8 +369,28 @@ def scaled(fitted: Tubes, organ: Mask, before: float | None, after: float | None
     Tubes
         With radii that belong to ``after``.
     """
-    radius = translucent_tube.radius_of(translucent_tube.opaque_radius(fitted.radius_mm, before, hairs), after, hairs)
-    return tubes.moved(fitted, fitted.centre_mm, np.where(organ, fitted.radius_mm, radius))
+    return with_light_kept(fitted, organ, (before, hairs), (after, hairs))
+
+
+def with_light_kept(fitted: Tubes, organ: Mask, before: Light, after: Light) -> Tubes:
+    """Give tubes the radii that absorb as much light from the side with another attenuation and other hairs.
+
+    Parameters
+    ----------
+    fitted : Tubes
+        With radii that belong to ``before``.
+    organ : (N,) bool array
+        Nodes whose radius stays.
+    before, after : Light
+        Attenuation and hairs.
+
+    Returns
+    -------
+    Tubes
+        With radii that belong to ``after``.
+    """
+    light = translucent_tube.opaque_radius(fitted.radius_mm, *before)
+    return tubes.moved(fitted, fitted.centre_mm, np.where(organ, fitted.radius_mm, translucent_tube.radius_of(light, *after)))
 
 
 def _some_views(light: Evidence, nodes: int) -> Evidence:

@@ -15,7 +15,8 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
@@ -123,10 +124,8 @@ def _hairs(system: RootSystem) -> tuple[Term, ...]:
     if told == "none":
         return ()
     there = system.seen.hairs
-    light = translucent_tube.opaque_radius(tubes.radius_mm, mu, there)
-    other = translucent_tube.radius_of(light, mu, tube_attenuation.HAIRS if there is None else None)
-    free = np.where(system.buried, 0.0, np.pi * _lengths(tubes))
-    change = float(free @ np.square(other) - free @ np.square(tubes.radius_mm))
+    other = tube_attenuation.with_light_kept(tubes, system.buried, (mu, there), (mu, HAIRS if there is None else None))
+    change = float(np.pi * (np.square(other.radius_mm) - np.square(tubes.radius_mm)) @ _lengths(tubes))
     if there is None:
         why = "the pictures do not tell whether hairs stand about the roots"
         return (Term(name="hairs", less_mm3=max(0.0, -change), more_mm3=0.0, why=why),)

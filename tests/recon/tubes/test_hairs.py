@@ -14,8 +14,9 @@ from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import translucent_tube, tube_attenuation, tube_picture, tubes
-from rhizotwin.recon.tubes.tube_attenuation import HAIRS, TubeAttenuation
+from rhizotwin.recon.tubes import root_hairs, translucent_tube, tube_picture, tubes
+from rhizotwin.recon.tubes.translucent_tube import HAIRS
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.tubes.test_translucent_tubes import STAR, dark, strung
@@ -89,7 +90,7 @@ def told(made_with: Hairs | None) -> tuple[TubeAttenuation, Evidence, float]:
     light = translucent_tube.opaque_radius(truth.radius_mm, 1.0, made_with)
     start = tubes.moved(truth, truth.centre_mm, translucent_tube.radius_of(light, 1.0))
     before = TubeAttenuation(mu_per_mm=1.0, sigma=0.1, blur_px=0.0, against_opaque=2.0, profiles=1000)
-    attenuation, after, found = tube_attenuation.with_hairs(replace(seen, mu_per_mm=1.0), start, organ, before)
+    attenuation, after, found = root_hairs.find(replace(seen, mu_per_mm=1.0), start, organ, before)
     return attenuation, after, float(np.median(found.radius_mm / truth.radius_mm))
 
 
@@ -110,4 +111,4 @@ def test_silhouettes_tell_no_hairs() -> None:
     truth = strung(*STAR)
     blank = replace(dark(), silhouettes=tuple(Silhouette(s.coverage, s.seen) for s in dark().silhouettes))
     before = TubeAttenuation.opaque(0.3)
-    assert tube_attenuation.with_hairs(blank, truth, np.zeros(len(truth.radius_mm), bool), before) == (before, blank, truth)
+    assert root_hairs.find(blank, truth, np.zeros(len(truth.radius_mm), bool), before) == (before, blank, truth)
