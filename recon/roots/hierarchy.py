@@ -1,4 +1,4 @@
-"""Parent assignment: roots that were traced through a crossing or from tip to base are put in order.
+"""Parent assignment: roots that were traced through a crossing are put in order.
 
 No point is moved.
 
@@ -27,8 +27,6 @@ _ROUNDS = 10
 _BASAL_MM = 2.0
 """A lateral that begins this near the root on which its parent grows is that root's own: it only runs beside the parent
 at first."""
-_TOUCH_MM = 1.0
-"""An end this near another root's skin touches it: tracing leaves gaps of about this size at thick roots."""
 
 
 def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
@@ -36,37 +34,13 @@ def arrange(roots: Sequence[Root]) -> tuple[Root, ...]:
 
     Where a root goes on in a lateral that only began near it, a straight piece joins the two.
     """
-    turned = list(roots)
-    for index in range(len(turned)):
-        _turn(turned, index)
+    arranged = list(roots)
     for _ in range(_ROUNDS):  # a root that goes on elsewhere has other laterals near its base
-        _move_up(turned)
-        before, turned = turned, _rejoin(turned)
-        if [(root.parent, len(root.points_mm)) for root in turned] == [(root.parent, len(root.points_mm)) for root in before]:
+        _move_up(arranged)
+        before, arranged = arranged, _rejoin(arranged)
+        if [(root.parent, len(root.points_mm)) for root in arranged] == [(root.parent, len(root.points_mm)) for root in before]:
             break
-    return tuple(turned)
-
-
-def _turn(roots: list[Root], index: int) -> None:
-    """Turn a lateral round that leaves against its parent's growth.
-
-    Its tip must touch a root that it then leaves onward.
-    """
-    root = roots[index]
-    if root.parent < 0 or _onward(roots[root.parent], root.points_mm) >= 0.0:
-        return
-    below = _descendants(roots, index)
-    backward = root.points_mm[::-1]
-    best, least_mm = -1, _TOUCH_MM
-    for other, candidate in enumerate(roots):
-        if other in below or other == root.parent:
-            continue
-        away = np.linalg.norm(candidate.points_mm - backward[0], axis=1) - candidate.diameters_mm / 2.0
-        if away.min() < least_mm and _onward(candidate, backward) > 0.0:
-            best, least_mm = other, float(away.min())
-    if best >= 0:
-        # its tip is what was taken for its base, and nobody has unproven that
-        roots[index] = replace(root, points_mm=backward.copy(), diameters_mm=root.diameters_mm[::-1].copy(), parent=best, tip_seen=True)
+    return tuple(arranged)
 
 
 def _move_up(roots: list[Root]) -> None:
@@ -81,15 +55,6 @@ def _move_up(roots: list[Root]) -> None:
             away = np.linalg.norm(roots[above].points_mm - root.points_mm[0], axis=1) - roots[above].diameters_mm / 2.0
             if away.min() < _BASAL_MM:
                 roots[index], moved = replace(root, parent=above), True
-
-
-def _descendants(roots: Sequence[Root], index: int) -> set[int]:
-    """Return a root and all that grow on it."""
-    found, size = {index}, 0
-    while len(found) > size:
-        size = len(found)
-        found |= {k for k, root in enumerate(roots) if root.parent in found}
-    return found
 
 
 def _onward(parent: Root, points_mm: Array) -> float:

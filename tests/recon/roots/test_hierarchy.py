@@ -1,6 +1,5 @@
 """Small trees whose roots were joined wrongly, and what they should be."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -58,16 +57,6 @@ def test_the_thick_line_is_the_taproot():
     assert lateral.diameters_mm.max() == 0.3
     assert (lateral.order, lateral.parent) == (1, 0)
     assert length([tap, lateral]) == pytest.approx(length(traced))
-
-
-def test_a_root_traced_from_its_tip_is_turned_round():
-    beside = line([0, 0, -5], [14, 0, -30], order=1, parent=0)
-    backward = replace(line([14, 0, -30], [8, 5, -20], [1, 0, -10], diameter_mm=0.2, order=2, parent=1), tip_seen=False)
-    found = arrange([TAP, beside, backward])
-    turned = next(root for root in found if root.diameters_mm[0] == 0.2)
-    assert (turned.order, turned.parent) == (1, 0)
-    assert turned.points_mm[-1] == pytest.approx([14.0, 0.0, -30.0])
-    assert turned.tip_seen  # what was unproven is its base now
 
 
 def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():
