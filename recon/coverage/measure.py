@@ -8,7 +8,7 @@ import numpy as np
 from rhizotwin.recon.calibration import exposure
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.exposure import Exposures
-from rhizotwin.recon.coverage import background, silhouettes, translucency, wall
+from rhizotwin.recon.coverage import background, outside, silhouettes, translucency, wall
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.optics import cameras
@@ -189,6 +189,12 @@ def _without_wall(
     cleared = monitor.each(lambda k: wall.cleared(opacity.pop(k), seen[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
+    px_a_mm = float(np.median([_scale(views[k], optics) for k in keys[:: max(1, len(keys) // _RING_VIEWS)]]))
+    face = outside.face_of(optics, px_a_mm)
+    dirty = outside.find(free, clear, views, optics, face, monitor)
+    if dirty.any():
+        hidden = monitor.each(lambda k: outside.hidden(dirty, wall.crossings(views[k], optics, face)), "outside", keys)
+        clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
 
 

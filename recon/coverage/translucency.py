@@ -51,7 +51,9 @@ _MOST = 3000
 _A_BIN, _LEAST = 120, 30
 """Profiles used of each pixel of width, and fewer than which tell nothing: a median of 30 is uncertain by a quarter of
 their spread."""
-_MU_PER_MM = np.concatenate([np.geomspace(0.5, 8.0, 25), [16.0, 1e3]])
+FAINTEST_LEARNED = 0.5
+"""Least attenuation that is tried, 1/mm: where it explains profiles best, it is a bound and no measurement."""
+_MU_PER_MM = np.concatenate([np.geomspace(FAINTEST_LEARNED, 8.0, 25), [16.0, 1e3]])
 """Attenuations that are tried: 12 % apart from faint to dark, then nearly opaque and opaque."""
 _BLUR_PX = (0.3, 0.45, 0.6, 0.75, 1.0)
 """Standard deviations of blurs that are tried, from the square pixel's own to a camera out of focus."""

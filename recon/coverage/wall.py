@@ -83,27 +83,51 @@ class Wall:
     """(rows, columns)"""
 
 
-def shape(optics: Optics) -> tuple[int, int]:
-    """Return the rows and columns of the unrolled wall."""
-    rows = max(1, round((optics.water_z_mm - optics.floor_z_mm) / _TEXEL_MM))
-    return rows, max(8, round(2.0 * np.pi * optics.inner_radius_mm / _TEXEL_MM))
+@dataclass(frozen=True)
+class Face:
+    """One of the wall's two faces, unrolled."""
+
+    texel_mm: float
+    """About."""
+    outside: bool
+    beyond_mm: float = 0.0
+    """It reaches so far above the water and below its floor, which lines of sight pass on their way into it."""
+
+    def shape(self, optics: Optics) -> tuple[int, int]:
+        """Return the rows and columns of its texels."""
+        radius_mm = optics.outer_radius_mm if self.outside else optics.inner_radius_mm
+        rows = max(1, round((optics.water_z_mm - optics.floor_z_mm + 2.0 * self.beyond_mm) / self.texel_mm))
+        return rows, max(8, round(2.0 * np.pi * radius_mm / self.texel_mm))
 
 
-def crossings(view: View, optics: Optics) -> Crossings:
-    """Follow a view's pixels to where they enter and leave the water; outside of it the coordinates mean nothing."""
+INSIDE = Face(_TEXEL_MM, outside=False)
+"""Where films and bubbles are."""
+
+
+def crossings(view: View, optics: Optics, face: Face = INSIDE) -> Crossings:
+    """Follow a view's pixels to where they pass a face of the wall, near and far.
+
+    Where they miss the water the coordinates mean nothing.
+    """
     lines = CoarseLines.of(view, optics, step=_STEP, beyond=True)
-    line = refraction.follow(optics, refraction.within(optics, lines.line))
+    outer = refraction.within(optics, lines.line)
+    line = refraction.follow(optics, outer)
     half = np.sqrt(np.maximum(optics.inner_radius_mm**2 - line.b_mm**2, 0.0))
     x, y, _ = view.centre_mm
-    rows, columns = shape(optics)
+    rows, columns = face.shape(optics)
+    near, near_z = line.b_mm[:, None] * line.nu - half[:, None] * line.t, line.entry_z_mm
+    if face.outside:
+        at_mm = np.sqrt(optics.outer_radius_mm**2 - outer.b_mm**2)
+        near, near_z = outer.b_mm[:, None] * outer.nu - at_mm[:, None] * outer.t, line.outer_z_mm
+    # the way out is the way in, mirrored in the middle of the water
+    far = near - 2.0 * (near * line.t).sum(axis=1, keepdims=True) * line.t
+    far_z = 2.0 * (line.entry_z_mm + line.slope * half) - near_z
     found = []
-    for side in (-1.0, 1.0):
-        at = line.b_mm[:, None] * line.nu + side * half[:, None] * line.t
-        centre = 0.0 if side < 0 else np.pi  # so that the azimuth is even over the picture
+    for at, z, centre in ((near, near_z, 0.0), (far, far_z, np.pi)):  # the centre, so that the azimuth is even over the picture
         azimuth = np.mod(np.arctan2(at[:, 1], at[:, 0]) - centre + np.pi, 2.0 * np.pi) - np.pi + centre + np.arctan2(y, x)
-        z = line.entry_z_mm + line.slope * (1.0 + side) * half
         column = azimuth * columns / (2.0 * np.pi) - 0.5
-        row = (optics.water_z_mm - z) * rows / (optics.water_z_mm - optics.floor_z_mm) - 0.5
+        height_mm = optics.water_z_mm - optics.floor_z_mm + 2.0 * face.beyond_mm
+        row = (optics.water_z_mm + face.beyond_mm - z) * rows / height_mm - 0.5
         found.append([column.reshape(lines.shape), row.reshape(lines.shape)])
     return Crossings(np.array(found, np.float32), lines.image_wh)
 
@@ -143,7 +167,7 @@ def study(
     settings : CoverageSettings
         What is a film, and what a bubble.
     """
-    rows, columns = shape(optics)
+    rows, columns = INSIDE.shape(optics)
     step = max(1, next(iter(opacity.values())).shape[1] // _COLUMNS)
     sampled = np.s_[::step, ::step]
     depth = {k: -np.log1p(-np.minimum(picture[sampled], _OPAQUE)) for k, picture in opacity.items()}

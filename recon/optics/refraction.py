@@ -90,8 +90,24 @@ class Optics:
         )
 
 
+class _Headed:
+    """Lines with a horizontal heading."""
+
+    heading_rad: Array
+
+    @property
+    def t(self) -> Array:
+        """Horizontal unit directions (..., 2)."""
+        return np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad)], axis=-1)
+
+    @property
+    def nu(self) -> Array:
+        """Horizontal unit normals (..., 2) with P . nu = b on the line."""
+        return np.stack([np.sin(self.heading_rad), -np.cos(self.heading_rad)], axis=-1)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Approach:
+class Approach(_Headed):
     """Straight lines of sight before they meet the canister, in the camera's azimuth frame; fields as the rays."""
 
     b_mm: Array
@@ -143,7 +159,7 @@ def from_point(rho_mm: Array | float, z_cam_mm: Array | float, b_mm: Array, p_z:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaterLine:
+class WaterLine(_Headed):
     """Straight lines of sight in the water, in the camera's azimuth frame; every field has the shape of the rays."""
 
     b_mm: Array
@@ -156,16 +172,6 @@ class WaterLine:
     """Height where the line enters the water at the inner wall."""
     outer_z_mm: Array
     """Height where the ray meets the outer wall."""
-
-    @property
-    def t(self) -> Array:
-        """Horizontal unit directions (..., 2)."""
-        return np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad)], axis=-1)
-
-    @property
-    def nu(self) -> Array:
-        """Horizontal unit normals (..., 2) with P . nu = b on the line."""
-        return np.stack([np.sin(self.heading_rad), -np.cos(self.heading_rad)], axis=-1)
 
 
 def trace(optics: Optics, rho_mm: Array | float, z_cam_mm: Array | float, w: Array, p_z: Array) -> WaterLine:

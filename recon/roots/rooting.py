@@ -83,6 +83,8 @@ def find(
             attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
     with monitor.stage("hairs"):
         attenuation, seen, fitted = root_hairs.find(seen, fitted, organ, attenuation)
+        if seen.hairs is not None and attenuation.mu_per_mm is not None:  # what was fitted without them was fainter and wider
+            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
     return RootTree(
         tubes=fitted,
         buried=buried,

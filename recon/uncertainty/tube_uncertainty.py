@@ -15,7 +15,7 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import tube_attenuation, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import attenuation_trials, tube_fit, tube_picture, tube_profiles
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -102,7 +102,7 @@ def _translucency(system: RootSystem) -> tuple[Term, ...]:
     attenuation, tubes = system.attenuation, system.tubes
 
     def volume_mm3(mu_per_mm: float | None) -> float:
-        radius = tube_attenuation.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
+        radius = attenuation_trials.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
         return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
 
     if attenuation.mu_per_mm is not None:
@@ -124,11 +124,12 @@ def _hairs(system: RootSystem) -> tuple[Term, ...]:
     if told == "none":
         return ()
     there = system.seen.hairs
-    other = tube_attenuation.with_light_kept(tubes, system.buried, (mu, there), (mu, HAIRS if there is None else None))
+    other = attenuation_trials.with_light_kept(tubes, system.buried, (mu, there), (mu, HAIRS if there is None else None))
     change = float(np.pi * (np.square(other.radius_mm) - np.square(tubes.radius_mm)) @ _lengths(tubes))
-    if there is None:
+    if told == "maybe":
         why = "the pictures do not tell whether hairs stand about the roots"
-        return (Term(name="hairs", less_mm3=max(0.0, -change), more_mm3=0.0, why=why),)
+        known = 0.0 if there is None else _HAIRS_KNOWN * abs(change)
+        return (Term(name="hairs", less_mm3=max(known, -change), more_mm3=max(known, change), why=why),)
     why = "hairs stand about the roots, and what they take of the light is known to a half"
     return (Term.even("hairs", _HAIRS_KNOWN * abs(change), why),)
 

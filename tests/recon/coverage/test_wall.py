@@ -39,7 +39,7 @@ def painted(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_stay(turn: tuple) -> None:
     views, optics, seen = turn
-    film, things = painted(wall.shape(optics))
+    film, things = painted(wall.INSIDE.shape(optics))
     where = {k: wall.crossings(view, optics) for k, view in views.items()}
     depth = {k: sum(wall.look_up(film + things, where[k].column[side], where[k].row[side]) for side in (0, 1)) * seen[k] for k in views}
     opacity = {k: (1.0 - np.exp(-d)).astype(np.float32) for k, d in depth.items()}
@@ -70,7 +70,7 @@ def test_what_is_clear_wherever_one_looks_past_the_crowd_is_no_bubble() -> None:
 
 def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: tuple) -> None:
     views, optics, _ = turn
-    rows, columns = wall.shape(optics)
+    rows, columns = wall.INSIDE.shape(optics)
     view = views[3]
     where = wall.crossings(view, optics)
     x, y, _ = view.centre_mm

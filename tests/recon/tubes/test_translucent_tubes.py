@@ -12,7 +12,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import attenuation_trials, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
@@ -119,7 +119,7 @@ def test_fitted_radii_are_those_of_translucent_roots() -> None:
 def test_tubes_tell_the_attenuation() -> None:
     truth = strung(*STAR)
     seen = pictured(truth, 2.0, noise=0.005)
-    start = tube_attenuation.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
+    start = attenuation_trials.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
     attenuation, found = tube_attenuation.find(seen, start, np.zeros(len(truth.radius_mm), bool), 0.0)
     assert attenuation.mu_per_mm == pytest.approx(2.0, rel=0.1)
     assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.08)
@@ -132,7 +132,7 @@ def test_tubes_tell_the_attenuation() -> None:
 def test_too_few_tubes_to_tell_let_as_much_light_through_as_the_widest_roots_seemed_to(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = strung(*STAR)
     seen, organ = pictured(truth, 2.0, noise=0.005), np.zeros(len(truth.radius_mm), bool)
-    start = tube_attenuation.scaled(truth, organ, 2.0, None)
+    start = attenuation_trials.scaled(truth, organ, 2.0, None)
     monkeypatch.setattr(tube_attenuation, "_LEAST_LONE", 10**9)
     assert tube_attenuation.find(seen, start, organ, 0.0)[0].mu_per_mm is None
     attenuation, found = tube_attenuation.find(seen, start, organ, 0.0, 2.0)
@@ -152,7 +152,7 @@ def test_opaque_tubes_taken_for_translucent_are_opaque_again_at_rest() -> None:
     truth = strung(*STAR)
     seen, organ = replace(pictured(truth, None, noise=0.005).by_light(), mu_per_mm=4.3), np.zeros(len(truth.radius_mm), bool)
     wrong = tube_attenuation.TubeAttenuation(mu_per_mm=4.3, sigma=0.05, blur_px=0.0, against_opaque=1.37, profiles=1193)
-    attenuation, found = tube_attenuation.refine(seen, tube_attenuation.scaled(truth, organ, None, 4.3), organ, wrong)
+    attenuation, found = tube_attenuation.refine(seen, attenuation_trials.scaled(truth, organ, None, 4.3), organ, wrong)
     assert attenuation.mu_per_mm is None
     assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.03)
 
