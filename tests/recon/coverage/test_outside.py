@@ -1,0 +1,99 @@
+"""Dirt on the canister's outside, told from what is on its inside and from roots by turning the canister."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.coverage import background, outside, wall
+from rhizotwin.recon.coverage.wall import Face
+from rhizotwin.recon.optics import cameras
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
+
+VIEWS, PX_A_MM = 24, 1.8
+
+
+@pytest.fixture(scope="module")
+def turn() -> tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]:
+    """Cameras round a canister, and what of the water each sees."""
+    scene = Scene(camera=Camera().resized((400, 300)))
+    scene = replace(scene, plan=replace(scene.plan, rings=(replace(scene.plan.rings[0], views=VIEWS),)))
+    optics = Optics.of(scene)
+    views = {
+        v.index: cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ frames.rotation_z(np.deg2rad(v.table_deg)))
+        for v in plan.views(scene)
+    }
+    return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}
+
+
+def pictured(turn: tuple, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]:
+    """Return the opacity of what is painted on a face of the wall, in every view, with some noise."""
+    views, optics, seen = turn
+    rng, found = np.random.default_rng(1), {}
+    for k, view in views.items():
+        where = wall.crossings(view, optics, face)
+        depth = sum(wall.look_up(paint, where.column[side], where.row[side]) for side in (0, 1))
+        noise = rng.normal(0.0, 0.01, depth.shape)
+        found[k] = np.where(seen[k], 1.0 - np.exp(-depth) + noise, 0.0).astype(np.float32)
+    return found
+
+
+def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
+    paint = np.zeros(face.shape(optics), np.float32)
+    middle = paint.shape[0] // 2
+    paint[middle : middle + 2, 100:102] = 1.5
+    paint[np.arange(middle - 20, middle + 20), np.arange(300, 340)] = 1.5
+    paint[np.arange(middle - 20, middle + 20), np.arange(301, 341)] = 1.5
+    return paint
+
+
+def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: tuple) -> None:
+    views, optics, seen = turn
+    face = outside.face_of(optics, PX_A_MM)
+    paint = with_dust_and_scratch(face, optics)
+    opacity = pictured(turn, face, paint)
+    dirty = outside.find(opacity, seen, views, optics, face, Monitor())
+    assert dirty[paint > 0].mean() > 0.9
+    assert dirty[paint == 0].mean() < 0.002, "a texel about it"
+    before = after = 0.0
+    for k, view in views.items():
+        hidden = outside.hidden(dirty, wall.crossings(view, optics, face))
+        before, after = before + float((opacity[k] > 0.2).sum()), after + float(((opacity[k] > 0.2) & ~hidden).sum())
+    assert after < 0.15 * before
+
+
+def test_what_is_on_the_inside_stays(turn: tuple) -> None:
+    """A root that grows along the wall looks as a scratch does, but for the way of light through the wall."""
+    views, optics, seen = turn
+    face = outside.face_of(optics, PX_A_MM)
+    inside = replace(face, outside=False)
+    opacity = pictured(turn, inside, with_dust_and_scratch(inside, optics))
+    assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
+
+
+def test_noise_and_passing_roots_are_no_dirt(turn: tuple) -> None:
+    """Roots that darken a third of each place's views, elsewhere in each, are not on the wall."""
+    views, optics, seen = turn
+    rng = np.random.default_rng(2)
+    opacity = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
+    assert not outside.find(opacity, seen, views, optics, outside.face_of(optics, PX_A_MM), Monitor()).any()
+
+
+def test_the_way_out_is_where_points_of_the_outside_are_seen(turn: tuple) -> None:
+    """Near and far crossings of a line of sight are the two points where it passes the outside: mirrored about the water's middle."""
+    views, optics, _ = turn
+    face = outside.face_of(optics, PX_A_MM)
+    rows, columns = face.shape(optics)
+    where = wall.crossings(views[0], optics, face)
+    level = np.argmin(np.abs(where.row[0] - where.row[1])[:, 200])  # a line that hardly climbs
+    left, right = where.column[0][level, 150], where.column[0][level, 250]
+    out_left, out_right = where.column[1][level, 150], where.column[1][level, 250]
+    x, y, _ = views[0].centre_mm
+    camera = np.arctan2(y, x) * columns / (2.0 * np.pi)
+    assert (left - camera) == pytest.approx(-(right - camera), abs=0.1 * columns)
+    assert 0.3 * columns < abs(out_left - left) < 0.7 * columns
+    assert np.sign(out_left - out_right) == -np.sign(left - right), "lines cross inside"
+    assert rows > wall.INSIDE.shape(optics)[0]
