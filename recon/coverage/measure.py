@@ -193,7 +193,7 @@ def _without_wall(
     face = outside.face_of(optics, px_a_mm)
     dirty = outside.find(free, clear, views, optics, face, monitor)
     if dirty.any():
-        hidden = monitor.each(lambda k: outside.hidden(dirty, wall.crossings(views[k], optics, face)), "outside", keys)
+        hidden = monitor.each(lambda k: outside.hidden(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys)
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
 

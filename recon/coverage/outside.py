@@ -118,8 +118,7 @@ def _marked(
     From near and from far are two views.
     """
     rows, columns = face.shape(optics)
-    widest = np.ones((2 * round(0.5 * _WIDEST_MM / face.texel_mm) + 1,) * 2, np.uint8)
-    wide = cv2.morphologyEx(opacity[k], cv2.MORPH_OPEN, widest) > _DARK
+    wide = _wide(opacity[k], face)
     # a pixel to each side: what is smaller than one moves between them
     dark = cv2.dilate(opacity[k], np.ones((3, 3), np.uint8)) > _DARK
     at = wall.crossings(views[k], optics, face)
@@ -134,7 +133,26 @@ def _marked(
     return share.reshape(rows, columns), sees.reshape(rows, columns)
 
 
-def hidden(dirty: Mask, where: Crossings) -> Mask:
-    """Return the pixels (H, W) whose lines of sight pass dirt (rows, columns) on the outside, near or far."""
+def hidden(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
+    """Return the pixels (H, W) that dirt on the outside hides, near or far.
+
+    Before a thick root it changes nothing.
+
+    Parameters
+    ----------
+    opacity : (H, W) float32 array
+        Of the picture.
+    dirty : (rows, columns) bool array
+        Texels of the outside.
+    where, face : Crossings, Face
+        Where lines of sight pass it.
+    """
     sides = zip(where.column, where.row, strict=True)
-    return np.asarray(sum(wall.look_up(dirty.astype(np.float32), *at) for at in sides) >= 0.5)
+    passed = sum(wall.look_up(dirty.astype(np.float32), *at) for at in sides) >= 0.5
+    return np.asarray(passed & ~_wide(opacity, face))
+
+
+def _wide(opacity: Image, face: Face) -> Mask:
+    """Tell the pixels (H, W) of what is wider than dirt."""
+    edge = 2 * round(0.5 * _WIDEST_MM / face.texel_mm) + 1
+    return np.asarray(cv2.morphologyEx(opacity, cv2.MORPH_OPEN, np.ones((edge, edge), np.uint8)) > _DARK)

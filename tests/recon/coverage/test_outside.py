@@ -60,7 +60,7 @@ def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: tuple) ->
     assert dirty[paint == 0].mean() < 0.002, "a texel about it"
     before = after = 0.0
     for k, view in views.items():
-        hidden = outside.hidden(dirty, wall.crossings(view, optics, face))
+        hidden = outside.hidden(opacity[k], dirty, wall.crossings(view, optics, face), face)
         before, after = before + float((opacity[k] > 0.2).sum()), after + float(((opacity[k] > 0.2) & ~hidden).sum())
     assert after < 0.15 * before
 
