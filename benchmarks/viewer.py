@@ -362,7 +362,8 @@ def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple
     shown.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
     shown.on("pageerror", lambda error: complaints.append(str(error)))
     shown.goto(path.as_uri())
-    shown.wait_for_function("Number(document.querySelector('canvas').dataset.drawn) > 0", timeout=PATIENCE_MS)
+    # by its attribute: a function that must be asked twice is refused by the page's own policy, which forbids eval
+    shown.locator("canvas[data-drawn]:not([data-drawn='0'])").wait_for(state="attached", timeout=PATIENCE_MS)
     wide = float(shown.evaluate("document.documentElement.scrollWidth"))
     context.close()
     return {
