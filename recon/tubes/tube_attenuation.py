@@ -227,13 +227,13 @@ def _joint(trials: Trials, mu_per_mm: float, blur_px: float) -> _Least:
 
     def behind(step: int) -> float:
         """Return by how many standard deviations a blur leaves more than the best of those that are known."""
-        best = min(known.values(), key=lambda one: one.cost)
-        return trials.behind(*(trials.nearest(one.mu_per_mm, one.blur_px) for one in (at(step), best)))
+        here, best = at(step), min(known.values(), key=lambda one: one.cost)
+        return trials.behind(*(trials.nearest(one.mu_per_mm, one.blur_px) for one in (here, best)))
 
     at(0)
     for way in (1, -1):
         step = way
-        while -1e-6 < blur_px + BLUR_STEP_PX * step < _MOST_BLUR_PX and (at(step), behind(step))[1] < _FAR_BEHIND:
+        while -1e-6 < blur_px + BLUR_STEP_PX * step < _MOST_BLUR_PX and behind(step) < _FAR_BEHIND:
             step += way
     weight = np.array([np.exp(-0.5 * max(0.0, behind(step)) ** 2) for step in known])
     weight /= weight.sum()
