@@ -5,31 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhizotwin.recon.coverage import background, outside, wall
+from rhizotwin.recon.coverage import outside, wall
 from rhizotwin.recon.coverage.wall import Face
-from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
+from tests.recon.coverage.turns import Turn, turned
 
 VIEWS, PX_A_MM = 24, 1.8
 
 
 @pytest.fixture(scope="module")
-def turn() -> tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]:
-    """Cameras round a canister, and what of the water each sees."""
-    scene = Scene(camera=Camera().resized((400, 300)))
-    scene = replace(scene, plan=replace(scene.plan, rings=(replace(scene.plan.rings[0], views=VIEWS),)))
-    optics = Optics.of(scene)
-    views = {
-        v.index: cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ frames.rotation_z(np.deg2rad(v.table_deg)))
-        for v in plan.views(scene)
-    }
-    return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}
+def turn() -> Turn:
+    return turned(VIEWS)
 
 
-def pictured(turn: tuple, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]:
+def pictured(turn: Turn, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]:
     """Return the opacity of what is painted on a face of the wall, in every view, with some noise."""
     views, optics, seen = turn
     rng, found = np.random.default_rng(1), {}
@@ -50,7 +40,7 @@ def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
     return paint
 
 
-def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: tuple) -> None:
+def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> None:
     views, optics, seen = turn
     face = outside.face_of(optics, PX_A_MM)
     paint = with_dust_and_scratch(face, optics)
@@ -65,7 +55,7 @@ def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: tuple) ->
     assert after < 0.15 * before
 
 
-def test_what_is_on_the_inside_stays(turn: tuple) -> None:
+def test_what_is_on_the_inside_stays(turn: Turn) -> None:
     """A root that grows along the wall looks as a scratch does, but for the way of light through the wall."""
     views, optics, seen = turn
     face = outside.face_of(optics, PX_A_MM)
@@ -74,7 +64,7 @@ def test_what_is_on_the_inside_stays(turn: tuple) -> None:
     assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
 
 
-def test_noise_and_passing_roots_are_no_dirt(turn: tuple) -> None:
+def test_noise_and_passing_roots_are_no_dirt(turn: Turn) -> None:
     """Roots that darken a third of each place's views, elsewhere in each, are not on the wall."""
     views, optics, seen = turn
     rng = np.random.default_rng(2)
@@ -82,7 +72,7 @@ def test_noise_and_passing_roots_are_no_dirt(turn: tuple) -> None:
     assert not outside.find(opacity, seen, views, optics, outside.face_of(optics, PX_A_MM), Monitor()).any()
 
 
-def test_the_way_out_is_where_points_of_the_outside_are_seen(turn: tuple) -> None:
+def test_the_way_out_is_where_points_of_the_outside_are_seen(turn: Turn) -> None:
     """Near and far crossings of a line of sight are the two points where it passes the outside: mirrored about the water's middle."""
     views, optics, _ = turn
     face = outside.face_of(optics, PX_A_MM)

@@ -1,31 +1,19 @@
 """Films and bubbles on the canister's wall, told from roots by turning the canister."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from rhizotwin.recon.coverage import background, wall
+from rhizotwin.recon.coverage import wall
 from rhizotwin.recon.optics import cameras
-from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
+from tests.recon.coverage.turns import Turn, turned
 
 VIEWS = 16
 
 
 @pytest.fixture(scope="module")
-def turn() -> tuple[dict[int, cameras.View], Optics, dict[int, np.ndarray]]:
-    """Cameras round a canister, and what of the water each sees."""
-    scene = Scene(camera=Camera().resized((400, 300)))
-    scene = replace(scene, plan=replace(scene.plan, rings=(replace(scene.plan.rings[0], views=VIEWS),)))
-    optics = Optics.of(scene)
-    views = {
-        v.index: cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ frames.rotation_z(np.deg2rad(v.table_deg)))
-        for v in plan.views(scene)
-    }
-    return views, optics, {k: background.water_mask(view, optics, scene) for k, view in views.items()}
+def turn() -> Turn:
+    return turned(VIEWS)
 
 
 def painted(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +25,7 @@ def painted(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     return film, things
 
 
-def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_stay(turn: tuple) -> None:
+def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_stay(turn: Turn) -> None:
     views, optics, seen = turn
     film, things = painted(wall.INSIDE.shape(optics))
     where = {k: wall.crossings(view, optics) for k, view in views.items()}
@@ -68,14 +56,14 @@ def test_what_is_clear_wherever_one_looks_past_the_crowd_is_no_bubble() -> None:
     assert wall._bubbles(dark, views, 0.06)[9:12, 30:33].all()
 
 
-def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: tuple) -> None:
+def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: Turn) -> None:
     views, optics, _ = turn
     rows, columns = wall.INSIDE.shape(optics)
     view = views[3]
     where = wall.crossings(view, optics)
     x, y, _ = view.centre_mm
-    for side, turned in ((0, 0.4), (1, np.pi - 0.2)):
-        azimuth = np.arctan2(y, x) + turned
+    for side, ahead in ((0, 0.4), (1, np.pi - 0.2)):
+        azimuth = np.arctan2(y, x) + ahead
         point = np.array([[optics.inner_radius_mm * np.cos(azimuth), optics.inner_radius_mm * np.sin(azimuth), -60.0]]) * (1.0 - 1e-9)
         px, count = cameras.project(view, optics, point)
         assert count[0] == 1
