@@ -18,7 +18,10 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 
 def png(drawn: "Figure", *, dpi: int) -> bytes:
-    """Return a figure as PNG."""
+    """Return a figure as PNG: drawn once, where matplotlib's own way of saving would lay it out in a drawing before."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     stored = io.BytesIO()
-    drawn.savefig(stored, format="png", dpi=dpi)
+    drawn.set_dpi(dpi)
+    FigureCanvasAgg(drawn).print_png(stored)
     return stored.getvalue()

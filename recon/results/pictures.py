@@ -36,6 +36,8 @@ SHRINK = 2
 """Renderings are made this much finer than shown, then averaged."""
 PANEL_PX = 640
 """Height of a rendering."""
+_DISTANCE_PX = 2 * SHRINK
+"""A rendering's pixels, each way, for which a distance is found once: it changes little over two pixels that are shown."""
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:
@@ -306,7 +308,7 @@ def _box(points_mm: Floats, side: shading.Side) -> Box:
 def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: float, truth: Mesh) -> Floats:
     """Return the distance (H, W) in mm to the truth of what a raster shows, 0 where it shows nothing.
 
-    One point a pixel of the picture.
+    One point for a few pixels of the picture.
 
     Parameters
     ----------
@@ -323,7 +325,9 @@ def distances_shown(found: shading.Raster, side: shading.Side, box: Box, px_mm: 
         mm.
     """
     row, column = np.nonzero(found.hit)
-    _, first, number = np.unique((row // SHRINK) * found.hit.shape[1] + column // SHRINK, return_index=True, return_inverse=True)
+    _, first, number = np.unique(
+        (row // _DISTANCE_PX) * found.hit.shape[1] + column // _DISTANCE_PX, return_index=True, return_inverse=True
+    )
     flat = np.stack([box[0] + (column + 0.5) * px_mm, box[3] - (row + 0.5) * px_mm, found.depth_mm[row, column]], axis=1)[first]
     distance = np.zeros(found.hit.shape)
     if len(first):

@@ -51,9 +51,9 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
     written.append(_save(pictures.shape_near(shape, dataset.scene, title=str(summary["scene"])), result_folder, "shape.png"))
     if truth_mesh is not None:
         written.append(write_shape_and_truth(result_folder, dataset, truth_mesh=truth_mesh))
-    traits = result_traits.read(result_folder)
     if (result_folder / "roots.rsml").is_file():
         roots = rsml.read_rsml(result_folder / "roots.rsml")
+        traits = result_traits.of_summary(summary, shape, roots)
         written.append(_save(report_roots.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
         written.append(_save(report_roots.length_plots(traits), result_folder, "lengths.png"))
     return written

@@ -66,15 +66,16 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
     view = mesh.vertices_mm @ side.axes.T
     # Pixel centres at integers, rows downwards.
     flat = np.stack([(view[:, 0] - left) / px_mm - 0.5, (top - view[:, 1]) / px_mm - 0.5, view[:, 2]], axis=1)
-    normals = vertex_normals(mesh) @ side.axes.T
+    low = np.maximum(np.ceil(_of_faces(np.minimum, flat[:, :2], mesh.faces)).astype(np.int64), 0)
+    high = np.minimum(np.floor(_of_faces(np.maximum, flat[:, :2], mesh.faces)).astype(np.int64) + 1, [width, height])
+    size = np.maximum(high - low, 0)
+    some = np.flatnonzero(size.prod(axis=1))  # most triangles of a fine mesh lie between the pixels
+    low, size, faces = low[some], size[some], mesh.faces[some]
+    pairs, planes = size.prod(axis=1), _planes(flat, faces)
+    normals = (vertex_normals(mesh) @ side.axes.T).astype(np.float32)
 
     depth = np.full(width * height, -np.inf)
     found = np.zeros((width * height, 3), np.float32)
-    corners = flat[mesh.faces]
-    low = np.maximum(np.ceil(corners[:, :, :2].min(axis=1)).astype(np.int64), 0)
-    high = np.minimum(np.floor(corners[:, :, :2].max(axis=1)).astype(np.int64) + 1, [width, height])
-    size = np.maximum(high - low, 0)
-    pairs = size[:, 0] * size[:, 1]
     block = np.cumsum(pairs) // PAIRS_AT_ONCE
     for part in np.split(np.arange(len(pairs)), np.flatnonzero(np.diff(block)) + 1):
         triangle = np.repeat(part, pairs[part])
@@ -83,12 +84,14 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
         step = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs[part]) - pairs[part], pairs[part])
         step_y, step_x = np.divmod(step, size[triangle, 0])
         x, y = low[triangle, 0] + step_x, low[triangle, 1] + step_y
-        weights, inside = _barycentric(corners[triangle], x, y)
-        triangle, weights, pixel = triangle[inside], weights[inside], (y * width + x)[inside]
-        z = np.einsum("ij,ij->i", weights, corners[triangle, :, 2])
+        w_b, w_c, z = (plane[0] * x + plane[1] * y + plane[2] for plane in planes[:, :, triangle])
+        inside = np.flatnonzero(np.minimum(np.minimum(w_b, w_c), 1.0 - w_b - w_c) >= -1e-9)
+        pixel, z = (y * width + x)[inside], z[inside]
         np.maximum.at(depth, pixel, z)
         front = z == depth[pixel]
-        found[pixel[front]] = np.einsum("ij,ijk->ik", weights[front], normals[mesh.faces[triangle[front]]])
+        inside, pixel = inside[front], pixel[front]
+        weights = np.stack([1.0 - w_b[inside] - w_c[inside], w_b[inside], w_c[inside]], axis=1).astype(np.float32)
+        found[pixel] = np.einsum("ij,ijk->ik", weights, normals[faces[triangle[inside]]])
     hit = np.isfinite(depth)
     length = np.sqrt(np.einsum("ij,ij->i", found, found))[:, None]
     normal = (found / np.where(length > 0.0, length, 1.0)).astype(np.float32)
@@ -100,15 +103,26 @@ def rasterise(mesh: Mesh, side: Side, *, box_mm: tuple[float, float, float, floa
     )
 
 
-def _barycentric(corners: Floats, x: NDArray[np.int64], y: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the weights (N, 3) of pixels in their triangles, and whether they lie inside."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    det = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    safe = np.where(det != 0.0, det, 1.0)
-    w_b = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (y - a[:, 1]) * (c[:, 0] - a[:, 0])) / safe
-    w_c = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (b[:, 1] - a[:, 1]) * (x - a[:, 0])) / safe
-    weights = np.stack([1.0 - w_b - w_c, w_b, w_c], axis=1)
-    return weights, (det != 0.0) & (weights >= -1e-9).all(axis=1)
+def _of_faces(least: np.ufunc, values: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Return the least (or the most) that the three corners of faces (F, 3) have of values (V, K): (F, K)."""
+    a, b, c = (values[corner] for corner in faces.T)
+    return np.asarray(least(least(a, b), c))
+
+
+def _planes(flat: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Return the planes (3, 3, F) over the pixels of the second and third corner's weight and of the depth.
+
+    Each by x, by y, and at the origin; not a number in a triangle that is seen edge-on, which covers nothing.
+    """
+    a, b, c = (flat[corner].T for corner in faces.T)
+    (b_x, b_y, b_z), (c_x, c_y, c_z) = b - a, c - a
+    det = b_x * c_y - c_x * b_y
+    det[det == 0.0] = np.nan
+    by_x, by_y = np.stack([c_y, -b_y]) / det, np.stack([-c_x, b_x]) / det
+    planes = np.stack([by_x, by_y, -by_x * a[0] - by_y * a[1]], axis=1)
+    depth = planes[0] * b_z + planes[1] * c_z
+    depth[2] += a[2]
+    return np.concatenate([planes, depth[None]])
 
 
 def vertex_normals(mesh: Mesh) -> Floats:

@@ -64,7 +64,8 @@ class _Read:
     @classmethod
     def of(cls, folder: Path, dataset: Dataset | Path | None) -> _Read:
         summary = result_files.read_summary(folder)
-        return cls(folder, summary, read_roots(folder), result_traits.read(folder), _dataset(summary, folder, dataset))
+        roots, surface = read_roots(folder), result_files.read_mesh(folder / "shape.ply")
+        return cls(folder, summary, roots, result_traits.of_summary(summary, surface, roots), _dataset(summary, folder, dataset))
 
     @property
     def name(self) -> str:
@@ -215,7 +216,7 @@ def _pictures(read: _Read) -> str:
         except UserError:  # a picture that cannot be read any more: the page is made without it
             continue
         scale = image.shape[1] / pictures.views[place].camera.image_wh[0]
-        image = _cut(image, scale * (pictures.pixels(place, around) + 0.5) - 0.5)
+        image = _cut(image, scale * (pictures.pixels(place, around[::8]) + 0.5) - 0.5)  # a margin is left about them
         shown.append(_figure(_jpeg(image), f"{angle} degrees: {Path(pictures.files[place]).name}"))
     return f"<div class=pictures>{''.join(shown)}</div>"
 
