@@ -9,6 +9,8 @@ import signal
 import sys
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)
+# before NumPy is loaded: its matrices here are small, and threads that wait for the next one spin
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from rhizotwin.cli import main  # noqa: E402 - first the signal
 from rhizotwin.scenes.said import DEBUG_VARIABLE  # noqa: E402

@@ -37,7 +37,7 @@ SHRINK = 2
 PANEL_PX = 640
 """Height of a rendering."""
 _DISTANCE_PX = 2 * SHRINK
-"""A rendering's pixels, each way, for which a distance is found once: it changes little over two pixels that are shown."""
+"""A rendering's pixels, each way, for which a distance is found once: over two that are shown it changes little."""
 
 
 def inputs_and_silhouettes(summary: Json, result_folder: Path, dataset: Dataset) -> Figure | None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.translucency import Attenuation
+from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, tracing
@@ -30,8 +31,6 @@ _FLANK_PX = 0.5
 """About `CORE_PX` and this beyond a core point lies the flank of a taproot or hypocotyl."""
 _BEYOND_PX = 1.25
 """Beyond `CORE_PX` about a core point, the rest of a taproot's flank: half a pixel of outline, and its swelling."""
-_RIND_CELLS = 1.5
-"""A core's cells deeper than this hide nothing that the rind about them does not: one layer covers what is behind."""
 _BLURS_PX = (0.0, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 """Standard deviations of blurs that are tried, beside the square pixel's own."""
 _BLUR_VIEWS = 24
@@ -140,9 +139,10 @@ def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_m
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
-    rind = organ & (depth < _RIND_CELLS * cells.grid.size_mm)
-    thin, number = density.estimate(seen, cells.chosen(~organ), cells.chosen(rind))
-    return density.join(thin, cells.chosen(organ)), np.concatenate([depth[~organ][number], depth[organ]])
+    hides = cells.chosen(organ)
+    rind = hides.chosen(Scattered.of(hides.index).faces()[0])  # one layer covers what is behind
+    thin, number = density.estimate(seen, cells.chosen(~organ), rind)
+    return density.join(thin, hides), np.concatenate([depth[~organ][number], depth[organ]])
 
 
 def _refined(
