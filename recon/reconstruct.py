@@ -16,7 +16,7 @@ from rhizotwin.recon import shaping
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
-from rhizotwin.recon.coverage.measure import Coverage, measure_coverage
+from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, with_attenuation
 from rhizotwin.recon.device import release
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
@@ -85,16 +85,16 @@ def reconstruct(
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
     of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
     del pictures
-    hull = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE)
-    tree, roots = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor), None
-    if tree is not None:
+    hull, roots = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE), None
+    if (tree := shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)) is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
         cameras, roots = tree.cameras, stages.keep("roots", settled, leave=_ON_DEVICE)
-        if cameras.roots is not None and cameras.roots.believed:  # what follows uses one calibration
-            del hull
-            hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-            stages.keep("hull_calibrated", hull, leave=_ON_DEVICE)
+        told = with_attenuation(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
+        if told is not coverage or (cameras.roots is not None and cameras.roots.believed):
+            del hull  # what follows uses one calibration and one attenuation
+            coverage = told
+            hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
     checked = (*of_pictures, *solid.checks)
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)

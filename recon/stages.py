@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rhizotwin.scenes import atomic
 
 T = TypeVar("T")
-STAGES = ("cameras", "coverage", "hull", "roots", "hull_calibrated", "solid")
+STAGES = ("cameras", "coverage", "hull", "roots", "hull_again", "solid")
 """What there is, in the order in which it is made; the first hull is carved again where the roots told of the
 cameras."""
 

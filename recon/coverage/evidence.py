@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, blurred
 from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
 from rhizotwin.recon.optics import projection
@@ -173,13 +173,13 @@ def generous_outline(silhouette: Silhouette) -> Image:
 
     It is meant to hold every root, however thin, at the price of holding more.
     """
-    blurred = cv2.GaussianBlur(silhouette.coverage, (0, 0), _TRACE_BLUR_PX)
-    return _distance(silhouette, blurred, _TRACE) + np.float32(_TRACE_SLACK_PX)
+    return _distance(silhouette, blurred(silhouette, _TRACE_BLUR_PX), _TRACE) + np.float32(_TRACE_SLACK_PX)
 
 
 def core_outline(silhouette: Silhouette) -> Image:
     """Return a signed distance (2 H, 2 W) in pixels, positive only deep inside full coverage."""
-    return _distance(silhouette, silhouette.coverage, _FULL) - np.float32(CORE_PX)
+    # what is not seen may be root, up to its rim
+    return _distance(silhouette, np.where(silhouette.seen, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
 
 
 def _distance(silhouette: Silhouette, picture: Image, level: float) -> Image:

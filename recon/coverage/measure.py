@@ -30,6 +30,8 @@ Outline = Callable[[Image, Image, Mask], Silhouette]
 
 _LEARN_VIEWS = 16
 """Views from which the roots' attenuation is learnt."""
+_SAME = 0.2
+"""Logarithm of the ratio of two attenuations that agree: what the widest roots tell scatters as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +148,7 @@ def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: 
 
 def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
     """Measure coverage against the empty backlight."""
-    keys, views, light = cameras.order, cameras.by_frame, _backlight(pictures, cameras, settings, monitor)
+    keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
     lit, exposures, seen = light.lit, light.exposures, light.seen
     del light  # as large as all pictures
@@ -154,24 +156,79 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
         opacity, seen, film = _without_wall(cameras, opacity, seen, settings, monitor)
     with monitor.stage("silhouettes"):
         some = keys[:: max(1, len(keys) // _LEARN_VIEWS)]
-        px_a_mm = float(np.median([_scale(views[k], cameras.optics) for k in some[::4]]))
+        px_a_mm = _px_a_mm(cameras)
         attenuation = translucency.learn([opacity[k] for k in some], [seen[k] for k in some], px_a_mm)
 
         def one(k: int) -> Silhouette:
             dark = opacity.pop(k)
             # noise and all, so that no faint root loses its flanks
             clear = dark / np.float32(1.0 - attenuation.own)
-            if attenuation.mu_per_mm is None:
-                drawn = silhouettes.measure(dark, seen[k], settings, own=attenuation.own)
-            else:
-                covered = translucency.covered(dark, attenuation, px_a_mm)
-                drawn = silhouettes.without_noise(covered, silhouettes.above_noise(dark, seen[k], settings), seen[k])
-            return replace(drawn, opacity=clear.astype(np.float16))
+            return replace(_covered(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
 
         drawn = dict(zip(keys, monitor.each(one, "silhouettes", keys), strict=True))
     clear = sum(int(seen[k].sum()) for k in keys) / max(1, sum(int(lit[k].sum()) for k in keys))
     dirt = None if film is None else 1.0 - (1.0 - film) * clear
     return Coverage(silhouettes=drawn, attenuation=attenuation, exposures=exposures, dirt=dirt)
+
+
+def with_attenuation(
+    coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
+) -> Coverage:
+    """Measure coverage once more, by the attenuation that fitted roots told.
+
+    Wide, lone roots, which tell it first, may be too few; then thin translucent roots seem to be opaque and narrow.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        As measured before.
+    cameras : Cameras
+        Its views.
+    mu_per_mm : float or None
+        Attenuation, 1/mm; None for opaque roots.
+    settings : CoverageSettings
+        What is noise.
+    monitor : Monitor
+        Hears how far it is.
+
+    Returns
+    -------
+    Coverage
+        The same where both agree (`_SAME`), or where the pictures were silhouettes already.
+    """
+    before = coverage.attenuation
+    if before is None or _agree(before.mu_per_mm, mu_per_mm):
+        return coverage
+    attenuation, px_a_mm, drawn = replace(before, mu_per_mm=mu_per_mm), _px_a_mm(cameras), coverage.silhouettes
+
+    def one(k: int) -> Silhouette:
+        clear = drawn[k].opacity
+        if clear is None:
+            return drawn[k]
+        dark = clear.astype(np.float32) * np.float32(1.0 - attenuation.own)
+        return replace(_covered(dark, drawn[k].seen, attenuation, px_a_mm, settings), opacity=clear)
+
+    with monitor.stage("silhouettes again"):
+        return replace(
+            coverage,
+            silhouettes=dict(zip(drawn, monitor.each(one, "silhouettes", list(drawn)), strict=True)),
+            attenuation=attenuation,
+        )
+
+
+def _agree(one: float | None, other: float | None) -> bool:
+    """Tell whether two attenuations make the same coverage."""
+    if one is None or other is None:
+        return one is other
+    return bool(abs(np.log(one / other)) < _SAME)
+
+
+def _covered(dark: Image, seen: Mask, attenuation: Attenuation, px_a_mm: float, settings: CoverageSettings) -> Silhouette:
+    """Return the silhouette of opacity (H, W)."""
+    if attenuation.mu_per_mm is None:
+        return silhouettes.measure(dark, seen, settings, own=attenuation.own)
+    covered = translucency.covered(dark, attenuation, px_a_mm)
+    return silhouettes.without_noise(covered, silhouettes.above_noise(dark, seen, settings), seen)
 
 
 def _without_wall(
@@ -189,13 +246,18 @@ def _without_wall(
     cleared = monitor.each(lambda k: wall.cleared(opacity.pop(k), seen[k], where[k], found), "clear", keys)
     free = {k: part for k, (part, _) in zip(keys, cleared, strict=True)}
     clear = {k: part for k, (_, part) in zip(keys, cleared, strict=True)}
-    px_a_mm = float(np.median([_scale(views[k], optics) for k in keys[:: max(1, len(keys) // _RING_VIEWS)]]))
-    face = outside.face_of(optics, px_a_mm)
+    face = outside.face_of(optics, _px_a_mm(cameras))
     dirty = outside.find(free, clear, views, optics, face, monitor)
     if dirty.any():
         hidden = monitor.each(lambda k: outside.hidden(free[k], dirty, wall.crossings(views[k], optics, face), face), "outside", keys)
         clear = {k: clear[k] & ~part for k, part in zip(keys, hidden, strict=True)}
     return free, clear, float((found.film > 0.0).mean())
+
+
+def _px_a_mm(cameras: Cameras) -> float:
+    """Return px/mm across the canister's axis, the median of some views."""
+    some = cameras.order[:: max(1, len(cameras.order) // _RING_VIEWS)]
+    return float(np.median([_scale(cameras.by_frame[k], cameras.optics) for k in some]))
 
 
 def _scale(view: View, optics: Optics) -> float:

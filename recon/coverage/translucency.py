@@ -44,8 +44,9 @@ _FLANK_PX = 1.7
 """Beyond half the width, where a blur of 0.85 px (two standard deviations) has ended."""
 _EMPTY = 0.06
 """Opacity beside a lone band is less."""
-_GOOD = 0.02
-"""Profiles that no root explains better than this (root mean square) are none of one lone root."""
+_GOOD = (0.02, 0.04)
+"""Profiles that no root explains better than this (root mean square) are none of one lone root; twice as bad ones,
+where those are too few. A crowd of opaque roots has hardly any of either."""
 _MOST = 3000
 """Places of a view that are looked at."""
 _A_BIN, _LEAST = 120, 30
@@ -218,10 +219,10 @@ def _fit(profiles: Array, width: Array, px_a_mm: float, bright: float) -> Attenu
             cross, band_2 = (profiles * window) @ band.T, window @ (band**2).T
             for k, full in enumerate(1.0 - own):
                 cost[i, k, j] = ((own_2 - 2.0 * full * cross + full**2 * band_2) / count).min(axis=1)
-    good = cost.min(axis=(0, 1, 2)) < _GOOD**2
-    bins = np.floor(width)
+    left, bins = cost.min(axis=(0, 1, 2)), np.floor(width)
+    good = left < next((limit**2 for limit in _GOOD if (left < limit**2).sum() >= _LEAST), 0.0)
     used = [one for one in np.unique(bins[good]) if (good & (bins == one)).sum() >= _LEAST // 3]
-    if good.sum() < _LEAST or not used:
+    if not used:
         return opaque
     typical = np.mean([np.median(cost[..., good & (bins == one)], axis=-1) for one in used], axis=0).min(axis=2)
     i, k = divmod(int(np.argmin(typical)), len(own))

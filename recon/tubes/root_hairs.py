@@ -51,7 +51,7 @@ def find(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuatio
     against = trials.significance(bald, found)
     if against < -_EXCLUDED:
         return attenuation, seen, fitted
-    if against <= 0.0 or mu_per_mm is None:
+    if mu_per_mm is None:
         return replace(attenuation, hairs="maybe"), seen, fitted
     told: Literal["maybe", "there"] = "there" if against > TELLING else "maybe"
     return replace(attenuation, hairs=told, blur_px=found.blur_px), replace(seen.by_light(), hairs=HAIRS), found.tubes

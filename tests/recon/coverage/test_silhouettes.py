@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rhizotwin.recon.coverage import silhouettes
+from rhizotwin.recon.coverage import evidence, silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 
 
@@ -72,6 +72,21 @@ def test_where_nothing_is_seen_the_map_says_so() -> None:
     assert (distance[:, 58:] == silhouettes.UNSEEN_PX).all()
     assert (distance[:, :58] < 0).all()
     assert distance[40, 0] == pytest.approx(-29.5, abs=0.6), "the unseen may hide a root: nothing is ruled out there"
+
+
+def test_a_speck_before_a_thick_root_changes_no_outline() -> None:
+    coverage, seen = strip(40.0, 0.1, 0.0), np.ones((96, 128), bool)
+    whole, core = Silhouette(coverage, seen), evidence.core_outline(Silhouette(coverage, seen))
+    seen = seen.copy()
+    seen[40:52, 58:70] = seen[42:50, 56:72] = seen[39, 60:66] = seen[10:14, 44:48] = False  # one inside, one across the edge
+    speck = Silhouette(np.where(seen, coverage, 0.0).astype(np.float32), seen)
+    near = np.s_[2 * 30 : 2 * 62, 2 * 50 : 2 * 78]
+    for before, outline in ((silhouettes.signed_distance(whole), silhouettes.signed_distance), (core, evidence.core_outline)):
+        found = outline(speck)
+        told = found[near] < 0.5 * silhouettes.UNSEEN_PX
+        assert 0.5 < told.mean() < 1.0
+        np.testing.assert_allclose(found[near][told], before[near][told], atol=1e-3)
+    assert (silhouettes.signed_distance(speck)[2 * 8 : 2 * 16, :60] < 0).all(), "beside the root nothing is covered"
 
 
 def test_measured_coverage_is_the_covered_fraction_whatever_the_light() -> None:

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.coverage import translucency
+from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.coverage import measure, silhouettes, translucency
+from rhizotwin.recon.coverage.measure import Coverage
+from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
 
 PX_A_MM = 4.0
 
@@ -48,3 +55,34 @@ def test_translucent_roots_get_the_width_they_have() -> None:
     for k in range(len(diameters)):
         part = np.s_[60, int(36.4 * k) : int(36.4 * k) + 40]
         assert found[part].sum() == pytest.approx(coverage[part].sum(), rel=0.1)
+
+
+def test_profiles_that_fit_badly_tell_where_good_ones_are_too_few() -> None:
+    opacity, _ = picture(1.0, (1.2, 1.5, 1.8, 2.2, 2.5), noise=0.06)
+    profiles, _ = translucency._profiles(opacity, np.ones(opacity.shape, bool))
+    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+    assert 30 <= attenuation.profiles < len(profiles)
+    assert attenuation.mu_per_mm == pytest.approx(1.0, rel=0.2)
+
+
+def one_camera() -> tuple[Cameras, float]:
+    """Return one camera, and its scale, px/mm."""
+    scene = Scene(camera=Camera().resized((400, 300)))
+    cameras = Cameras.given([View(camera=scene.camera, cam_from_canister=next(iter(plan.views(scene))).cam_from_rig)], Optics.of(scene))
+    return cameras, measure._px_a_mm(cameras)
+
+
+def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
+    cameras, px_a_mm = one_camera()
+    opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
+    mu_per_mm = 2.0 * px_a_mm / PX_A_MM  # the same picture at the camera's scale
+    seen = np.ones(opacity.shape, bool)
+    drawn = silhouettes.measure(opacity, seen)
+    drawn = silhouettes.Silhouette(drawn.coverage, seen, opacity.astype(np.float16))
+    before = Coverage(silhouettes={0: drawn}, attenuation=translucency.Attenuation(0.0, None, 0))
+    found = measure.with_attenuation(before, cameras, mu_per_mm, monitor=Monitor())
+    assert drawn.coverage.sum() < 0.8 * coverage.sum()
+    assert found.silhouettes[0].coverage.sum() == pytest.approx(coverage.sum(), rel=0.1)
+    assert measure.with_attenuation(found, cameras, 1.1 * mu_per_mm, monitor=Monitor()) is found
+    again = measure.with_attenuation(found, cameras, None, monitor=Monitor())
+    np.testing.assert_allclose(again.silhouettes[0].coverage, drawn.coverage, atol=2e-3)
