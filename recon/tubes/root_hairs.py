@@ -3,7 +3,8 @@
 Hairs look like a root that is wider and fainter, and like blur. So tubes are fitted with and without them, each with
 its best blur, and the difference is compared with its scatter from root to root and from view to view. What has hairs
 is young and lets light through: about opaque roots they are never more than possible (an opaque bean without hairs
-seemed to have them by 2.5 standard deviations).
+seemed to have them by 2.5 standard deviations), and about translucent ones they are taken to be there unless the
+pictures exclude them.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def find(seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuatio
     Returns
     -------
     TubeAttenuation, Evidence, Tubes
-        With hairs, where they explain the pictures better; else evidence and tubes as they were.
+        With hairs, where roots are translucent and nothing excludes them; else evidence and tubes as they were.
     """
     if not seen.has_opacity:
         return attenuation, seen, fitted

@@ -15,6 +15,7 @@ from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import root_hairs, translucent_tube, tube_picture, tubes
+from rhizotwin.recon.tubes.attenuation_trials import Trials
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes import plan
@@ -105,6 +106,18 @@ def test_roots_without_hairs_have_none() -> None:
     attenuation, seen, ratio = told(None)
     assert (attenuation.hairs, seen.hairs, attenuation.warnings()) == ("none", None, [])
     assert ratio == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("deviations", "mu", "expected"), [(-1.4, 1.0, HAIRS), (-3.1, 1.0, None), (1.4, None, None)])
+def test_where_pictures_cannot_tell_glassy_roots_have_hairs(
+    deviations: float, mu: float | None, expected: Hairs | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Trials, "significance", lambda *_: deviations)
+    truth = strung(*STAR)
+    before = replace(TubeAttenuation.opaque(0.0, 1000), mu_per_mm=mu)
+    attenuation, after, _ = root_hairs.find(replace(dark(), mu_per_mm=mu), truth, np.zeros(len(truth.radius_mm), bool), before)
+    assert after.hairs == expected
+    assert attenuation.hairs == ("none" if deviations < -3.0 else "maybe")
 
 
 def test_silhouettes_tell_no_hairs() -> None:
