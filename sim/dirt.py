@@ -176,7 +176,7 @@ def draw_fibres(scene: Scene, rng: np.random.Generator, *, points: int = 7) -> t
     return tuple(fibres)
 
 
-def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
+def draw_bubbles(scene: Scene, rng: np.random.Generator, *, wall_mm: float, gap_mm: float = 0.05) -> tuple[Bubble, ...]:
     """Draw the bubbles: 0.2 to 1 mm in radius, ``gap_mm`` of water between them and the wall.
 
     Parameters
@@ -185,6 +185,8 @@ def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05
         How many, and where the water is.
     rng : np.random.Generator
         Draws them.
+    wall_mm : float
+        Radius of the wall, where it is least.
     gap_mm : float
         Water between a bubble and the wall.
 
@@ -197,7 +199,7 @@ def draw_bubbles(scene: Scene, rng: np.random.Generator, *, gap_mm: float = 0.05
     bubbles = []
     for _ in range(scene.disturbances.bubbles):
         azimuth, z_mm, radius_mm = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(low_mm, high_mm), rng.uniform(0.2, 1.0)
-        axis_mm = scene.canister.inner_radius_mm - gap_mm - radius_mm
+        axis_mm = wall_mm - gap_mm - radius_mm
         bubbles.append(
             Bubble(
                 x_mm=float(axis_mm * np.cos(azimuth)), y_mm=float(axis_mm * np.sin(azimuth)), z_mm=float(z_mm), radius_mm=float(radius_mm)

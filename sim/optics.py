@@ -20,7 +20,7 @@ from rhizotwin.sim import dirt, lights, strip, tank
 from rhizotwin.sim.backlit import Room
 from rhizotwin.sim.specimen import Sleeve, SpecimenSolid
 from rhizotwin.sim.textures import bitmap
-from rhizotwin.sim.world import World
+from rhizotwin.sim.world import World, narrowest_mm
 
 SPECIMEN, HAIRS, SHOOT, OUTER_DIRT = "specimen", "hairs", "shoot", "outer_dirt"
 STRIP = "strip"
@@ -219,7 +219,7 @@ def _net_pot(scene: Scene, world: World) -> dict[str, Any]:
 
 def _algae(scene: Scene, world: World) -> dict[str, Any]:
     can = scene.canister
-    radius_mm = can.inner_radius_mm - ALGAE_GAP_MM
+    radius_mm = narrowest_mm(scene) - ALGAE_GAP_MM
     z_range_mm = (can.floor_z_mm, scene.water.level_mm)
     opacity = dirt.opacity_map(world.algae, radius_mm=radius_mm, z_range_mm=z_range_mm, mm_per_texel=0.2)
     film = {"type": "mask", "opacity": bitmap(opacity), "film": {"type": "twosided", "bsdf": _diffuse(0.08)}}

@@ -118,7 +118,7 @@ def draw_world(scene: Scene, *, seed: int) -> World:
         backlight=_uneven_backlight(wrong.backlight_unevenness, _rng(seed, _BACKLIGHT)) if wrong.backlight_unevenness else None,
         algae=draw_algae(scene, _rng(seed, _ALGAE)),
         fibres=draw_fibres(scene, _rng(seed, _FIBRES)),
-        bubbles=draw_bubbles(scene, _rng(seed, _BUBBLES)),
+        bubbles=draw_bubbles(scene, _rng(seed, _BUBBLES), wall_mm=narrowest_mm(scene)),
     )
 
 
@@ -131,6 +131,11 @@ def true_canister(scene: Scene) -> Canister:
         wall_mm=drawn.wall_mm * (1.0 + wrong.wall_error),
         n_wall=drawn.n_wall + wrong.n_wall_error,
     )
+
+
+def narrowest_mm(scene: Scene) -> float:
+    """Return the least radius of the inside of the canister as it was bought."""
+    return true_canister(scene).inner_radius_mm - scene.disturbances.canister_out_of_round_mm
 
 
 def _sway(spread_mm: float, rng: np.random.Generator) -> tuple[float, float]:
