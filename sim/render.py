@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
-from rhizotwin.sim import lights, optics, sensor, tank
+from rhizotwin.sim import hanging, lights, optics, sensor, tank
 from rhizotwin.sim.backlit import Backlit, Way
 from rhizotwin.sim.specimen import SpecimenSolid, sleeve
 from rhizotwin.sim.world import TrueCamera, World
@@ -92,10 +92,10 @@ class Renderer:
         self.image_wh = scene.camera.image_wh
         wrong = scene.disturbances
         hairs = None if solid is None or wrong.root_hair_mm == 0.0 else sleeve(solid, wrong.root_hair_mm)
-        self.hanging: list[optics.Hanging] = []
+        self.hanging: list[hanging.Hanging] = []
         if solid is not None and wrong.sway_mm > 0.0:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
-            self.hanging = [optics.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
+            self.hanging = [hanging.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
         media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
@@ -166,7 +166,7 @@ class Renderer:
         if self.hanging:
             tip_mm = self.world.sway_mm[stream] if twist_deg is None else (0.0, 0.0)
             for scene in self.swaying:
-                optics.sway(scene, self.hanging, tip_mm, twist_deg or 0.0)
+                hanging.sway(scene, self.hanging, tip_mm, twist_deg or 0.0)
         eye = self.sensors[ring]
         sensor.set_pose(eye, camera.cam_from_canister)
         self.lamps.place(camera)

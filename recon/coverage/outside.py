@@ -147,9 +147,7 @@ def hidden(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
     where, face : Crossings, Face
         Where lines of sight pass it.
     """
-    sides = zip(where.column, where.row, strict=True)
-    passed = sum(wall.look_up(dirty.astype(np.float32), *at) for at in sides) >= 0.5
-    return np.asarray(passed & ~_wide(opacity, face))
+    return np.asarray((wall.passed(dirty.astype(np.float32), where) >= 0.5) & ~_wide(opacity, face))
 
 
 def _wide(opacity: Image, face: Face) -> Mask:

@@ -142,6 +142,12 @@ def look_up(panorama: Image, column: Image, row: Image) -> Image:
     return np.asarray(cv2.remap(ringed, around, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
+def passed(panorama: Image, where: Crossings) -> Image:
+    """Return what lines of sight (H, W) pass of an unrolled wall (rows, columns), near and far together."""
+    near, far = (look_up(panorama, *at) for at in zip(where.column, where.row, strict=True))
+    return np.asarray(near + far)
+
+
 def study(
     opacity: dict[int, Image],
     seen: dict[int, Mask],
@@ -268,8 +274,5 @@ def cleared(opacity: Image, seen: Mask, where: Crossings, wall: Wall) -> tuple[I
     (H, W) float32 array, (H, W) bool array
         Opacity and where it tells anything.
     """
-    sides = list(zip(where.column, where.row, strict=True))
-    film = sum(look_up(wall.film, *at) for at in sides)
-    bubble = sum(look_up(wall.bubbles.astype(np.float32), *at) for at in sides)
-    free = 1.0 - (1.0 - opacity) * np.exp(film)
-    return np.where(seen, free, 0.0).astype(np.float32), seen & (bubble < 0.5)
+    free = 1.0 - (1.0 - opacity) * np.exp(passed(wall.film, where))
+    return np.where(seen, free, 0.0).astype(np.float32), seen & (passed(wall.bubbles.astype(np.float32), where) < 0.5)

@@ -11,7 +11,7 @@ from rhizotwin.scenes.model import Camera, CapturePlan, Disturbances, Ring, Scen
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.sim import dirt
 from rhizotwin.sim.exposure import expose
-from rhizotwin.sim.optics import Hanging
+from rhizotwin.sim.hanging import Hanging
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import build_specimen
 from rhizotwin.sim.world import as_given, draw_world
