@@ -24,7 +24,7 @@ from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result import Result, Solid
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import crown, plants, rooting
-from rhizotwin.recon.roots.root_tree import RootSystem
+from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
@@ -38,6 +38,8 @@ from rhizotwin.scenes.provenance import peak_memory_mib, versions
 from rhizotwin.scenes.schema import to_plain
 
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
+_SWAYS = 3
+"""Times that swaying roots are found anew: half a millimetre at the tips hides a third of them at first."""
 _ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
 """What hull and roots carry of coverage and cameras, as the kernels want it."""
 
@@ -85,8 +87,8 @@ def reconstruct(
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
     of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
     del pictures
-    hull, roots = stages.keep("hull", _first_hull(dataset, cameras, coverage, settings, of_pictures, monitor), leave=_ON_DEVICE), None
-    if (tree := shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)) is not None:
+    (hull, tree), roots = _hull_and_tree(dataset, cameras, coverage, settings, of_pictures, stages, monitor), None
+    if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
         cameras, roots = tree.cameras, stages.keep("roots", settled, leave=_ON_DEVICE)
@@ -149,6 +151,28 @@ def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[
     """Estimate length, tips and mean diameter, with intervals and verdicts of their own."""
     with monitor.stage("compare roots"):
         return root_uncertainty.estimates(solid.roots, carved.bank, carved.silhouettes, mu_per_mm=solid.mu_per_mm, lost=_lost(solid))
+
+
+def _hull_and_tree(
+    dataset: Dataset,
+    cameras: Cameras,
+    coverage: Coverage,
+    settings: Settings,
+    checked: Sequence[Check],
+    stages: StageFolder,
+    monitor: Monitor,
+) -> tuple[shaping.TrimmedHull, RootTree | None]:
+    """Find hull and roots, and both again where the roots tell that they sway from picture to picture."""
+    hull = _first_hull(dataset, cameras, coverage, settings, checked, monitor)
+    tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
+    for _ in range(_SWAYS):
+        if tree is None or not rooting.swayed(tree, hull.carved.cameras):
+            break
+        cameras = tree.cameras
+        del hull, tree  # as large as what comes in their place
+        hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+        tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
+    return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
 def _first_hull(

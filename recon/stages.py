@@ -21,8 +21,8 @@ from rhizotwin.scenes import atomic
 
 T = TypeVar("T")
 STAGES = ("cameras", "coverage", "hull", "roots", "hull_again", "solid")
-"""What there is, in the order in which it is made; the first hull is carved again where the roots told of the
-cameras."""
+"""What there is, in the order in which it is made; the first hull is carved again where the roots sway, and the
+other one where they told of the cameras."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
-from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.cameras import STILL, Sway, View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import model
 from rhizotwin.scenes.frames import Array
@@ -30,6 +30,8 @@ class Camera:
     """(4, 4), OpenCV axes; None where it was not found. A view that is left out may still have one."""
     cam_from_tank: Array | None = None
     """(4, 4) how a tank stands to it; None where there is none, or nobody knows."""
+    sway: Sway = STILL
+    """How far the roots were aside in this picture, as they told."""
     reprojection_px: float | None = None
     """Root mean square distance of the measured corners from where this pose puts them, outliers weighted down."""
     single_view_px: float | None = None
@@ -196,12 +198,16 @@ class Cameras:
     @cached_property
     def views(self) -> tuple[View, ...]:
         """Lens and pose (V,) of the views that are used, in their order."""
-        return tuple(View(camera=self.lens, cam_from_canister=self.pose(k), cam_from_tank=self.all[k].cam_from_tank) for k in self.order)
+        return tuple(self._view(k) for k in self.order)
 
     @cached_property
     def by_frame(self) -> dict[int, View]:
         """The views that are used, by number of the frame."""
         return dict(zip(self.order, self.views, strict=True))
+
+    def _view(self, frame: int) -> View:
+        one = self.all[frame]
+        return View(camera=self.lens, cam_from_canister=self.pose(frame), cam_from_tank=one.cam_from_tank, sway=one.sway)
 
     def pose(self, frame: int) -> Array:
         """Return ``cam_from_canister`` (4, 4) of a frame that has one."""
@@ -218,5 +224,5 @@ class Cameras:
         """Return cameras whose used views (V,), all of one lens, stand elsewhere, or look through something else."""
         every = list(self.all)
         for k, view in zip(self.order, views, strict=True):
-            every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank)
+            every[k] = replace(every[k], cam_from_canister=view.cam_from_canister, cam_from_tank=view.cam_from_tank, sway=view.sway)
         return replace(self, lens=views[0].camera, optics=optics, all=tuple(every))

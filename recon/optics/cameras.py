@@ -15,6 +15,12 @@ from rhizotwin.recon.optics.tank import TankView
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
+Sway = tuple[float, float, float]
+"""How far what hangs in the water is aside, for each mm of depth below the net pot: x and y, mm, and turned about z,
+rad, all in the canister's frame."""
+STILL: Sway = (0.0, 0.0, 0.0)
+"""Of what does not sway."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class View:
@@ -24,6 +30,8 @@ class View:
     cam_from_canister: Array
     cam_from_tank: Array | None = None
     """(4, 4), the tank's frame being the rig's, turned as the tank is; None: there is no tank."""
+    sway: Sway = STILL
+    """How far what hangs in the water is aside in this picture."""
 
     def moved(self, motion: Array) -> "View":
         """Return the view of a camera that moved by a rigid motion (4, 4) in its own frame, alone."""
@@ -45,6 +53,23 @@ class View:
         """4x4 rotation about z that brings the camera's centre to (rho, 0, z)."""
         x, y, _ = self.centre_mm
         return frames.rotation_z(-float(np.arctan2(y, x)))
+
+
+def swayed(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return where points (N, 3) that hang in the water, canister frame, mm, are in a view's picture."""
+    x, y, z = points_mm.T
+    aside, along, turned = view.sway
+    return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
+
+
+def by_rest(view: View, optics: Optics, points_mm: Array) -> Array:
+    """Return the derivative (N, 3, 3) of `swayed` by the points (N, 3)."""
+    x, y, z = points_mm.T
+    aside, along, turned = view.sway
+    found = np.tile(np.eye(3), (len(points_mm), 1, 1))
+    found[:, 0, 1], found[:, 1, 0] = -turned * (optics.water_z_mm - z), turned * (optics.water_z_mm - z)
+    found[:, 0, 2], found[:, 1, 2] = turned * y - aside, -along - turned * x
+    return found
 
 
 def matrix(camera: Camera) -> Array:
@@ -192,7 +217,7 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
     if optics.tank is not None:
         px, seen, _ = project_through_tank(view, optics, points_mm)
         return np.stack([px, np.full_like(px, np.nan), np.full_like(px, np.nan)], axis=1), seen.astype(np.int64)
-    points = frames.apply(view.azimuth_from_canister, points_mm)
+    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
     w, p_z, count = refraction.images(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z)), count
 
@@ -204,7 +229,8 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
-    w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), frames.apply(view.azimuth_from_canister, points_mm))
+    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
+    w, p_z = refraction.image(optics, view.rho_mm, float(view.centre_mm[2]), points)
     return direction_pixels(view, refraction.direction_in_air(view.rho_mm, optics.outer_radius_mm, w, p_z))
 
 
@@ -226,7 +252,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
         Of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
     """
     at = through_tank(view, optics)
-    points = frames.apply(view.azimuth_from_canister, points_mm)
+    points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
     q, seen = tank.find_rays(at, points)
     by_ray = np.stack(
         [(_pixels(view, q + step) - _pixels(view, q - step)) / (2.0 * tank.DIFFERENCE) for step in tank.DIFFERENCE * np.eye(2)], axis=-1
@@ -238,7 +264,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
     by_point[:, 0, :2], by_point[:, 1, :2], by_point[:, 1, 2] = line.nu, line.slope[:, None] * line.t, -1.0
     jacobian = np.full((len(q), 2, 3), np.nan)
     jacobian[seen] = -by_ray[seen] @ np.linalg.solve(slopes[seen], by_point[seen])
-    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3]
+    return _pixels(view, q), seen, jacobian @ view.azimuth_from_canister[:3, :3] @ by_rest(view, optics, points_mm)
 
 
 def _pixels(view: View, q: Array) -> Array:

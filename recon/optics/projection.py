@@ -30,8 +30,8 @@ from rhizotwin.scenes import frames
 
 _PARAMETERS = 40
 """Numbers a view, a multiple of four."""
-_IN_OPEN = 24
-"""So many of them are needed without a tank."""
+_IN_OPEN, _SWAY = 24, 36
+"""So many of them are needed without a tank, and where those of what sways begin."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
 """In the open, and through a tank, whose rays have no symmetry to start from. What these steps do not bring this near
 to its point counts as unseen: a thousandth of a bench's pixel (0.23 mm), and ten times the spacing of single precision
@@ -78,6 +78,7 @@ class ViewBank:
             packed[k, 13:15], packed[k, 15:17] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
+            packed[k, _SWAY:] = *view.sway, optics.water_z_mm
             key: tuple[int, ...] = (round(view.rho_mm / _TABLE_MM[0]), round(float(view.centre_mm[2]) / _TABLE_MM[1]))
             if optics.tank is not None:
                 key += _pack_tank(packed[k], view, optics)
@@ -132,11 +133,15 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     active : mi.Bool
         Points to be projected.
     """
-    quads = (_IN_OPEN if bank.optics.tank is None else _PARAMETERS) // 4
+    quads = (_IN_OPEN if bank.optics.tank is None else _SWAY) // 4
     some = [dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + k, active) for k in range(quads)]  # four at once
     parameter = [value for four in some for value in four]
     c, s = parameter[11:13]
-    at = c * point.x - s * point.y, s * point.x + c * point.y, point.z
+    sway = dr.gather(mi.Vector4f, bank.parameters, view * (_PARAMETERS // 4) + _SWAY // 4, active)
+    deep = sway.w - point.z
+    aside, along, turned = sway.x - sway.z * point.y, sway.y + sway.z * point.x, sway.z * deep
+    x, y = point.x + aside * deep, point.y + along * deep
+    at = c * x - s * y, s * x + c * y, point.z
     end = _in_open(bank, view, parameter, at, active) if bank.optics.tank is None else _through_tank(bank, view, parameter, at, active)
     ray, seen, clear_mm = end.ray, end.seen, end.clear_mm
     u, v, in_front, (u_b, u_p, v_b, v_p) = end.pixel
@@ -150,6 +155,9 @@ def project(bank: ViewBank, view: UInt32, point: Point3f, active: Bool) -> Proje
     u_ay, v_ay = u_b * b_y + u_p * p_y, v_b * b_y + v_p * p_y
     du = mi.Vector3f(c * u_az + s * u_ay, c * u_ay - s * u_az, u_b * b_z + u_p * p_z)
     dv = mi.Vector3f(c * v_az + s * v_ay, c * v_ay - s * v_az, v_b * b_z + v_p * p_z)
+    for by_point in (du, dv):
+        by_point.z -= by_point.x * aside + by_point.y * along
+        by_point.x, by_point.y = by_point.x + by_point.y * turned, by_point.y - by_point.x * turned
     return Projected(mi.Vector2f(u, v), seen & in_front, clear_mm, du, dv)
 
 

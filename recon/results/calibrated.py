@@ -13,6 +13,9 @@ from rhizotwin.scenes import frames
 if TYPE_CHECKING:  # the command line reads results without starting the engine
     from rhizotwin.recon.calibration.cameras import Cameras, MarkerCalibration
 
+_SWAY_AT_MM = 100.0
+"""Depth at which a sway is told: about that of a grown plant's tips."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
@@ -43,7 +46,8 @@ def of_cameras(cameras: Cameras) -> Json:
     found = {} if cameras.markers is None else _of_markers(cameras.markers)
     if found or cameras.roots is not None:
         found |= _of_roots(cameras, found.get("focal_scale", 1.0))
-    return found
+    sways = np.array([view.sway[:2] for view in cameras.views])
+    return found | {"sway_mm": _SWAY_AT_MM * float(np.sqrt(np.square(sways).sum(axis=1).mean()))} if sways.any() else found
 
 
 def _of_markers(found: MarkerCalibration) -> Json:
@@ -128,6 +132,8 @@ def rows(rig: Json) -> list[Row]:
             sigma = rig.get(f"{key}_sigma") or [None] * 4
             for what, value, spread in zip(("tilt x", "tilt y", "offset x", "offset y"), values, sigma, strict=True):
                 found.append(_row(f"{name}: {what}", 0.0, float(value), spread, "deg" if "tilt" in what else "mm"))
+    if rig.get("sway_mm") is not None:
+        found.append(_row(f"sway of the roots {_SWAY_AT_MM:g} mm below the net pot, root mean square", 0.0, rig["sway_mm"], None, "mm"))
     if rig.get("table_correction_deg") is not None:
         found.append(_row("table angles: spread about the commanded", 0.0, rig["table_correction_deg"], None, "deg"))
     return found

@@ -11,8 +11,9 @@ import trimesh
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.optics.cameras import STILL
 from rhizotwin.recon.results import by_plant, result_files
-from rhizotwin.recon.results.result import POSES, Result, Solid
+from rhizotwin.recon.results.result import POSES, Result, Solid, triple
 from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
@@ -117,6 +118,7 @@ def _camera(view: Json) -> Camera:
         reason=view.get("reason"),
         cam_from_canister=pose,
         cam_from_tank=tank,
+        sway=triple(np.array(view.get("sway", STILL), np.float64)),
         reprojection_px=view.get("reprojection_px"),
         markers=view.get("markers", 0),
         table_deg=view.get("table_deg"),

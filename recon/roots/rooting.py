@@ -19,7 +19,7 @@ from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, 
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.roots.settling import AFTER_STEPS, Settling
-from rhizotwin.recon.tubes import root_calibration, root_hairs, tube_attenuation, tube_fit, tube_picture, tubes
+from rhizotwin.recon.tubes import root_calibration, root_hairs, root_sway, tube_attenuation, tube_fit, tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.monitor import Monitor
@@ -77,6 +77,8 @@ def find(
     solid = organs.in_solids(fitted, core, organ, margin_mm)
     if solid.all():
         return None
+    with monitor.stage("sway"):
+        seen, cameras, fitted = root_sway.follow(seen, cameras, fitted, organ, blur_px=attenuation.blur_px, px_a_mm=px_a_mm)
     if attenuation.mu_per_mm is not None:
         with monitor.stage("translucency again"):
             attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
@@ -169,6 +171,11 @@ def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, learned: Attenuation
     if attenuation.mu_per_mm is not None:
         seen = replace(seen.by_light(), mu_per_mm=attenuation.mu_per_mm)
     return attenuation, seen, fitted
+
+
+def swayed(tree: RootTree, cameras: Cameras) -> bool:
+    """Tell whether roots sway so far from where they were found, with some cameras, that they must be found anew."""
+    return root_sway.is_far(tree.seen, cameras, tree.tubes, tree.px_a_mm)
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:

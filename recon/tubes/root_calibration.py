@@ -32,7 +32,7 @@ from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
-from rhizotwin.recon.tubes.sight_change import QUANTITIES
+from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
 
@@ -92,7 +92,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class _Columns:
+class Columns:
     """Which unknown each quantity of each view is."""
 
     of: NDArray[np.int64]
@@ -103,12 +103,19 @@ class _Columns:
     """Unknowns before this one belong to several views."""
 
     @staticmethod
-    def to(order: Sequence[int], known: RigUncertainty | None) -> _Columns:
+    def own(views: int, quantities: int, sigma: float) -> Columns:
+        """Return those of quantities that each view has for itself, nearly unknown before."""
+        count = views * quantities
+        return Columns(np.arange(count).reshape(views, quantities), np.eye(count) / sigma**2, count)
+
+    @staticmethod
+    def to(order: Sequence[int], known: RigUncertainty | None) -> Columns:
+        """Return those of the rig; of the index alone where nobody knows how sure the cameras are."""
         views = len(order)
         of = np.full((views, len(QUANTITIES)), -1)
         of[:, 0] = 0
         if known is None:
-            return _Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
+            return Columns(of, np.array([[INDEX_PRIOR**-2.0]]), 1)
         of[:, 1:6] = np.arange(1, 6)
         of[:, 7:] = 6 + 6 * known.station[list(order)][:, None] + np.arange(6)
         shared = 6 + 6 * known.stations
@@ -118,7 +125,7 @@ class _Columns:
         precision[1:shared, 1:shared] = inverse(known.covariance)
         turn = np.arange(shared, shared + views)
         precision[turn, turn] = np.maximum(known.turn[list(order)], LEAST_TURN_RAD) ** -2.0
-        return _Columns(of, precision, shared)
+        return Columns(of, precision, shared)
 
 
 def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float) -> tuple[Evidence, Tubes, Cameras]:
@@ -181,7 +188,47 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blu
     taken : (K,) float64 array or None
         Change that the cameras hold already, beyond what markers and edges said.
     """
-    views, known = cameras.views, cameras.uncertainty
+    known = cameras.uncertainty
+    columns, wanted = Columns.to(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
+    found = system(seen, cameras, tubes, fixed, wanted, columns, blur_px=blur_px)
+    if found is None:
+        return None
+    before = np.zeros(len(columns.precision)) if taken is None else taken
+    more, covariance = found.solve(before)
+    return Found(
+        change=before + more,
+        sigma=np.sqrt(np.diag(covariance)),
+        nodes=len(found.start),
+        before_px=found.distance_px(np.zeros_like(more)),
+        after_px=found.distance_px(more),
+    )
+
+
+def system(
+    seen: Evidence,
+    cameras: Cameras,
+    tubes: Tubes,
+    fixed: Mask,
+    wanted: tuple[Quantity, ...],
+    columns: Columns,
+    *,
+    blur_px: float,
+) -> System | None:
+    """Return what fitted tubes say of quantities of the rig; None where there are too few nodes.
+
+    Parameters
+    ----------
+    seen, cameras, tubes : Evidence, Cameras, Tubes
+        Views, and what was fitted to them.
+    fixed : (N,) bool array
+        Nodes that were not fitted.
+    wanted : tuple of Quantity
+        What may change.
+    columns : Columns
+        Which unknown each of them is in each view.
+    blur_px : float
+        Of the pictures.
+    """
     at = seen.project(tubes.centre_mm)
     profiles = tube_profiles.profiles(seen, tubes, at, *tube_picture.compared(seen, tubes, at, blur_px), blur_px)
     told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
@@ -189,22 +236,12 @@ def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blu
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
-    columns = _Columns.to(cameras.order, known)
-    sums = profiles.host(chosen)
-    wanted = QUANTITIES if known is not None else QUANTITIES[:1]
-    points = tubes.centre_mm[chosen]
-    moves = [sight_change.moves(view, cameras.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(views)]
+    sums, points = profiles.host(chosen), tubes.centre_mm[chosen]
+    moves = [
+        sight_change.moves(view, cameras.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(cameras.views)
+    ]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
-    system = _System.of(sums, profiles.residual_gradient().of(chosen), by, columns, tubes.tangents[chosen])
-    before = np.zeros(len(columns.precision)) if taken is None else taken
-    more, covariance = system.solve(tubes.owner[chosen], before)
-    return Found(
-        change=before + more,
-        sigma=np.sqrt(np.diag(covariance)),
-        nodes=len(chosen),
-        before_px=system.distance_px(np.zeros_like(more)),
-        after_px=system.distance_px(more),
-    )
+    return System.of(sums, profiles.residual_gradient().of(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
 
 
 def believed(found: Found, optics: Optics) -> bool:
@@ -231,13 +268,15 @@ def changed(cameras: Cameras, change: Array) -> Cameras:
 
 
 @dataclass(frozen=True)
-class _System:
+class System:
     """Normal equations of the shared unknowns, the nodes' own positions and radii eliminated."""
 
     sums: HostProfiles
     by: Array
     """(V, N, Q) shift sideways by the quantities of the view."""
-    columns: _Columns
+    columns: Columns
+    root: NDArray[np.int64]
+    """(N,) the branch of each node."""
     start: Array
     """(N, 4) where the nodes would go if nothing shared changed."""
     follow: Array
@@ -248,7 +287,21 @@ class _System:
     """(K,)"""
 
     @staticmethod
-    def of(sums: HostProfiles, residual: ResidualGradient, by: Array, columns: _Columns, tangent: Array) -> _System:
+    def of(sums: HostProfiles, residual: ResidualGradient, by: Array, columns: Columns, along: tuple[Array, NDArray[np.int64]]) -> System:
+        """Eliminate the nodes.
+
+        Parameters
+        ----------
+        sums, residual : HostProfiles, ResidualGradient
+            What views, one by one and together, say of the nodes.
+        by : (V, N, Q) array
+            Shift sideways by the quantities of the view.
+        columns : Columns
+            Which unknown each quantity is.
+        along : tuple of arrays
+            Tangents (N, 3) and branches (N,) of the nodes.
+        """
+        tangent, root = along
         count, unknowns = len(tangent), len(columns.precision)
         own = residual.hessian.copy()
         mean = np.trace(own[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
@@ -265,18 +318,15 @@ class _System:
         start = np.asarray(np.linalg.solve(own, residual.gradient[..., None])[..., 0], np.float64)
         follow = np.asarray(np.linalg.solve(own, mixed), np.float64)
         reduced = _positive(whole - np.einsum("nij,nik->jk", mixed, follow))
-        return _System(sums, by, columns, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
+        return System(sums, by, columns, root, start, follow, reduced, right - np.einsum("nij,ni->j", mixed, start))
 
-    def solve(self, root: NDArray[np.int64], before: Array) -> tuple[Array, Array]:
-        """Return the change (K,) and its covariance.
-
-        ``root`` (N,) is the branch of each node, ``before`` (K,) was changed already.
-        """
+    def solve(self, before: Array) -> tuple[Array, Array]:
+        """Return the change (K,) and its covariance; ``before`` (K,) was changed already."""
         prior, shared, phi = self.columns.precision, self.columns.shared, 1.0
         for _ in range(_PASSES):
             covariance = inverse(self.reduced + phi * prior)
             change = covariance @ (self.right - phi * prior @ before)
-            meat = self._scatter(change, root)
+            meat = self._scatter(change)
             phi = float(np.diag(covariance @ meat)[:shared].sum() / np.diag(covariance @ self.reduced)[:shared].sum())
             phi = max(phi, LEAST_VARIANCE)
         covariance = inverse(self.reduced / phi + prior)
@@ -303,8 +353,9 @@ class _System:
         shift = sums.shift[v] - sums.shift_2[v] * sideways - sums.shift_width[v] * wider
         return shift, sums.width[v] - sums.shift_width[v] * sideways - sums.width_2[v] * wider
 
-    def _scatter(self, change: Array, root: NDArray[np.int64]) -> Array:
+    def _scatter(self, change: Array) -> Array:
         """Return the covariance (K, K) of the right-hand side, from the scatter of whole roots and whole views."""
+        root = self.root
         own = sparse.csr_matrix((np.ones(len(root)), (root, np.arange(len(root)))))  # sums nodes by root
         scores = []
         for v in range(len(self.by)):
@@ -314,7 +365,7 @@ class _System:
         return scatter(np.concatenate(scores), np.repeat(np.arange(views), roots), np.tile(np.arange(roots), views))
 
     def distance_px(self, change: Array) -> float:
-        """Return the root mean square distance sideways that is left after a change."""
+        """Return the root mean square distance sideways that is left after a change (K,)."""
         square = weight = 0.0
         for v in range(len(self.by)):
             shift, _ = self._left(change, v)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.view_fit import twist
 from rhizotwin.recon.optics import refraction
-from rhizotwin.recon.optics.cameras import View, approach, camera_directions
+from rhizotwin.recon.optics.cameras import View, approach, camera_directions, swayed
 from rhizotwin.recon.optics.refraction import Optics
 
 Array = NDArray[np.float64]
@@ -64,6 +64,15 @@ def _camera(axis: int) -> Callable[[Sight, float], Sight]:
     return lambda sight, value: (displaced(sight[0], value * np.eye(6)[axis]), sight[1])
 
 
+def _sway(axis: int) -> Callable[[Sight, float], Sight]:
+    def changed(sight: Sight, value: float) -> Sight:
+        view, optics = sight
+        x, y, turn = np.asarray(view.sway) + value * np.eye(3)[axis]
+        return replace(view, sway=(float(x), float(y), float(turn))), optics
+
+    return changed
+
+
 def with_canister_moved(view: View, step: Array) -> View:
     """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
@@ -90,6 +99,8 @@ CAMERA = tuple(
     for k in range(6)
 )
 """How a station's camera stands."""
+SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) in enumerate((("x", ""), ("y", ""), ("turn", "rad/mm"))))
+"""How far aside what hangs in the water is in one view, for each mm of depth."""
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
@@ -110,7 +121,7 @@ def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> A
     (N, 2) array
         mm.
     """
-    at = points_mm @ view.azimuth_from_canister[:3, :3].T
+    at = swayed(view, optics, points_mm) @ view.azimuth_from_canister[:3, :3].T
     line = refraction.follow(optics, refraction.within(optics, approach(view, optics, directions)[0]))
     beside = np.sum(at[:, :2] * line.nu, axis=-1) - line.b_mm
     return np.stack([beside, refraction.height_at(optics, line, at[:, :2]) - at[:, 2]], axis=-1)

@@ -1,5 +1,7 @@
 """The Dr.Jit kernel against the float64 reference."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -22,6 +24,24 @@ def bank_and_view(n_wall: float, n_water: float) -> tuple[projection.ViewBank, c
     other = cameras.View(camera=LENS, cam_from_canister=level)
     optics = refraction.Optics.of(scene)
     return projection.ViewBank.of([other, view], optics), view, optics
+
+
+def swaying() -> tuple[projection.ViewBank, cameras.View, refraction.Optics]:
+    _, view, optics = bank_and_view(1.49, 1.333)
+    view = replace(view, sway=(0.004, -0.003, 2e-4))
+    return projection.ViewBank.of([view, view], optics), view, optics
+
+
+def test_what_sways_is_seen_where_it_is() -> None:
+    bank, view, optics = swaying()
+    points = random_points(optics, 1000) * [0.8, 0.8, 1.0]
+    found = in_kernel(bank, points)
+    seen = found["seen"]
+    still = cameras.project(replace(view, sway=cameras.STILL), optics, cameras.swayed(view, optics, points))[0][:, 0]
+    np.testing.assert_allclose(cameras.project(view, optics, points)[0][seen, 0], still[seen])
+    assert np.abs(found["px"].T[seen] - still[seen]).max() < 1e-3
+    deep = optics.water_z_mm - points[:, 2]
+    np.testing.assert_allclose(cameras.swayed(view, optics, points)[:, 0], points[:, 0] + deep * (0.004 - 2e-4 * points[:, 1]))
 
 
 def in_kernel(bank: projection.ViewBank, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -52,8 +72,9 @@ def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None
         assert np.hypot(*points[lost, :2].T).min() > 54.0
 
 
-def test_gradients_agree_with_finite_differences() -> None:
-    bank, view, optics = bank_and_view(1.49, 1.333)
+@pytest.mark.parametrize("sways", [False, True])
+def test_gradients_agree_with_finite_differences(sways: bool) -> None:
+    bank, view, optics = swaying() if sways else bank_and_view(1.49, 1.333)
     points = random_points(optics, 300)
     found = in_kernel(bank, points)
     step = 1e-3

@@ -13,7 +13,7 @@ from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
-from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
+from rhizotwin.recon.tubes.sight_change import QUANTITIES, SWAY, Quantity
 from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
@@ -60,7 +60,7 @@ def sure_rig(views: int) -> RigUncertainty:
     return RigUncertainty(np.repeat([0, 1], views // 2), np.diag(sigma**2), np.full(views, 7e-5))
 
 
-@pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.name)
+@pytest.mark.parametrize("quantity", [*QUANTITIES, *SWAY], ids=lambda quantity: quantity.name)
 def test_pictures_move_as_the_exact_projection_says(quantity: Quantity) -> None:
     views, optics = rig()
     view = views[9]
