@@ -48,6 +48,10 @@ TO_LAST = 1.01
 """Look-ups stay this far from a picture's width and height: within the last sample, however float32 rounds."""
 
 
+_BELOW_HALF = 1e-9
+"""Below the smallest half, 6e-8, and no half itself."""
+
+
 def readable(px: Vector2f, width: int, height: int) -> Bool:
     """Tell which pixels a bilinear look-up in a picture can read."""
     return (px.x > 0) & (px.x < width - TO_LAST) & (px.y > 0) & (px.y < height - TO_LAST)
@@ -118,6 +122,16 @@ def some_parts(source: Kernel, which: Sequence[int], size: int) -> Kernel:
     found = dr.gather(type(source), source, dr.gather(mi.UInt32, wholes(np.asarray(which)), part) * length + (lane - part * length))
     dr.eval(found)
     return found
+
+
+def is_positive(half: Kernel) -> Bool:
+    """Return which elements (mi.Float16) are above zero.
+
+    They are compared as mi.Float with a number that is no half. Below version 22, LLVM swaps the operands of a masked
+    comparison of halves on processors with AVX512-FP16 (llvm-project issue 159723), and it narrows a comparison of
+    floats to one of halves where the constant is a half.
+    """
+    return mi.Float(half) > _BELOW_HALF
 
 
 def bilinear(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, numbers, points, readable
+from rhizotwin.recon.device import Float, Kernel, UInt32, bilinear, is_positive, numbers, points, readable
 from rhizotwin.recon.optics import projection
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Footprints:
         seen = p.seen & readable(p.px, width, height)
         px = dr.select(seen, p.px, mi.Vector2f(0.0))
         told = dr.gather(mi.Float16, evidence.seen, view * evidence.pixels + mi.UInt32(px.y + 0.5) * width + mi.UInt32(px.x + 0.5))
-        area = mi.Float16(dr.select(seen & (told > 0), dr.norm(dr.cross(p.du, p.dv)), 0.0))
+        area = mi.Float16(dr.select(seen & is_positive(told), dr.norm(dr.cross(p.du, p.dv)), 0.0))
         place = mi.UInt32(px.x * steps_a_px + 0.5) | (mi.UInt32(px.y * steps_a_px + 0.5) << 16)
         dr.eval(place, area)
         return Footprints(views, count, steps_a_px, place, area)
@@ -100,7 +100,7 @@ class Footprints:
 
         def body(cell: UInt32, *found: Kernel) -> tuple[Kernel, ...]:
             at = view * count + cell
-            place, seen = dr.gather(mi.UInt32, self.place, at), dr.gather(mi.Float16, self.px2_a_mm2, at) > 0
+            place, seen = dr.gather(mi.UInt32, self.place, at), is_positive(dr.gather(mi.Float16, self.px2_a_mm2, at))
             u, v = (mi.Int32(mi.Float(steps) / self.steps_a_px) for steps in (place & 0xFFFF, place >> 16))
             low = [dr.select(seen, dr.minimum(least, pixel), least) for least, pixel in zip(found[:2], (u, v), strict=True)]
             high = [dr.select(seen, dr.maximum(most, pixel), most) for most, pixel in zip(found[2:], (u, v), strict=True)]
@@ -153,7 +153,7 @@ class Table:
             u, v, begin, width, area = self._at(view)
             column, row = mi.UInt32(u), mi.UInt32(v)
             fu, fv = u - mi.Float(column), v - mi.Float(row)
-            at, shadow, seen = begin - first + row * width + column, amount * area, area > 0
+            at, shadow, seen = begin - first + row * width + column, amount * area, is_positive(area)
             for step, weight in ((0, (1 - fu) * (1 - fv)), (1, fu * (1 - fv)), (width, (1 - fu) * fv), (width + 1, fu * fv)):
                 dr.scatter_reduce(dr.ReduceOp.Add, onto, shadow * weight, at + step, seen, mode=dr.ReduceMode.Direct)
             return (view + 1,)
@@ -175,7 +175,7 @@ class Table:
 
         def body(view: UInt32, total: Float, votes: Float) -> tuple[UInt32, Float, Float]:
             u, v, begin, width, area = self._at(view)
-            seen = area > 0
+            seen = is_positive(area)
             value = bilinear(pictures, begin - first, width, u, v, seen)
             return view + 1, total + dr.select(seen, dr.log(dr.clip(value, least, most)), 0.0), votes + dr.select(seen, 1.0, 0.0)
 
