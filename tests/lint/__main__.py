@@ -1,0 +1,37 @@
+"""Check the sources by the rules of this project that ruff does not have: ``python -m tests.lint``.
+
+Each violation is one line, ``file:line: message``; the exit code is 1 where there is one.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.lint import constants, docstrings, lengths
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("benchmarks", "recon", "rhizotwin", "rig", "scenes", "sim")
+
+
+def sources() -> Iterator[Path]:
+    """Yield every source file but the tests; `rhizotwin` holds links to the other folders, which are not followed."""
+    for folder in FOLDERS:
+        yield from sorted(path for path in (ROOT / folder).rglob("*.py") if path.resolve() == path)
+
+
+def violations(file: str, source: str) -> list[str]:
+    """Return the violations of one source file, named relative to the repository."""
+    tree, lines = ast.parse(source), source.splitlines()
+    return [f"{file}:{line}: {message}" for rule in (constants, docstrings, lengths) for line, message in rule.check(file, tree, lines)]
+
+
+def main() -> int:
+    """Print the violations of all source files."""
+    found = [line for path in sources() for line in violations(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))]
+    sys.stdout.writelines(f"{line}\n" for line in found)
+    return bool(found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

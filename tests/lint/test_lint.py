@@ -1,0 +1,47 @@
+"""The rules of the source checks find what they are for."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from tests.lint.__main__ import violations
+
+
+def documented(parameters: str) -> str:
+    lines = ["Do.", "", "Parameters", "----------", *parameters.split("|")]
+    return "def f(a, b, c):\n    " + repr("\n".join(lines)) + "\n"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source file and the lines that violate a rule."""
+
+    name: str
+    file: str
+    text: str
+    lines: tuple[int, ...] = ()
+
+
+SOURCES = [
+    Source("constants", "recon/a.py", 'A = 2.5\nB = 3\n"""Why."""\nC, D = 1, 2  # why\nE = "text"\nF = (1,)\n', (1, 6)),
+    Source("constants elsewhere", "rig/a.py", "A = 2.5\n"),
+    Source("bare numbers", "recon/hull/a.py", "def f(x):\n    y = 0.37 * x  # why\n    return 0.37 * y + 2.0 * 1e-9\n", (3,)),
+    Source("numbers of a layout", "recon/results/a.py", "def f(x):\n    return 0.37 * x\n"),
+    Source("60 lines", "rig/a.py", "def f(a):\n" + 59 * "    pass\n"),
+    Source("61 lines", "rig/a.py", "def f(a):\n" + 60 * "    pass\n", (1,)),
+    Source("8 parameters", "rhizotwin/viewer/a.py", "class A:\n    def f(self, a, b, c, d, e, f, g, h): ...\n"),
+    Source("9 parameters", "rhizotwin/viewer/a.py", "def f(a, b, /, c, d, *, e, f, g, h, i): ...\n", (1,)),
+    Source(
+        "no shape", "rig/a.py", "def a(x: Array) -> Array:\n    'Double numbers.'\ndef b(x: Array) -> Array:\n    'Double (N,).'\n", (1,)
+    ),
+    Source("no sections", "rig/a.py", "def c(x: int, y: int, z: int) -> tuple[int, int]:\n    'Add.'\n", (1, 1)),
+    Source("sections not needed", "recon/a.py", "def c(x: int, y: int, z: int) -> tuple[int, int]:\n    'Add.'\n"),
+    Source("numpydoc", "rig/a.py", documented("a : int|    How.|*b, c : (N,) array|    What.")),
+    Source("meaning in the place of the type", "rig/a.py", documented("a : (N,) where it is. Then.|b|    What.|c : int|    How."), (1, 1)),
+]
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
+def test_violations_are_found(source: Source) -> None:
+    found = violations(source.file, source.text)
+    assert [int(line.split(":")[1]) for line in found] == list(source.lines), found
