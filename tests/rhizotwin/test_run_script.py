@@ -38,31 +38,34 @@ def run(checkout: Path, *words: str, fail: str = "nothing fails") -> tuple[int, 
     return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
 
-def test_the_short_checks_say_what_they_take_and_leave_out_what_is_long(checkout: Path) -> None:
+def gates(called: list[str]) -> list[str]:
+    return [line.partition("--gate")[2].strip() for line in called if "--gate" in line]
+
+
+def test_short_checks(checkout: Path) -> None:
     code, called, said = run(checkout, "test")
     assert code == 0, said
-    assert "15 minutes" in said[0]
+    assert "five minutes" in said[0]
     assert "--all" in said[0]
     assert said[-1].startswith("run: all checks passed after ")
-    assert {line.split(":")[1].strip() for line in said if line.endswith(" s")} >= {
-        "lint",
-        "format",
-        "types",
-        "layers",
-        "tests",
-        "accuracy",
-    }
-    assert any("not slow" in line for line in called)
-    assert sum("benchmarks accuracy --quick --gate" in line for line in called) == 1
+    timed = [line.split(":")[1].strip() for line in said if line.endswith(" s")]
+    assert timed[:-1] == ["lint", "format", "types", "layers", "tests", "accuracy"]
+    assert any(line.endswith("-m not slow") for line in called)
+    assert gates(called) == ["--scenes printed_8ml --profiles clean --methods coverage"]
 
 
-def test_all_runs_every_test_and_the_gate_twice(checkout: Path) -> None:
+def test_every_check(checkout: Path) -> None:
     code, called, _ = run(checkout, "test", "--all")
     assert code == 0
-    assert any(line.startswith("called python -m pytest -q") for line in called)
     assert not any("not slow" in line for line in called)
-    gates = [line for line in called if "--gate" in line]
-    assert [line.partition("--gate")[2].strip() for line in gates] == ["", "--change rounded:1001"]
+    assert [("rounded" in one) for one in gates(called)] == [False, True]
+
+
+def test_paths(checkout: Path) -> None:
+    code, called, _ = run(checkout, "test", "tests/a", "tests/b.py")
+    assert code == 0
+    assert len(called) == 1
+    assert called[0].endswith("tests/a tests/b.py")
 
 
 @pytest.mark.parametrize(
@@ -75,23 +78,17 @@ def test_all_runs_every_test_and_the_gate_twice(checkout: Path) -> None:
         ("accuracy", "./run bench scatter --quick"),
     ],
 )
-def test_a_check_that_fails_says_what_to_do_in_one_line_and_stops(checkout: Path, failing: str, cure: str) -> None:
+def test_failed_check_names_the_cure(checkout: Path, failing: str, cure: str) -> None:
     code, called, said = run(checkout, "test", fail=failing)
     assert code == 1
     assert failing in called[-1]
     assert "failed after" in said[-1]
     assert cure in said[-1]
+    assert not (checkout / ".gate.log").exists()
 
 
-def test_a_word_that_is_unknown_is_refused(checkout: Path) -> None:
+def test_unknown_option(checkout: Path) -> None:
     code, called, said = run(checkout, "test", "--some")
     assert code == 1
     assert not called
     assert "--all" in said[-1]
-
-
-def test_the_slow_tests_exist() -> None:
-    for name in (ROOT / "tests" / "slow.txt").read_text(encoding="utf-8").splitlines():
-        path, _, test = name.partition("::")
-        assert (ROOT / path).is_file(), name
-        assert f"def {test.partition('[')[0]}" in (ROOT / path).read_text(encoding="utf-8"), name
