@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from rhizotwin import root_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
-from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results import assessments, result_files, result_traits
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -105,7 +105,8 @@ def _rsml(result_folder: Path, output: Path) -> list[Path]:
 
 
 def _traits(result_folder: Path, output: Path) -> list[Path]:
-    atomic.write_text(output, trait_table.to_csv(result_traits.read(result_folder)))
+    summary, traits = result_files.read_summary(result_folder), result_traits.read(result_folder)
+    atomic.write_text(output, trait_table.to_csv(traits, assessments.assess(summary, traits)))
     return [output]
 
 

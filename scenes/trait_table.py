@@ -4,11 +4,15 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
+from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
+Assessments = Mapping[str, Assessment]
+"""By the field in `Traits`; a trait that is missing is not assessed."""
 
 
 @dataclass(frozen=True)
@@ -92,33 +96,59 @@ HISTOGRAMS = (
 )
 
 
-def to_csv(traits: Traits) -> str:
-    """Return one row a trait, and one row a bin of each histogram; what is not known is empty."""
-    return csv_text([_HEAD, *_rows(traits)])
+def to_csv(traits: Traits, assessed: Assessments = MappingProxyType({})) -> str:
+    """Return one row a trait, and one row a bin of each histogram; what is not known is empty.
+
+    Parameters
+    ----------
+    traits : Traits
+        The values.
+    assessed : dict of Assessment
+        Their 90 % intervals and verdicts.
+    """
+    return csv_text([_HEAD, *_rows(traits, assessed)])
 
 
-def by_plant_csv(whole: Traits, plants: Mapping[str, Traits]) -> str:
-    """Return the same with the plant before each row: empty for the whole, then one plant after the other."""
-    several = [("", whole), *plants.items()]
-    return csv_text([("plant", *_HEAD), *((plant, *row) for plant, traits in several for row in _rows(traits))])
+def by_plant_csv(plants: Sequence[tuple[str, Traits, Assessments]]) -> str:
+    """Return the same with the plant before each row, one plant after the other; the whole has an empty name."""
+    return csv_text([("plant", *_HEAD), *((name, *row) for name, traits, assessed in plants for row in _rows(traits, assessed))])
 
 
-_HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "definition")
+_HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "low", "high", "verdict", "definition")
 
 
-def _rows(traits: Traits) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [(d.name, "", "", "", written(getattr(traits, d.field)), d.unit, d.meaning) for d in DEFINITIONS]
+def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
+    rows: list[Sequence[Any]] = []
+    for d in DEFINITIONS:
+        one = assessed.get(d.field, NOT_ASSESSED)
+        low, high = one.interval or (None, None)
+        value = written(getattr(traits, d.field))
+        rows.append((d.name, "", "", "", value, d.unit, written(low), written(high), one.verdict, d.meaning))
     for h in HISTOGRAMS:
         for index, value in enumerate(getattr(traits, h.field)):
-            low, high = h.edges(index)
-            rows.append((h.name, written(low), written(high), h.bin_unit, written(value), "mm", h.meaning))
+            edges = (written(edge) for edge in h.edges(index))
+            rows.append((h.name, *edges, h.bin_unit, written(value), "mm", "", "", NOT_ASSESSED.verdict, h.meaning))
     return rows
 
 
-def to_json(traits: Traits) -> dict[str, Any]:
-    """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known."""
+def to_json(traits: Traits, assessed: Assessments = MappingProxyType({})) -> dict[str, Any]:
+    """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known.
+
+    Parameters
+    ----------
+    traits : Traits
+        The values.
+    assessed : dict of Assessment
+        Their 90 % intervals and verdicts.
+    """
+    rows = []
+    for d in DEFINITIONS:
+        one = assessed.get(d.field, NOT_ASSESSED)
+        low, high = one.interval or (None, None)
+        row = {"name": d.name, "value": getattr(traits, d.field), "unit": d.unit, "low": low, "high": high, "verdict": one.verdict}
+        rows.append({**row, "definition": d.meaning})
     return {
-        "traits": [{"name": d.name, "value": getattr(traits, d.field), "unit": d.unit, "definition": d.meaning} for d in DEFINITIONS],
+        "traits": rows,
         "histograms": [
             {
                 "name": h.name,
@@ -135,10 +165,30 @@ def to_json(traits: Traits) -> dict[str, Any]:
     }
 
 
-def lines(traits: Traits) -> list[str]:
-    """Return the traits that are one number as aligned lines; a dash where a number is not known."""
-    width = max(len(d.name) for d in DEFINITIONS) + 2
-    return [f"{d.name:<{width}}{shown(getattr(traits, d.field)):>12} {d.unit:<5} {d.meaning}".rstrip() for d in DEFINITIONS]
+def lines(traits: Traits, assessed: Assessments) -> list[str]:
+    """Return the traits that are one number as aligned lines with interval or verdict; a dash for an unknown number.
+
+    Parameters
+    ----------
+    traits : Traits
+        The values.
+    assessed : dict of Assessment
+        Their 90 % intervals and verdicts.
+    """
+    width, rows = max(len(d.name) for d in DEFINITIONS) + 2, []
+    for d in DEFINITIONS:
+        value = getattr(traits, d.field)
+        known = "" if value is None else said(assessed.get(d.field, NOT_ASSESSED))
+        rows.append(f"{d.name:<{width}}{shown(value):>12} {d.unit:<5} {known:<24} {d.meaning}")
+    return rows
+
+
+def said(one: Assessment) -> str:
+    """Return an interval or a verdict for people."""
+    if one.interval is None:
+        return one.verdict
+    interval = f"{shown(one.interval[0])} to {shown(one.interval[1])}"
+    return interval if one.verdict == "reliable" else f"{one.verdict} ({interval})"
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:

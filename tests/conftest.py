@@ -11,4 +11,3 @@ from rhizotwin import engine
 def engine_started() -> str:
     """Choose the engine before any test touches Mitsuba's types: the CPU, unless RHIZOTWIN_TEST_DEVICE says cuda."""
     return engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
-

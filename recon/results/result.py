@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
@@ -182,11 +182,11 @@ class Result:
 
     @property
     def traits(self) -> Any:
-        """The traits with units and definitions.
+        """The traits with units, 90 % intervals, verdicts and definitions.
 
         A pandas frame, indexed by name, where pandas is installed, otherwise a list of dicts.
         """
-        rows = trait_table.to_json(self.measured)["traits"]
+        rows = trait_table.to_json(self.measured, assessments.assess(self.summary(), self.measured))["traits"]
         if find_spec("pandas") is None:
             return rows
         import pandas as pd

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.results import by_plant, result_files
+from rhizotwin.recon.results import assessments, by_plant, result_files
 from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.result_files import Json, Mesh
 from rhizotwin.scenes import rsml, subject, trait_table, tube_surface
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.scenes.subject import Subject
@@ -96,26 +98,28 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
 
 def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     """Return the content of ``traits.json``."""
+    plants = by_plant.of_summary(summary, "result.json")
     return {
         "scene": summary["scene"],
         "subject": to_plain(subject.of_summary(summary, "result.json")),
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
         **({"edits": edits} if (edits := edited(summary)) else {}),
-        **trait_table.to_json(traits),
+        **trait_table.to_json(traits, assessments.assess(summary, traits)),
         **({"shoot": trait_table.shoot_numbers(summary["shoot"])} if summary.get("shoot") else {}),
-        **({"plants": plants} if (plants := [_plant(one) for one in by_plant.of_summary(summary, "result.json")]) else {}),
+        **({"plants": [_plant(one, summary) for one in plants]} if plants else {}),
         "warnings": list(summary["warnings"]),
     }
 
 
-def _plant(one: OfPlant) -> Json:
+def _plant(one: OfPlant, summary: Json) -> Json:
     """Return one of several plants for ``traits.json``."""
+    assessed = assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3)
     return {
         "subject": to_plain(one.subject),
         "volume_interval_mm3": list(one.volume_interval_mm3),
         "open_length_mm": one.open_mm,
-        **trait_table.to_json(one.traits),
+        **trait_table.to_json(one.traits, assessed),
     }
 
 
@@ -132,40 +136,63 @@ def edited(summary: Json) -> str:
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """Return one row a result as CSV, and where several plants are in it, one row a plant.
 
-    It has name, scene, whose it is, traits with their units in the head, the volume's interval, edits, warnings.
+    A row has name, scene, subject, the traits with their units in the head, the 90 % interval of each trait that has
+    one, the verdict on each trait, edits and warnings.
 
     Parameters
     ----------
     rows : sequence of tuple of str
         (name, summary, traits) of each result.
     """
-    ends = ("volume_low (mm3)", "volume_high (mm3)", "trusted", "edits", "warnings")
     above = trait_table.SHOOT if any(summary.get("shoot") for _, summary, _ in rows) else ()
-    head = ["result", "scene", *subject.NAMES, *(d.heading for d in (*trait_table.DEFINITIONS, *above)), *ends]
-    table: list[Sequence[Any]] = [head]
-    for name, summary, traits in rows:
-        trusted, warnings = "yes" if summary["volume_trusted"] else "no", "; ".join(str(warning) for warning in summary["warnings"])
-        for whose, own, (low, high) in each(name, summary, traits):
-            values = [getattr(own, d.field) for d in trait_table.DEFINITIONS]
-            values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
-            numbers = [trait_table.written(value) for value in (*values, low, high)]
-            table.append([name, summary["scene"], *subject.as_text(whose).values(), *numbers, trusted, edited(summary), warnings])
+    found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
+    ranged = [d for d in trait_table.DEFINITIONS if any(one.assessed[d.field].interval is not None for _, _, one in found)]
+    intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
+    verdicts = [f"{d.name}_verdict" for d in trait_table.DEFINITIONS]
+    headings = [d.heading for d in (*trait_table.DEFINITIONS, *above)]
+    table: list[Sequence[Any]] = [["result", "scene", *subject.NAMES, *headings, *intervals, *verdicts, "edits", "warnings"]]
+    for name, summary, one in found:
+        values = [getattr(one.traits, d.field) for d in trait_table.DEFINITIONS]
+        values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
+        values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
+        numbers = [trait_table.written(value) for value in values]
+        judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
+        warnings = "; ".join(str(warning) for warning in summary["warnings"])
+        table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, edited(summary), warnings])
     return trait_table.csv_text(table)
 
 
-def each(where: str, summary: Json, traits: Traits) -> list[tuple[Subject, Traits, tuple[float, float]]]:
-    """Return whose roots a result has, their traits and the volume's interval: of each plant, where there are several.
+@dataclass(frozen=True, kw_only=True)
+class Own:
+    """The roots of one plant of a result."""
+
+    subject: Subject
+    traits: Traits
+    assessed: dict[str, Assessment]
+    """By the field in `Traits`."""
+
+
+def each(where: str, summary: Json, traits: Traits) -> list[Own]:
+    """Return subject, traits and assessments of a result: of each plant, where there are several.
 
     Parameters
     ----------
     where : str
         The result, for messages.
+    summary : Json
+        ``result.json``.
     traits : Traits
         Of the whole result.
     """
-    plants = [(one.subject, one.traits, one.volume_interval_mm3) for one in by_plant.of_summary(summary, where)]
-    low, high = summary["volume_interval_mm3"]
-    return plants or [(subject.of_summary(summary, where), traits, (low, high))]
+    plants = [
+        Own(
+            subject=one.subject,
+            traits=one.traits,
+            assessed=assessments.assess(summary, one.traits, volume_interval_mm3=one.volume_interval_mm3),
+        )
+        for one in by_plant.of_summary(summary, where)
+    ]
+    return plants or [Own(subject=subject.of_summary(summary, where), traits=traits, assessed=assessments.assess(summary, traits))]
 
 
 def of_shoot(summary: Json) -> Json | None:
@@ -176,8 +203,10 @@ def of_shoot(summary: Json) -> Json | None:
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:
     """Return the texts of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
-    plants = {one.subject.plant: one.traits for one in by_plant.of_summary(summary, "result.json")}
-    table = trait_table.by_plant_csv(traits, plants) if plants else trait_table.to_csv(traits)
+    whole = assessments.assess(summary, traits)
+    plants = [(one.subject.plant, one.traits, one.assessed) for one in each("result.json", summary, traits)]
+    several = bool(by_plant.of_summary(summary, "result.json"))
+    table = trait_table.by_plant_csv([("", traits, whole), *plants]) if several else trait_table.to_csv(traits, whole)
     return {"traits.csv": table, "traits.json": f"{content}\n"}
 
 

@@ -10,14 +10,17 @@ from pathlib import Path
 import cv2
 
 from rhizotwin.batch.jobs import Job
-from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results import assessments, result_files, result_traits
 from rhizotwin.report import words
 from rhizotwin.scenes import atomic, subject, trait_table
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 180
+MOST_NAMED = 5
+"""Scans that are named in a sentence; the page has all."""
 _COLUMNS = ("total_length_mm", "depth_mm", "mean_diameter_mm", "tips")
 
 
@@ -30,9 +33,13 @@ class _Row:
     traits: Traits
     picture: bytes | None
 
+    @property
+    def assessed(self) -> dict[str, Assessment]:
+        return assessments.assess(self.summary, self.traits)
 
-def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) -> list[Path]:
-    """Write the table and the page of a batch into the folder of its results, and return their paths.
+
+def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) -> tuple[list[Path], str]:
+    """Write the table and the page of a batch into the folder of its results.
 
     Parameters
     ----------
@@ -40,6 +47,13 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
         Whose results lie in the folder, by their names.
     failed : sequence of tuple of Job, str
         With the sentence that says why.
+
+    Returns
+    -------
+    list of Path
+        The table and the page.
+    str
+        A sentence on the volumes that are not reliable; empty where there is none.
     """
     rows = []
     broken = list(failed)
@@ -51,8 +65,11 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
         except UserError as error:
             broken.append((job, str(error)))
     atomic.write_text(folder / TABLE, result_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows]))
-    atomic.write_text(folder / PAGE, _page(rows, broken))
-    return [folder / TABLE, folder / PAGE]
+    refused = [f"{row.name}: {row.assessed['volume_mm3'].reason}" for row in rows if row.assessed["volume_mm3"].verdict == "not reliable"]
+    more = f"; and {len(refused) - MOST_NAMED} more" if len(refused) > MOST_NAMED else ""
+    sentence = f"{len(refused)} of {len(rows)} volumes are not reliable: {'; '.join(refused[:MOST_NAMED])}{more}" if refused else ""
+    atomic.write_text(folder / PAGE, _page(rows, broken, sentence))
+    return [folder / TABLE, folder / PAGE], sentence
 
 
 def _thumbnail(result: Path) -> bytes | None:
@@ -64,7 +81,7 @@ def _thumbnail(result: Path) -> bytes | None:
     return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
 
 
-def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]]) -> str:
+def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], sentence: str) -> str:
     told = [name for name in subject.NAMES if any(_subject(row)[name] for row in rows)]
     shown = [definition for definition in trait_table.DEFINITIONS if definition.field in _COLUMNS]
     head = ["", "scan", *told, "volume", "90 % interval", "", *(d.heading for d in shown)]
@@ -76,6 +93,7 @@ def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]]) -> str:
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><link rel="icon" href="data:,">'
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">"
         f"<title>{title}</title><style>{style}</style></head><body><h1>{title}</h1>{f'<ul>{listed}</ul>' if listed else ''}"
+        f"<p>{html.escape(sentence)}</p>"
         f"<div class=wide><table><tr>{table}</tr>{''.join(_row(row, told, shown) for row in rows)}</table></div></body></html>\n"
     )
 
@@ -86,7 +104,7 @@ def _row(row: _Row, told: Sequence[str], shown: Sequence[trait_table.Definition]
     source = "" if row.picture is None else f'<img alt="shape" src="data:image/jpeg;base64,{base64.b64encode(row.picture).decode()}">'
     name = html.escape(row.name, quote=True)
     cells = [source, f'<a href="{name}/report.html">{name}</a>', *(html.escape(_subject(row)[key]) for key in told)]
-    numbers = [trait_table.shown(getattr(row.traits, d.field)) for d in shown]
+    numbers = [_number(row, d.field) for d in shown]
     text = "".join(f"<td>{cell}</td>" for cell in cells)
     return (
         f"<tr>{text}<td class=number>{found}</td><td class=number>{interval}</td><td>{state}</td>"
@@ -94,7 +112,13 @@ def _row(row: _Row, told: Sequence[str], shown: Sequence[trait_table.Definition]
     )
 
 
+def _number(row: _Row, field: str) -> str:
+    """Return a trait with its verdict, where that is not good."""
+    value, verdict = getattr(row.traits, field), row.assessed[field].verdict
+    return trait_table.shown(value) if value is None or verdict == "reliable" else f"{trait_table.shown(value)} ({verdict})"
+
+
 def _subject(row: _Row) -> dict[str, str]:
-    """Return whose roots a row shows; of several plants the names together."""
-    each = [subject.as_text(whose) for whose, _, _ in result_traits.each(row.name, row.summary, row.traits)]
+    """Return the subject of a row; of several plants the names together."""
+    each = [subject.as_text(own.subject) for own in result_traits.each(row.name, row.summary, row.traits)]
     return {key: ", ".join(dict.fromkeys(text for one in each if (text := one[key]))) for key in each[0]}

@@ -81,8 +81,11 @@ def batch(
     if not places.is_address(output):
         from rhizotwin.batch import overview
 
-        for path in overview.write(Path(output), [*made.kept, *made.done], made.failed):
+        written, refused = overview.write(Path(output), [*made.kept, *made.done], made.failed)
+        for path in written:
             print(f"wrote {path}")
+        if refused:
+            print(f"warning: {refused}")
     _tell(made, "reconstructed")
 
 

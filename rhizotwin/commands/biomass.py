@@ -53,7 +53,7 @@ def fit(
 
     Each kind of mass (root and shoot, fresh and dry) is fitted to volume, length, surface and leaf area, in proportion
     and as a power. What predicts a plant best that was left out is kept; its 90 % interval comes of the volume's
-    interval, the balance, and how much plants differ. Results without a trusted volume are left out.
+    interval, the balance, and how much plants differ. Traits that are not reliable are left out and counted.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def predict(
     for one in found:
         told = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
         cautions = [
-            (not one.measured.trusted, "the volume is not trusted"),
+            (one.assessment.verdict == "not reliable", f"do not use it: its {one.relation.trait} is not reliable"),
             (one.beyond, f"its {one.relation.trait} is beyond the model's plants"),
         ]
         print("; ".join([told, *(words for is_open, words in cautions if is_open)]))

@@ -11,8 +11,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
 
     Results of one plant on several days are laid on each other, and every root gets an identity through time: when it
     came, how fast it grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and
-    treatments are compared by a linear mixed model. The datasets must say plant and day, and the treatment where there
-    are several.
+    treatments are compared by a linear mixed model. Values that are not reliable are left out and counted. The datasets
+    must say plant and day, and the treatment where there are several.
 
     Parameters
     ----------
@@ -37,7 +37,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
         atomic.write_text(building / "traits.csv", grown.traits_csv(measured))
         atomic.write_text(building / "roots.csv", grown.roots_csv(measured))
         atomic.write_text(building / "treatments.csv", grown.treatments_csv(measured))
-        atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
+        if measured.curves:
+            atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
         atomic.write_text(building / "growth.html", growth_page.page(measured))
         if measured.followed:
             (building / "rsml").mkdir()

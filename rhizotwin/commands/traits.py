@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rhizotwin.arguments import list_of, named, option, output, read_mass_g
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import between_ml
 
 if TYPE_CHECKING:
     from rhizotwin.scenes.traits import Traits
@@ -21,10 +20,11 @@ def traits(
 ) -> None:
     """Print the traits of results, or write them to a table for spreadsheets.
 
-    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units. With -o they go to a file:
-    .csv has one row a result (one a plant, where several share a canister) and one column a trait, its unit in the
-    head; .json has every number, histograms too. What needs centre lines is empty for shapes without roots found, such
-    as spheres.
+    Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units, each with its 90 %
+    interval, or "not reliable" or "not assessed". With -o they go to a file: .csv has one row a result (one a plant,
+    where several share a canister) and one column a trait, its unit in the head, then intervals and verdicts; .json has
+    every number, histograms too. Traits of centre lines are empty for shapes in which no roots were found, such as
+    spheres.
 
     Parameters
     ----------
@@ -73,21 +73,20 @@ def traits(
 
 def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     """Print a result's traits, and those of its plants where there are several."""
-    from rhizotwin.recon.results import result_traits
+    from rhizotwin.recon.results import assessments, result_traits
     from rhizotwin.scenes import subject, trait_table
 
     whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
-    volume = f"volume {between_ml(*summary['volume_interval_mm3'])} with 90 % confidence"
-    print(f"{folder} ({whose}), {volume if summary['volume_trusted'] else 'no volume can be told: ' + summary['volume_verdict']}")
+    print(f"{folder} ({whose}){'' if summary['volume_trusted'] else ': ' + summary['volume_verdict']}")
     if edits := result_traits.edited(summary):
         print(f"  corrected by hand: {edits}")
-    print("\n".join(f"  {line}" for line in trait_table.lines(one)))
+    print("\n".join(f"  {line}" for line in trait_table.lines(one, assessments.assess(summary, one))))
     if summary.get("shoot"):
         print("\n".join(f"  {line}" for line in trait_table.shoot_lines(summary["shoot"])))
     plants = result_traits.each(str(folder), summary, one)
-    for who, own, interval in plants if len(plants) > 1 else ():
-        print(f"{folder} ({who}), volume {between_ml(*interval)} with 90 % confidence")
-        print("\n".join(f"  {line}" for line in trait_table.lines(own)))
+    for own in plants if len(plants) > 1 else ():
+        print(f"{folder} ({own.subject})")
+        print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))
     if one.total_length_mm is None:
         print("  no roots were found as centre lines: what needs them is a dash")
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.experiment.masses import KINDS, Weighed
-from rhizotwin.experiment.measured import Measured, one_species
+from rhizotwin.experiment.measured import Measured, left_out, one_species
 from rhizotwin.experiment.york import Line, fit_line
 from rhizotwin.scenes.errors import UserError
 
@@ -106,20 +106,19 @@ def pairs(measured: Sequence[Measured], weighed: Sequence[Weighed]) -> tuple[lis
             raise UserError(f"{one.where}: fits two results of plant {one.subject.plant}, {same[0].name} and {same[1].name}; give its day")
         if not same:
             notes.append(f"{one.where}: there is no result of plant {one.subject.plant}{'' if not of_plant else ' on its day'}")
-        elif not same[0].trusted:
-            notes.append(f"{same[0].who}: is left out, because its volume is not trusted")
         else:
             found.append(Pair(same[0], one))
     met = {id(pair.measured) for pair in found}
-    notes += [f"{m.who}: was not weighed" for m in measured if id(m) not in met and m.trusted]
+    notes += [f"{m.who}: was not weighed" for m in measured if id(m) not in met]
+    notes += left_out([pair.measured for pair in found], TRAITS)
     _refuse_mixed(found)
     return found, notes
 
 
 def ratios(found: Sequence[Pair], kind: str = "root_fresh") -> list[tuple[Pair, float]]:
     """Return mass over volume of each plant in g/ml, as table 4.1 of the thesis has it."""
-    with_both = [pair for pair in found if kind in pair.weighed.grams and pair.measured.traits.get("volume")]
-    return [(pair, pair.weighed.grams[kind] / (pair.measured.traits["volume"] / 1000.0)) for pair in with_both]
+    with_both = [(pair, pair.measured.usable("volume")) for pair in found if kind in pair.weighed.grams]
+    return [(pair, pair.weighed.grams[kind] / (volume / 1000.0)) for pair, volume in with_both if volume is not None]
 
 
 def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -> Model:
@@ -145,7 +144,7 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
     told = list(notes)
     for kind in KINDS:
         for trait in TRAITS:
-            chosen = [pair for pair in found if kind in pair.weighed.grams and pair.measured.traits.get(trait, 0.0) > 0.0]
+            chosen = [pair for pair in found if kind in pair.weighed.grams and pair.measured.usable(trait) is not None]
             plants = len({pair.measured.subject.plant for pair in chosen})
             if plants >= LEAST_PLANTS:
                 values = {pair.measured.traits[trait] for pair in chosen}  # with one left out, two must differ to give a power
@@ -155,14 +154,17 @@ def fit(found: Sequence[Pair], *, balance_g: float, notes: Sequence[str] = ()) -
                 told.append(f"{kind}: only {plants} plants were measured and weighed, at least {LEAST_PLANTS} are needed")
     best = tuple(_best([relation for relation in tried if relation.kind == kind]) for kind in dict.fromkeys(r.kind for r in tried))
     if not best:
-        raise UserError(f"{len(found)} plants were measured and weighed, and a fit needs {LEAST_PLANTS}; are the plants named alike?")
+        why = told or ["are the plants named alike?"]
+        raise UserError(
+            f"{len(found)} plants were measured and weighed, and a fit needs {LEAST_PLANTS} with reliable traits: {'; '.join(why)}"
+        )
     return Model(species=species, relations=best, tried=tuple(tried), notes=tuple(told))
 
 
 def _relation(chosen: Sequence[Pair], kind: str, trait: str, proportional: bool, balance_g: float) -> Relation:
     mass = np.array([pair.weighed.grams[kind] for pair in chosen])
     value = np.array([pair.measured.traits[trait] for pair in chosen])
-    value_sigma = np.array([pair.measured.volume_sigma if trait == "volume" else 0.0 for pair in chosen])
+    value_sigma = np.array([pair.measured.log_sigma(trait) for pair in chosen])
     plants = np.array([pair.measured.subject.plant for pair in chosen])
     x, y, y_sigma = np.log(value), np.log(mass), balance_g / mass
     slope = 1.0 if proportional else None

@@ -97,6 +97,20 @@ def relative_rates(seen: Sequence[Seen]) -> list[tuple[str, float, float, float]
     return rates
 
 
+def _plants(seen: Sequence[Seen]) -> dict[str, set[str]]:
+    """Return the plants of each treatment, treatments by name."""
+    return {name: {one.plant for one in seen if one.treatment == name} for name in sorted({one.treatment for one in seen})}
+
+
+def too_few(seen: Sequence[Seen]) -> str:
+    """Say which treatment has too few plants to be compared; empty where none has, or there is one treatment."""
+    plants = _plants(seen)
+    few = [name for name, own in plants.items() if len(own) < LEAST_PLANTS]
+    if len(plants) < 2 or not few:
+        return ""
+    return f"treatment {few[0]!r} has {len(plants[few[0]])} plant; each treatment needs {LEAST_PLANTS} or more"
+
+
 def differences(seen: Sequence[Seen]) -> list[Difference]:
     """Compare every treatment with the first by name.
 
@@ -105,14 +119,10 @@ def differences(seen: Sequence[Seen]) -> list[Difference]:
     UserError
         When statsmodels is not installed, or a treatment has fewer than two plants.
     """
-    treatments = sorted({one.treatment for one in seen})
-    plants = {name: {one.plant for one in seen if one.treatment == name} for name in treatments}
-    if len(treatments) < 2:
-        return []
-    few = [name for name in treatments if len(plants[name]) < LEAST_PLANTS]
-    if few:
-        raise UserError(f"treatment {few[0]!r} has {len(plants[few[0]])} plant; to compare treatments, each needs {LEAST_PLANTS} or more")
-    found = []
+    if why := too_few(seen):
+        raise UserError(why)
+    plants = _plants(seen)
+    treatments, found = list(plants), []
     for name in treatments[1:]:
         both = [one for one in seen if one.treatment in (treatments[0], name)]
         found.append(_difference(both, against=treatments[0], treatment=name, plants=len(plants[name]) + len(plants[treatments[0]])))

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates
+from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
 from rhizotwin.experiment.matching import Day, Followed, follow
-from rhizotwin.experiment.measured import Measured, by_plant
+from rhizotwin.experiment.measured import Measured, by_plant, left_out
 from rhizotwin.recon.results import result_files
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
@@ -37,13 +37,13 @@ class Growth:
 def measure(found: Sequence[Measured]) -> Growth:
     """Measure growth.
 
-    Volumes that are not trusted are left out of the curves of volume, with a note.
+    Values that are not reliable are left out of curves and comparisons, and a note says how many and why.
 
     Raises
     ------
     UserError
-        For a result without plant or day, a plant that is there twice on a day or in two treatments, or scans of
-        different strips.
+        For a result without plant or day, a plant that is there twice on a day or in two treatments, scans of
+        different strips, or where nothing is known of any plant that is reliable.
     """
     plants = by_plant(found)
     for plant, days in plants.items():
@@ -51,27 +51,31 @@ def measure(found: Sequence[Measured]) -> Growth:
         if len(named) > 1:
             raise UserError(f"plant {plant} is in two treatments, {named[0]!r} and {named[1]!r}; a plant has one")
         _refuse_strips(plant, days)
-    notes = [f"{one.who}: its volume is not trusted, and left out of the curves of volume" for one in found if not one.trusted]
+    notes = left_out(found, CURVES)
     followed = {plant: one for plant, days in plants.items() if (one := _followed(days)) is not None}
     notes += [f"plant {plant}: no roots were found on two days, so that none can be followed" for plant in plants if plant not in followed]
-    seen = {trait: _seen(plants, trait) for trait in CURVES}
-    seen = {trait: values for trait, values in seen.items() if values}
+    seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
+    if not seen and not followed:
+        raise UserError("; ".join(notes) or f"the results have none of the traits {', '.join(CURVES)}")
+    unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
+    notes += [f"not assessed, so that their errors are not known: {', '.join(unassessed)}"] if unassessed else []
+    notes += [f"{trait}: treatments are not compared: {why}" for trait, values in seen.items() if (why := too_few(values))]
     return Growth(
         plants=plants,
         followed=followed,
         seen=seen,
         curves={trait: means(values) for trait, values in seen.items()},
-        compared={trait: differences(values) for trait, values in seen.items()},
+        compared={trait: differences(values) for trait, values in seen.items() if not too_few(values)},
         notes=tuple(notes),
     )
 
 
 def _seen(plants: Mapping[str, Sequence[Measured]], trait: str) -> list[Seen]:
     return [
-        Seen(plant=plant, treatment=one.subject.treatment, day=one.subject.day or 0.0, value=one.traits[trait])
+        Seen(plant=plant, treatment=one.subject.treatment, day=one.subject.day or 0.0, value=value)
         for plant, days in plants.items()
         for one in days
-        if one.traits.get(trait, 0.0) > 0.0 and (one.trusted or trait != "volume")
+        if (value := one.usable(trait)) is not None
     ]
 
 
@@ -101,29 +105,37 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
 
 
 def traits_csv(growth: Growth) -> str:
-    """Return a row a plant, day and trait: value, and relative growth rate since the day before."""
-    rows: list[Sequence[str]] = [["plant", "treatment", "day", "trait", "value", "relative_growth_rate (1/day)"]]
-    for trait, seen in growth.seen.items():
-        rates = {(plant, end): rate for plant, _, end, rate in relative_rates(seen)}
-        for one in seen:
-            rate = rates.get((one.plant, one.day))
-            rows.append([one.plant, one.treatment, f"{one.day:g}", trait, written(one.value), written(rate)])
+    """Return a row a plant, day and trait: value, 90 % interval, verdict, and relative growth rate.
+
+    The rate is that since the day before, of values that are not called not reliable.
+    """
+    rows: list[Sequence[str]] = [["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "relative_growth_rate (1/day)"]]
+    for trait in CURVES:
+        rates = {(plant, end): rate for plant, _, end, rate in relative_rates(growth.seen.get(trait, ()))}
+        for plant, one in ((plant, one) for plant, days in growth.plants.items() for one in days if trait in one.traits):
+            assessed, day = one.assessment(trait), one.subject.day or 0.0
+            low, high = assessed.interval or (None, None)
+            numbers = [written(value) for value in (one.traits[trait], low, high)]
+            rows.append([plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, written(rates.get((plant, day)))])
     return csv_text(rows)
 
 
 def roots_csv(growth: Growth) -> str:
     """Return a row a root and day.
 
-    Its identity, when it came, its length, its rate since it was last seen, its diameter.
+    Its identity, when it came, its length, its rate since it was last seen, its diameter, and the verdict on the total
+    length of its scan.
     """
-    head = ["plant", "root", "parent", "order", "emergence_day", "day", "length (mm)", "elongation (mm/day)", "diameter (mm)"]
+    head = ["plant", "root", "parent", "order", "emergence_day", "day", "length (mm)", "elongation (mm/day)", "diameter (mm)", "verdict"]
     rows: list[Sequence[str]] = [head]
     for plant, followed in growth.followed.items():
+        verdicts = {one.subject.day: one.assessment("total_length").verdict for one in growth.plants[plant]}
         for track in followed.tracks:
             rates = {end: rate for _, end, rate in track.rates_mm_per_day}
             for sight in track.sights:
                 numbers = [written(value) for value in (sight.length_mm, rates.get(sight.day), sight.diameter_mm)]
-                rows.append([plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{sight.day:g}", *numbers])
+                whose = [plant, track.name, track.parent, str(track.order), f"{track.emergence_day:.2f}", f"{sight.day:g}"]
+                rows.append([*whose, *numbers, verdicts[sight.day]])
     return csv_text(rows)
 
 

@@ -33,12 +33,17 @@ def draw(growth: Growth) -> bytes:
 
 def page(growth: Growth) -> str:
     """Return the page: the curves, what differs in words, what was followed, what was left out."""
-    picture = base64.b64encode(draw(growth)).decode()
+    curves = "<p>No trait is reliable enough for a curve.</p>"
+    if growth.curves:
+        picture = base64.b64encode(draw(growth)).decode()
+        curves = (
+            f'<img alt="curves of growth" src="data:image/png;base64,{picture}">'
+            "<p>Mean of the plants on each day with its 90 % interval.</p>"
+        )
     told = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
-        f'<h1>Growth of {len(growth.plants)} plants</h1><img alt="curves of growth" src="data:image/png;base64,{picture}">'
-        f"<p>Mean of the plants on each day with its 90 % interval.</p><ul>{told}</ul></body></html>\n"
+        f"<h1>Growth of {len(growth.plants)} plants</h1>{curves}<ul>{told}</ul></body></html>\n"
     )
 
 

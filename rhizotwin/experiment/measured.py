@@ -4,15 +4,17 @@ Result folders, or tables of traits as `rhizotwin traits -o FILE.csv` writes the
 """
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import log
 from pathlib import Path
+from typing import get_args
 
 from rhizotwin.experiment import tables
 from rhizotwin.recon.results import result_files, result_traits
-from rhizotwin.scenes import subject, trait_table
+from rhizotwin.scenes import assessment, subject, trait_table
+from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
 
@@ -31,11 +33,24 @@ class Measured:
     subject: Subject
     traits: Mapping[str, float]
     """Those that are known, by their names in tables, in the units of `scenes.trait_table`."""
-    volume_sigma: float = 0.0
-    """Standard deviation of the volume's logarithm, from its 90 % interval; 0: not told."""
-    trusted: bool = True
+    assessed: Mapping[str, Assessment] = field(default_factory=dict)
+    """By the same names; a trait that is missing is not assessed."""
     folder: Path | None = None
     """The result's; None for a line of a table."""
+
+    def assessment(self, trait: str) -> Assessment:
+        """Return the reliability of a trait."""
+        return self.assessed.get(trait, NOT_ASSESSED)
+
+    def usable(self, trait: str) -> float | None:
+        """Return a trait that tests and fits may use: above zero, and not assessed as not reliable."""
+        value = self.traits.get(trait, 0.0)
+        return value if value > 0.0 and self.assessment(trait).verdict != "not reliable" else None
+
+    def log_sigma(self, trait: str) -> float:
+        """Return the standard deviation of the logarithm of a trait, from its 90 % interval; 0 where it has none."""
+        low, high = self.assessment(trait).interval or (0.0, 0.0)
+        return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
 
     @property
     def who(self) -> str:
@@ -111,40 +126,58 @@ def _of_folder(folder: Path) -> list[Measured]:
     return [
         Measured(
             name=folder.resolve().name,
-            subject=whose,
-            traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(traits, d.field)) is not None}
+            subject=own.subject,
+            traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(own.traits, d.field)) is not None}
             | {name: float(value) for name, value in above.items() if value is not None},
-            volume_sigma=_sigma(*interval),
-            trusted=summary["volume_trusted"],
+            assessed={d.name: own.assessed[d.field] for d in trait_table.DEFINITIONS},
             folder=folder,
         )
-        for whose, traits, interval in result_traits.each(str(folder / "result.json"), summary, result_traits.read(folder))
+        for own in result_traits.each(str(folder / "result.json"), summary, result_traits.read(folder))
     ]
 
 
+def left_out(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
+    """Return a sentence for each trait of which values are left out of tests and fits, as they are not reliable."""
+    sentences = []
+    for trait in traits:
+        known = [one for one in found if one.traits.get(trait, 0.0) > 0.0]
+        reasons = [one.assessment(trait).reason or "so the table says" for one in known if one.usable(trait) is None]
+        sentences.append(assessment.left_out(trait, reasons, total=len(known)))
+    return [sentence for sentence in sentences if sentence]
+
+
 def _of_row(row: tables.Row) -> Measured:
-    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT)} | {"volume_low", "volume_high"}
-    traits = {}
+    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT)}
+    columns = known | {f"{name}_{end}" for name in known for end in ("low", "high")}
+    numbers: dict[str, float] = {}
     for column in row.cells:
         match = _HEAD.fullmatch(column)
-        if match is None or match[1] not in known:
+        if match is None or match[1] not in columns:
             continue
         value = tables.number(row, column)
         if value is None:
             continue
-        if match[1].startswith("volume") and match[2] not in _MM3:
+        is_volume = match[1] in ("volume", "volume_low", "volume_high")
+        if is_volume and match[2] not in _MM3:
             raise UserError(f"{row.where}: {column} must have its unit behind it, (mm3) or (ml)")
-        traits[match[1]] = value * (_MM3[match[2]] if match[1].startswith("volume") else 1.0)
-    low, high = traits.pop("volume_low", 0.0), traits.pop("volume_high", 0.0)
+        numbers[match[1]] = value * (_MM3[match[2]] if is_volume else 1.0)
+    traits = {name: value for name, value in numbers.items() if name in known}
     return Measured(
         name=row.cells.get("result") or row.where,
         subject=subject.of_cells(row.cells, row.where),
         traits=traits,
-        volume_sigma=_sigma(low, high),
-        trusted=row.cells.get("trusted", "yes") != "no",
+        assessed={name: _assessment(row, name, numbers) for name in traits},
     )
 
 
-def _sigma(low: float, high: float) -> float:
-    """Return the standard deviation of the logarithm between the ends of a 90 % interval."""
-    return log(high / low) / (2.0 * IN_90) if 0.0 < low < high else 0.0
+def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:
+    """Read interval and verdict of a trait; a column ``trusted`` (yes or no) is the verdict on the volume."""
+    word = row.cells.get(f"{name}_verdict", "")
+    if name == "volume" and not word:
+        word = {"yes": "reliable", "no": "not reliable"}.get(row.cells.get("trusted", ""), "")
+    verdicts: dict[str, Verdict] = {one: one for one in get_args(Verdict)}
+    if word and word not in verdicts:
+        raise UserError(f"{row.where}: {name}_verdict is {word!r}, but must be one of {', '.join(verdicts)}")
+    ends = [numbers.get(f"{name}_{end}") for end in ("low", "high")]
+    interval = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
+    return Assessment(verdict=verdicts.get(word, "not assessed"), interval=interval)

@@ -7,6 +7,7 @@ from pathlib import Path
 from rhizotwin.experiment.biomass import Model, Relation, known_for
 from rhizotwin.experiment.measured import Measured
 from rhizotwin.scenes import atomic, subject
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import read_versioned_json
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
@@ -25,6 +26,11 @@ class Predicted:
     low_g: float
     """Ends of the 90 % interval."""
     high_g: float
+
+    @property
+    def assessment(self) -> Assessment:
+        """The reliability of the trait that the mass follows from."""
+        return self.measured.assessment(self.relation.trait)
 
     @property
     def beyond(self) -> bool:
@@ -62,18 +68,17 @@ def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
     found = []
     for one in measured:
         for relation in known_for(model, one):
-            sigma = one.volume_sigma if relation.trait == "volume" else 0.0
-            grams, low, high = relation.predict(one.traits[relation.trait], sigma)
+            grams, low, high = relation.predict(one.traits[relation.trait], one.log_sigma(relation.trait))
             found.append(Predicted(measured=one, relation=relation, grams=grams, low_g=low, high_g=high))
     return found
 
 
 def to_csv(found: Sequence[Predicted]) -> str:
     """Return one row a mass: whose it is, the mass with its 90 % interval, and what to know of it."""
-    rows: list[list[str]] = [["result", *subject.NAMES, "mass", "mass (g)", "low (g)", "high (g)", "from", "trusted", "extrapolated"]]
+    rows: list[list[str]] = [["result", *subject.NAMES, "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]]
     for one in found:
         numbers = [written(value) for value in (one.grams, one.low_g, one.high_g)]
-        states = ["yes" if state else "no" for state in (one.measured.trusted, one.beyond)]
+        states = [one.assessment.verdict, "yes" if one.beyond else "no"]
         whose = subject.as_text(one.measured.subject).values()
         rows.append([one.measured.name, *whose, one.relation.kind, *numbers, one.relation.trait, *states])
     return csv_text(rows)

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
-from rhizotwin.recon.results import by_plant, report_tables, result_files, result_traits
+from rhizotwin.recon.results import assessments, by_plant, report_tables, result_files, result_traits
 from rhizotwin.report import rig_figure, solid, words
 from rhizotwin.scenes import atomic, subject, trait_table
+from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
@@ -72,6 +73,10 @@ class _Read:
         return str(self.summary["scene"])
 
     @property
+    def assessed(self) -> dict[str, Assessment]:
+        return assessments.assess(self.summary, self.traits)
+
+    @property
     def subject(self) -> Subject:
         return subject.of_summary(self.summary, str(self.folder / "result.json"))
 
@@ -104,6 +109,8 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
         found, interval = words.volume(one.summary)
         state = {"good": "can be used", "fair": "can be used", "bad": "do not use"}[words.light(one.summary)[0]]
         length = rounded(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
+        if one.traits.total_length_mm and one.assessed["total_length_mm"].verdict != "reliable":
+            length += f" ({one.assessed['total_length_mm'].verdict})"
         link = f'<a href="#result-{place}">{html.escape(one.folder.resolve().name)}</a>'
         whose = "".join(f"<td>{html.escape(subject.as_text(one.subject)[name])}</td>" for name in told)
         rows.append(
@@ -171,7 +178,7 @@ def _solid(read: _Read) -> str:
     data = {
         "name": read.name,
         "file": re.sub(r"[^A-Za-z0-9_-]+", "_", read.name) or "result",
-        "csv": trait_table.to_csv(read.traits),
+        "csv": trait_table.to_csv(read.traits, read.assessed),
         "solid": packed,
     }
     choices: tuple[str, ...] = ("order", "diameter", "depth") if read.roots else ("depth", "plain")
@@ -269,7 +276,7 @@ def _traits(read: _Read) -> str:
     for definition in trait_table.DEFINITIONS:
         value = getattr(read.traits, definition.field)
         name, shown, meaning = words.trait(definition, value)
-        interval = words.estimated(read.summary, definition.field) if definition.field != "volume_mm3" else words.volume(read.summary)[1]
+        interval = words.interval(definition, read.assessed[definition.field])
         shown = words.volume(read.summary)[0] if definition.field == "volume_mm3" else shown
         if value is not None:
             rows.append([name, shown, interval, meaning])

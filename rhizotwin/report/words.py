@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from rhizotwin.scenes.said import ml, rounded
+from rhizotwin.scenes.assessment import Assessment
+from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.trait_table import Definition
 
 Light = Literal["good", "fair", "bad"]
@@ -104,17 +105,18 @@ def trait(definition: Definition, value: float | int | None) -> tuple[str, str, 
     return name, f"{rounded(value)} {unit}".rstrip(), meaning
 
 
-def estimated(summary: dict[str, Any], field: str) -> str:
-    """Return the interval of a trait that has one of its own, and whether it is to be trusted.
-
-    Empty where it has none.
-    """
-    for told in summary.get("estimates") or []:
-        if told["name"] == field:
-            low, high = told["interval"]
-            digits = (lambda value: f"{value:.0f}") if field == "tips" else rounded
-            return f"{digits(low)} to {digits(high)}{'' if told['trusted'] else ' (do not use)'}"
-    return ""
+def interval(definition: Definition, assessed: Assessment) -> str:
+    """Return the 90 % interval of a trait in the unit of `trait`, or why there is none."""
+    if assessed.interval is None:
+        return assessed.verdict
+    low, high = assessed.interval
+    if definition.field == "volume_mm3":
+        text = between_ml(low, high)
+    elif definition.field == "tips":
+        text = f"{low:.0f} to {high:.0f}"
+    else:
+        text = f"{rounded(low)} to {rounded(high)}"
+    return text if assessed.verdict == "reliable" else f"not reliable ({text})"
 
 
 def roots_told(summary: dict[str, Any]) -> list[str]:
@@ -122,8 +124,11 @@ def roots_told(summary: dict[str, Any]) -> list[str]:
     told = summary.get("estimates") or []
     if not told:
         return []
-    values = {one["name"]: f"{one['value']:.0f}" if one["name"] == "tips" else rounded(one["value"]) for one in told}
-    parts = [f"{_SHORT[name][0]}{value}{_SHORT[name][1]} ({estimated(summary, name)})" for name, value in values.items()]
+    parts = []
+    for one in told:
+        before, after = _SHORT[one["name"]]
+        numbers = [f"{value:.0f}" if one["name"] == "tips" else rounded(value) for value in (one["value"], *one["interval"])]
+        parts.append(f"{before}{numbers[0]}{after} ({numbers[1]} to {numbers[2]}{'' if one['trusted'] else ', not reliable'})")
     verdicts = [one["verdict"] for one in told if not one["trusted"]] if summary["volume_trusted"] else []
     return [", ".join(parts), *verdicts[:1]]
 

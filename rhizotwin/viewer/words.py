@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line, Lines
 from rhizotwin.corrections.session import Measured
+from rhizotwin.recon.results import assessments
 from rhizotwin.report import words as said
 from rhizotwin.scenes.said import ml
 from rhizotwin.scenes.trait_table import DEFINITIONS
@@ -73,15 +74,16 @@ def chosen(roots: int, length_mm: float, voxels: int, volume_mm3: float) -> str:
 
 
 def traits(found: Traits, *, corrected: bool, summary: dict[str, Any]) -> str:
-    """Return the traits as they are now; intervals only of what nobody corrected."""
+    """Return the traits as they are now with their 90 % intervals; corrected ones are not assessed."""
     rows = []
+    assessed = assessments.assess(summary, found)
     for definition in DEFINITIONS:
         value = getattr(found, definition.field)
         name, shown, meaning = said.trait(definition, value)
         if value is None or definition.field in NOT_AT_ONCE:
             continue
-        interval = "" if corrected else said.estimated(summary, definition.field)
-        between = f"<br><small>90 % interval {html.escape(interval)}</small>" if interval else ""
+        interval = "not assessed" if corrected else said.interval(definition, assessed[definition.field])
+        between = f"<br><small>{html.escape(interval)}</small>"
         rows.append(
             f"<tr title='{html.escape(meaning)}'><td style='padding-right:0.8em'>{html.escape(name)}</td>"
             f"<td>{html.escape(shown)}{between}</td></tr>"
