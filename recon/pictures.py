@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from typing import Any, Literal
 
+from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image, sha256_of
 from rhizotwin.scenes.errors import UserError
@@ -56,25 +58,83 @@ class Pictures:
     curve: CurveFound | None = None
     """By what curve they were read; None: no edges were asked."""
     warnings: tuple[str, ...] = ()
+    left_out: int = 0
+    """Pictures that the dataset lists and that are not among the frames."""
     measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
     """`Markers` of some of the images, by their number, where finding the curve has measured them."""
 
+    @property
+    def taken(self) -> int:
+        """Number of pictures that the dataset lists."""
+        return len(self.frames) + self.left_out
 
-def read_pictures(dataset: Dataset, *, kind: Literal["root", "shoot"] = "root", monitor: Monitor) -> Pictures:
+
+def read_pictures(
+    dataset: Dataset, *, kind: Literal["root", "shoot"] = "root", settings: PictureSettings = PictureSettings(), monitor: Monitor
+) -> Pictures:
     """Read a dataset's pictures of the root, or of the shoot.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Scene and frames.
+    kind : {"root", "shoot"}
+        Of which the pictures are.
+    settings : PictureSettings
+        Which pictures are left out.
+    monitor : Monitor
+        Hears how far the work is.
 
     Raises
     ------
     UserError
-        Where there are none, or one is missing or damaged.
+        Where there are none, a picture to leave out is not listed, or one is missing or damaged and the settings are
+        not tolerant.
     """
-    frames = tuple(frame for frame in dataset.frames if frame.kind == kind)
-    if not frames:
+    listed = tuple(frame for frame in dataset.frames if frame.kind == kind)
+    if not listed:
         raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}; take or import some.")
+    unwanted = _unwanted(dataset, settings.leave_out)
     with monitor.stage("read"):
-        images = monitor.each(lambda frame: read_image(dataset, frame), "read", frames)
-    said = () if dataset.masks else _contradictions(dataset, frames)
-    return Pictures(dataset=dataset, frames=frames, images=tuple(images), warnings=said)
+        read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
+    known = [(frame, image) for frame, image in read if not isinstance(image, UserError)]
+    failed = [image for _, image in read if isinstance(image, UserError)]
+    if not known:
+        raise failed[0] if failed else UserError(f"{dataset.folder}: every picture of the {kind} is left out")
+    frames = tuple(frame for frame, _ in known)
+    said = [f"{frame.file} is left out, as chosen" for frame in listed if frame.file in unwanted]
+    said += [f"a picture is left out: {error}" for error in failed]
+    said += () if dataset.masks else _contradictions(dataset, frames)
+    images = tuple(image for _, image in known)
+    return Pictures(dataset=dataset, frames=frames, images=images, warnings=tuple(said), left_out=len(listed) - len(frames))
+
+
+def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
+    """Return the files of the frames that are to be left out.
+
+    Raises
+    ------
+    UserError
+        Where a name fits no frame.
+    """
+    found: set[str] = set()
+    for name in names:
+        end = PurePath(name).parts
+        files = {frame.file for frame in dataset.frames if PurePath(frame.file).parts[-len(end) :] == end}
+        if not files:
+            raise UserError(f"--leave-out {name}: {dataset.folder / 'dataset.json'} lists no such picture")
+        found |= files
+    return found
+
+
+def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | UserError]:
+    """Read a picture; return the error where it cannot be read and that is tolerated."""
+    try:
+        return frame, read_image(dataset, frame)
+    except UserError as error:
+        if tolerant:
+            return frame, error
+        raise
 
 
 def content_of(dataset: Dataset, frame: Frame) -> str:

@@ -40,6 +40,9 @@ from rhizotwin.scenes.schema import to_plain
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 _SWAYS = 3
 """Times that swaying roots are found anew: half a millimetre at the tips hides a third of them at first."""
+_UNEVEN, _LEAST_FILL = 3.0, 0.01
+"""Roots that cover so many times the median share of the water in one view are looked at: from side to side a flat root
+covers up to 2 times that, and half of a picture without light 10 times. Below a hundredth, specks do so."""
 _ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
 """What hull and roots carry of coverage and cameras, as the kernels want it."""
 
@@ -57,7 +60,7 @@ def reconstruct(
     Parameters
     ----------
     dataset : Dataset or path
-        As `scenes.dataset.load_dataset` gives it, or its folder.
+        The dataset or its folder.
     settings : Settings, optional
         What may be set, a group for each stage.
     mass_g : float, optional
@@ -75,19 +78,19 @@ def reconstruct(
     Raises
     ------
     UserError
-        Where the pictures cannot be used; the message names the file and what to do.
-    Cancelled
-        After `Monitor.cancel`.
+        Where the pictures cannot be used; the message names the file.
     """
-    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    settings, monitor = settings or Settings(), _releasing(monitor)
-    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
+    monitor = _releasing(monitor)
+    pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     stages = StageFolder.begin(keep_stages)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
-    of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
+    cameras = cameras.without(coverage.unusable)
+    of_pictures, pictures_said, taken = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings, pictures.taken
     del pictures
     (hull, tree), roots = _hull_and_tree(dataset, cameras, coverage, settings, of_pictures, stages, monitor), None
+    cameras = hull.carved.cameras
     if tree is not None:
         tree = rooting.calibrate(tree, monitor=monitor)
         settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
@@ -98,7 +101,7 @@ def reconstruct(
             coverage = told
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
-    checked = (*of_pictures, *solid.checks)
+    checked = (*of_pictures, _check_views(cameras, taken, settings.trust), *solid.checks)
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures_said, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
@@ -178,18 +181,36 @@ def _hull_and_tree(
 def _first_hull(
     dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, checked: Sequence[Check], monitor: Monitor
 ) -> shaping.TrimmedHull:
-    """Carve; where nothing is left, say what the pictures failed, too: that is the cause more often than not."""
+    """Carve, and again without the views that contradict all others where there are some.
+
+    Where nothing is left, say what the pictures failed, too: that is the cause more often than not.
+    """
+    hull, failure = None, None
     try:
-        return shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+        hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
     except UserError as error:
-        raise UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".") from None
+        failure = UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".")
+    if hull is not None and hull.missed <= settings.trust.missed[0] and not _is_uneven(cameras, coverage):
+        return hull
+    wrong = shaping.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
+    if wrong:
+        del hull
+        return shaping.find_hull(dataset, cameras.without(wrong), coverage, settings, monitor=monitor)
+    if hull is None:
+        raise failure or UserError(f"{dataset.folder}: nothing is left after carving")
+    return hull
+
+
+def _is_uneven(cameras: Cameras, coverage: Coverage) -> bool:
+    """Tell whether roots seem to cover far more of one view than of the others, as of a half-written picture."""
+    fill = [coverage.fill(k) or 0.0 for k in cameras.order]
+    return max(fill) > _UNEVEN * max(float(np.median(fill)), _LEAST_FILL)
 
 
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
     """Check the pictures themselves; silhouettes, and pictures with given cameras, tell only some of it."""
     dataset, found = pictures.dataset, cameras.markers
-    azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
-    made = [picture_checks.of_scan(dataset.origin, pictures.frames), picture_checks.of_views(azimuth_deg, len(pictures.frames), trust)]
+    made = [picture_checks.of_scan(dataset.origin, pictures.frames)]
     if not dataset.masks:
         made += [
             picture_checks.of_exposure(coverage.exposures, trust),
@@ -203,6 +224,12 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
             picture_checks.of_canister(found.canister, dataset.scene, trust),
         ]
     return tuple(made)
+
+
+def _check_views(cameras: Cameras, taken: int, trust: TrustSettings) -> Check:
+    """Check that the views which are used are enough of all that were taken, and go all the way round."""
+    azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
+    return picture_checks.of_views(azimuth_deg, taken, trust)
 
 
 def _spread(pictures: Pictures, coverage: Coverage, cameras: Cameras) -> float | None:
@@ -243,7 +270,7 @@ def gather(
         The result, not saved.
     """
     files = [camera.file for camera in cameras.all]
-    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.kind == "root"}
+    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.file in files}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
         dataset=str(dataset.folder),

@@ -66,6 +66,16 @@ class CoverageSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PictureSettings:
+    """Which pictures are used."""
+
+    leave_out: tuple[str, ...] = ()
+    """Pictures to leave out, by their files as the dataset lists them, or the ends of these names."""
+    tolerant: bool = False
+    """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HullSettings:
     """From silhouettes to a hull."""
 
@@ -173,6 +183,7 @@ class Settings:
 
     voxel_mm: float = bounded(0.27, 0.01, 20.0)
     """Edge of the voxels that are written (0.27: the thesis's); measuring inside them is finer."""
+    pictures: PictureSettings = field(default_factory=PictureSettings)
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     hull: HullSettings = field(default_factory=HullSettings)

@@ -3,14 +3,13 @@
 import math
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.measure import Coverage
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.hull import carve, parsimony, surface
+from rhizotwin.recon.hull import agreement, carve, parsimony, surface
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull, Leaves
@@ -42,8 +41,6 @@ _MISSED_VIEWS = 8
 _MISSED_LEAVES = 100_000
 """Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the
 other."""
-_MISSED_PX = 1.5
-"""What lies this near to the hull in a picture is its own."""
 _SURFACE_LEAVES = 1_000_000
 """More finest leaves than this are gathered before the surface is drawn."""
 _MUCH_KEPT = 0.2
@@ -95,9 +92,8 @@ def carve_hull(
         drawn = tuple(coverage.silhouettes[k] for k in order)
         maps = DistanceMaps.drawn(drawn, "outlines", monitor)
     with monitor.stage("carve"):
-        scene, radius = dataset.scene, cameras.optics.inner_radius_mm
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
-        water = Water(radius, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
+        water = water_of(dataset.scene, cameras)
         grid = water.grid(finest_mm)
         with monitor.steps("carve", grid.levels + 1, "level") as step:
             hull = carve.carve(bank, maps, grid, water, slack_px=slack_px, ignore_blindness=ignore_blindness, progress=step)
@@ -115,6 +111,30 @@ class TrimmedHull:
 
     carved: Carved
     trimmed: parsimony.Trimmed
+    missed: float
+    """Share of what some of the views show before which no part of the hull stands."""
+
+
+def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
+    """Return the frames of views that contradict all others, with the reason.
+
+    Parameters
+    ----------
+    dataset, cameras, coverage : Dataset, Cameras, Coverage
+        Scene, lines of sight and silhouettes.
+    monitor : Monitor
+        Hears how far it is.
+    """
+    with monitor.stage("wrong views"):
+        bank = projection.ViewBank.of(cameras.views, cameras.optics)
+        silhouettes = [coverage.silhouettes[k] for k in cameras.order]
+        found = agreement.find_wrong_views(bank, silhouettes, water_of(dataset.scene, cameras))
+    return {cameras.order[view]: "it contradicts all other pictures, as one that is mirrored or half-written does" for view in found}
+
+
+def water_of(scene: Scene, cameras: Cameras) -> Water:
+    """Return the space between the floor and the net pot, or the surface of the water."""
+    return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
 def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> TrimmedHull:
@@ -138,7 +158,17 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
     finest_mm = settings.voxel_mm / 2**halvings
     carved = carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
     with monitor.stage("trim"):
-        return TrimmedHull(carved=carved, trimmed=parsimony.trim(carved.bank, carved.maps, carved.hull.leaves))
+        trimmed = parsimony.trim(carved.bank, carved.maps, carved.hull.leaves)
+        return TrimmedHull(carved=carved, trimmed=trimmed, missed=_missed(carved))
+
+
+def _missed(carved: Carved) -> float:
+    """Return the share of what some views show before which no part of the hull stands."""
+    leaves = carved.hull.leaves
+    leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
+    views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
+    edge_mm = leaves.grid.size_mm * leaves.size.astype(np.float64)
+    return agreement.compare(carved.bank.chosen(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
 
 
 def find_roots(found: TrimmedHull, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
@@ -252,38 +282,12 @@ def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tu
     asked = None if system is None else system.cameras.roots
     sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
     agreed = shape_checks.of_sight(
-        missed=_misses(found.carved, found.carved.hull.leaves),
+        missed=found.missed,
         unexplained=budget.unexplained,
         fill=budget.fill,
         trust=budget.trust,
     )
     return shape_checks.of_motion(sway_mm, budget.trust), agreed
-
-
-def _misses(carved: Carved, leaves: Leaves) -> float:
-    """Return the share of the pictures' coverage before which no part of a shape stands, over a few views."""
-    leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
-    edge = leaves.size
-    # they come in an order that spreads neighbours over the turn
-    views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
-    seen = Evidence.of(carved.bank.chosen(views), [carved.silhouettes[k] for k in views])
-    at = seen.project(leaves.middles_mm)
-    half_mm = 0.5 * 3.0**0.5 * leaves.grid.size_mm * edge
-    shown, missed = 0.0, 0.0
-    for place, silhouette in enumerate(seen.silhouettes):
-        beyond = np.full(silhouette.coverage.shape, np.inf, np.float32)
-        for size in np.unique(edge):
-            chosen = (edge == size) & at.seen[place]
-            if not chosen.any():
-                continue
-            empty = np.ones(beyond.shape, np.uint8)
-            column, row = np.round(at.px[place, chosen]).astype(np.int64).T
-            empty[row, column] = 0
-            reach_px = float(np.max(np.linalg.norm(at.du[place, chosen], axis=-1) * half_mm[chosen]))
-            beyond = np.minimum(beyond, cv2.distanceTransform(empty, cv2.DIST_L2, 5) - np.float32(reach_px))
-        shown += float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64))
-        missed += float(silhouette.coverage[silhouette.seen & (beyond > _MISSED_PX)].sum(dtype=np.float64))
-    return missed / max(shown, 1e-9)
 
 
 def measure(

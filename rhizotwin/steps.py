@@ -6,12 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rhizotwin import engine
 from rhizotwin.arguments import Page, Progress
 from rhizotwin.front_door import reconstruct
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, tidy
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.settings import PictureSettings
 
 SHARES = {
     "read": 0.1,
@@ -95,6 +99,7 @@ def reconstruct_whole(
     settings: Path | None = None,
     mass_g: float | None = None,
     keep_stages: bool = False,
+    pictures: "PictureSettings | None" = None,
     progress: Progress = Progress(),
 ) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all.
@@ -109,6 +114,8 @@ def reconstruct_whole(
         TOML file, see `recon.settings`.
     keep_stages : bool
         Keep what each stage made, in the folder ``stages`` of the result.
+    pictures : PictureSettings, optional
+        Which pictures are left out; goes before that of the settings.
     progress : Progress
         How much is told meanwhile.
 
@@ -127,6 +134,7 @@ def reconstruct_whole(
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
+    chosen = chosen if pictures is None else replace(chosen, pictures=pictures)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -219,6 +219,13 @@ class Cameras:
     def ordered(self, order: Sequence[int]) -> Cameras:
         """Return the same cameras, to be looked at in another order of frames (V,)."""
         return replace(self, order=tuple(order))
+
+    def without(self, reasons: Mapping[int, str]) -> Cameras:
+        """Return the same cameras with some frames left out, by number with the reason."""
+        every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
+        said = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
+        order = tuple(k for k in self.order if k not in reasons)
+        return replace(self, all=every, order=order, warnings=(*self.warnings, *said))
 
     def moved(self, views: Sequence[View], optics: Optics) -> Cameras:
         """Return cameras whose used views (V,), all of one lens, stand elsewhere, or look through something else."""

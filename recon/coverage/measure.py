@@ -1,7 +1,7 @@
 """The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,6 +30,8 @@ Outline = Callable[[Image, Image, Mask], Silhouette]
 
 _LEARN_VIEWS = 16
 """Views from which the roots' attenuation is learnt."""
+MOST_WRONG = 0.1
+"""Share of the views that may be wrong: with more, the scan is at fault and not a picture."""
 _SAME = 0.2
 """Logarithm of the ratio of two attenuations that agree: what the widest roots tell scatters as much."""
 
@@ -47,6 +49,8 @@ class Coverage:
     dirt: float | None = None
     """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
     wall."""
+    unusable: Mapping[int, str] = field(default_factory=dict)
+    """Frames that show no water or no root, with the reason; they are few (`MOST_WRONG`)."""
 
     def fill(self, frame: int) -> float | None:
         """Return the share of the seen water that roots cover in a frame; None where it is not used."""
@@ -74,7 +78,7 @@ def measure_coverage(
     Raises
     ------
     UserError
-        Where a picture shows nothing of the water, or no root.
+        Where more than a tenth of the pictures show nothing of the water, or no root.
     """
     if pictures.dataset.masks:
         found = _given(pictures, cameras, monitor)
@@ -82,18 +86,19 @@ def measure_coverage(
         found = _measured(pictures, cameras, settings, monitor)
     else:
         found = _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
-    drawn = found.silhouettes
+    drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
     blank = [k for k in cameras.order if not drawn[k].seen.any()]
-    if blank:
-        name = pictures.frames[blank[0]].file
+    if len(blank) > most:
+        name = names[blank[0]].file
         raise UserError(f"{name} shows nothing of the water below the net pot: check the camera, the backlight and the scene file.")
-    empty = [k for k in cameras.order if not (drawn[k].coverage > 0.25).any()]
-    if empty:
+    empty = [k for k in cameras.order if k not in blank and not (drawn[k].coverage > 0.25).any()]
+    if len(empty) > most:
         raise UserError(
-            f"{pictures.frames[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is seen in it, "
-            "so nothing can be carved; take it out of the dataset or check light and focus."
+            f"{names[empty[0]].file} has an empty silhouette ({len(empty)} of {len(drawn)} pictures do): no root is seen in it, so nothing "
+            "can be carved; leave it out with --leave-out, or check light and focus."
         )
-    return found
+    reasons = dict.fromkeys(blank, "it shows nothing of the water below the net pot") | dict.fromkeys(empty, "no root is seen in it")
+    return replace(found, unusable=reasons)
 
 
 def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:

@@ -60,6 +60,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 
 
 def _reconstruct(job: Job) -> None:
+    from rhizotwin.recon.settings import PictureSettings
     from rhizotwin.steps import reconstruct_whole
 
     options = {key: value for key, value in job.options.items() if key != "device"}
@@ -74,7 +75,9 @@ def _reconstruct(job: Job) -> None:
         file = Path(scratch, "settings.toml")
         if settings is not None:
             file.write_text(settings, encoding="utf-8")
-        reconstruct_whole(dataset, output, settings=None if settings is None else file, progress=Progress(quiet=True), **options)
+        chosen = None if settings is None else file
+        pictures = PictureSettings(tolerant=True) if settings is None else None
+        reconstruct_whole(dataset, output, settings=chosen, pictures=pictures, progress=Progress(quiet=True), **options)
         if places.is_address(job.output):
             places.put(output, job.output, last=HEADS["reconstruct"])
 

@@ -3,12 +3,15 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from rhizotwin import steps
-from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, named
+from rhizotwin.arguments import DatasetFolder, Device, Flag, MassG, OutputResult, Progress, VoxelMm, list_of, named, option
+
+if TYPE_CHECKING:
+    from rhizotwin.recon.settings import PictureSettings
 
 
 @Parameter(name="*")
@@ -22,6 +25,25 @@ class Study:
     """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PictureChoice:
+    """Which pictures are used."""
+
+    leave_out: Annotated[tuple[str, ...] | None, option(list_of(str), "FILE,FILE,...")] = None
+    """Pictures to leave out, by the names of their files."""
+    tolerant: Flag = False
+    """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
+
+    @property
+    def settings(self) -> "PictureSettings | None":
+        """Return the settings of a reconstruction; None where nothing is given."""
+        from rhizotwin.recon.settings import PictureSettings
+
+        is_given = self.leave_out is not None or self.tolerant
+        return PictureSettings(leave_out=self.leave_out or (), tolerant=self.tolerant) if is_given else None
+
+
 def reconstruct(
     dataset: DatasetFolder,
     /,
@@ -29,6 +51,7 @@ def reconstruct(
     output: OutputResult,
     voxel_mm: VoxelMm | None = None,
     mass_g: MassG | None = None,
+    pictures: PictureChoice = PictureChoice(),
     study: Study = Study(),
     device: Device = "auto",
     progress: Progress = Progress(),
@@ -36,7 +59,8 @@ def reconstruct(
     """Find the root's shape and volume in a dataset's pictures.
 
     Find the cameras from the marker strip, the silhouettes from the pictures, and the root's shape and volume from
-    both. The truth of a simulated dataset is only drawn beside the result, never used.
+    both. The truth of a simulated dataset is only drawn beside the result, never used. Single pictures that contradict
+    all others, such as a half-written one, are left out with a warning.
 
     Parameters
     ----------
@@ -48,6 +72,8 @@ def reconstruct(
         Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
+    pictures : PictureChoice
+        Which pictures are used.
     study : Study
         For who studies the method.
     device : str
@@ -60,12 +86,12 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result
     rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
+    rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     steps.start_engine(device, quiet=progress.quiet)
-    written = steps.reconstruct_whole(
-        dataset, output, voxel_mm=voxel_mm, settings=study.settings, mass_g=mass_g, keep_stages=study.keep_stages, progress=progress
-    )
+    chosen: dict[str, Any] = {"settings": study.settings, "keep_stages": study.keep_stages, "pictures": pictures.settings}
+    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, mass_g=mass_g, progress=progress, **chosen)
     _tell(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
     if progress.quiet:
         return

@@ -1,0 +1,174 @@
+"""How far each view agrees with a shape, and views that contradict all others.
+
+A shape is given as cubes. A view misses what it shows before which no cube stands, and excludes a cube that it sees
+before nothing that it shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.coverage.measure import MOST_WRONG
+from rhizotwin.recon.coverage.silhouettes import Silhouette
+from rhizotwin.recon.device import points
+from rhizotwin.recon.hull.carve import Water
+from rhizotwin.recon.hull.distance_maps import least_votes
+from rhizotwin.recon.optics import projection
+from rhizotwin.recon.optics.projection import ViewBank
+
+Array = NDArray[np.float64]
+
+_NEAR_PX = 1.5
+"""What lies this near to a cube in a picture is its own: interpolation and rounding to whole pixels."""
+_COVERED = 0.1
+"""Coverage above this is root; below it is never one (`silhouettes`)."""
+_CUBES_MM = (4.0, 1.0)
+"""Edges of the cubes in which views are compared: coarse ones first, of which those are cut that one view at most
+excludes. A cube of 1 mm is 4 px wide in pictures of 800 pixels across 250 mm."""
+_WRONG, _WRONG_TIMES = 0.1, 4.0
+"""A view is wrong that misses more than this share of what it shows, or excludes more than this share of what all other
+views agree on, and so many times the median of the views. Views of a right scan have up to 0.013, one that shows a
+printed root mirrored 0.17 (`docs/decisions/one-wrong-picture.md`)."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far each view agrees with a shape."""
+
+    shown: Array
+    """(V,) coverage that a view shows, in pixels."""
+    missed: Array
+    """(V,) part of it before which no cube stands."""
+    sees: NDArray[np.bool_]
+    """(V, N) cubes about which a view says something."""
+    excluded: NDArray[np.bool_]
+    """(V, N) cubes that a view sees before nothing that it shows."""
+
+    @property
+    def missed_share(self) -> Array:
+        """Share (V,) of what each view shows that it misses; 0 for a view that shows nothing."""
+        return self.missed / np.maximum(self.shown, 1e-9)
+
+    @property
+    def share(self) -> float:
+        """Share of what all views show that they miss."""
+        return float(self.missed.sum() / max(float(self.shown.sum()), 1e-9))
+
+
+def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array, edge_mm: Array) -> Agreement:
+    """Compare a shape with the silhouettes.
+
+    Parameters
+    ----------
+    bank : ViewBank
+        The views.
+    silhouettes : (V,) sequence of Silhouette
+        Of the same views.
+    middles_mm : (N, 3) array
+        Centres of the cubes, canister frame.
+    edge_mm : (N,) array
+        Their edges.
+    """
+    shown, missed, sees, excluded = [], [], [], []
+    half_mm = 0.5 * 3.0**0.5 * edge_mm
+    for k, silhouette in enumerate(silhouettes):
+        px, reach_px, inside = _project(bank.chosen([k]), middles_mm, half_mm, silhouette.coverage.shape)
+        column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T
+        beyond = np.full(silhouette.coverage.shape, np.inf, np.float32)
+        for edge in np.unique(edge_mm):
+            chosen = (edge_mm == edge) & inside
+            if chosen.any():
+                empty = np.ones(beyond.shape, np.uint8)
+                empty[row[chosen], column[chosen]] = 0
+                away = cv2.distanceTransform(empty, cv2.DIST_L2, 5) - np.float32(reach_px[chosen].max())
+                beyond = np.minimum(beyond, away)
+        shown.append(float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64)))
+        missed.append(float(silhouette.coverage[silhouette.seen & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
+        nothing = (silhouette.coverage <= _COVERED) & silhouette.seen
+        to_root = cv2.distanceTransform(nothing.astype(np.uint8), cv2.DIST_L2, 5)
+        sees.append(inside & silhouette.seen[row, column])
+        excluded.append(inside & (to_root[row, column] > reach_px + _NEAR_PX))
+    return Agreement(np.array(shown), np.array(missed), np.array(sees), np.array(excluded))
+
+
+def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
+    """Return the numbers of views that contradict all others, such as a mirrored picture or a half-written one.
+
+    The views are compared with the hull that one of them may contradict; the worst is left out until none is wrong.
+
+    Parameters
+    ----------
+    bank : ViewBank
+        The views.
+    silhouettes : (V,) sequence of Silhouette
+        Of the same views.
+    water : Water
+        Where roots can be.
+
+    Returns
+    -------
+    list of int
+        Empty where none is wrong, or too many are.
+    """
+    left, wrong = list(range(bank.count)), list[int]()
+    while len(left) > 2:
+        found = _worst(bank.chosen(left), [silhouettes[k] for k in left], water)
+        if found is None:
+            return wrong
+        wrong.append(left.pop(found))
+        if len(wrong) > max(1.0, MOST_WRONG * bank.count):
+            return []
+    return []
+
+
+def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
+    """Return the view that contradicts the others most; None where none is wrong."""
+    coarse_mm, fine_mm = _CUBES_MM
+    cubes, _ = _kept(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
+    cubes, excluded = _kept(bank, silhouettes, _cut(cubes, coarse_mm, fine_mm), fine_mm)
+    if not len(cubes):
+        return None
+    missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
+    wrong = np.maximum(missed, excluded.mean(axis=1))
+    worst = int(wrong.argmax())
+    return worst if wrong[worst] > max(_WRONG, _WRONG_TIMES * float(np.median(wrong))) else None
+
+
+def _kept(bank: ViewBank, silhouettes: Sequence[Silhouette], cubes: Array, edge_mm: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the cubes (M, 3) that enough views see and one at most excludes, and which view excludes which (V, M)."""
+    found = compare(bank, silhouettes, cubes, np.full(len(cubes), edge_mm))
+    kept = (found.excluded.sum(axis=0) <= 1) & (found.sees.sum(axis=0) >= least_votes(bank.count))
+    return cubes[kept], found.excluded[:, kept]
+
+
+def _cubes(water: Water, edge_mm: float) -> Array:
+    """Return the centres (N, 3) of cubes that fill the water."""
+    across = np.arange(-water.radius_mm + 0.5 * edge_mm, water.radius_mm, edge_mm)
+    along = np.arange(water.bottom_mm + 0.5 * edge_mm, water.top_mm, edge_mm)
+    cubes = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    return cubes[np.hypot(cubes[:, 0], cubes[:, 1]) < water.radius_mm]
+
+
+def _cut(cubes: Array, edge_mm: float, finer_mm: float) -> Array:
+    """Cut cubes (N, 3) into finer ones (M, 3)."""
+    steps = np.arange(0.5 * finer_mm, edge_mm, finer_mm) - 0.5 * edge_mm
+    offset = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    return (cubes[:, None] + offset).reshape(-1, 3)
+
+
+def _project(bank: ViewBank, middles_mm: Array, half_mm: Array, shape: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return pixels (N, 2), reach in pixels (N,), and which cubes (N,) lie in the picture of the only view."""
+    p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
+    dr.eval(p.px, p.du, p.dv, p.seen)
+    px = np.array(p.px, np.float64).T
+    scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
+    inside = np.array(dr.select(p.seen, mi.UInt32(1), mi.UInt32(0))) > 0
+    inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
+    return px, scale * half_mm, inside
