@@ -18,6 +18,7 @@ from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, with_attenuation
 from rhizotwin.recon.device import release
+from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
 from rhizotwin.recon.results.by_plant import OfPlant
@@ -28,7 +29,7 @@ from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, shape_checks
+from rhizotwin.recon.uncertainty import checks, halo, hidden_top, picture_checks, root_uncertainty, root_width, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -43,6 +44,8 @@ _SWAYS = 3
 _UNEVEN, _LEAST_FILL = 3.0, 0.01
 """Roots that cover so many times the median share of the water in one view are looked at: from side to side a flat root
 covers up to 2 times that, and half of a picture without light 10 times. Below a hundredth, specks do so."""
+_WIDTH_VIEWS = 6
+"""Views in which the width of roots is measured."""
 _ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
 """What hull and roots carry of coverage and cameras, as the kernels want it."""
 
@@ -100,8 +103,8 @@ def reconstruct(
             del hull  # what follows uses one calibration and one attenuation
             coverage = told
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
-    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
-    checked = (*of_pictures, _check_views(cameras, taken, settings.trust), *solid.checks)
+    solid = _with_top(shaping.make_solid(hull, roots, coverage, settings, monitor=monitor), hull.carved.water, settings, stages)
+    checked = checks.explained((*of_pictures, _check_views(cameras, taken, settings.trust), *solid.checks))
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures_said, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
@@ -114,6 +117,15 @@ def _releasing(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
     made = Monitor.of(monitor)
     made.after_stage = release
     return made
+
+
+def _with_top(solid: Solid, water: Water, settings: Settings, stages: StageFolder) -> Solid:
+    """Return a solid that says what the net pot hides of its taproots, with their extrapolation where that is chosen."""
+    hidden = hidden_top.find(solid.roots, water.top_mm)
+    if hidden is not None:
+        volume = hidden.added_to(solid.volume) if settings.hull.extrapolate_taproot else solid.volume
+        solid = replace(solid, volume=volume, warnings=(*solid.warnings, hidden.warning))
+    return stages.keep("solid", solid)
 
 
 def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
@@ -210,7 +222,12 @@ def _is_uneven(cameras: Cameras, coverage: Coverage) -> bool:
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
     """Check the pictures themselves; silhouettes, and pictures with given cameras, tell only some of it."""
     dataset, found = pictures.dataset, cameras.markers
-    made = [picture_checks.of_scan(dataset.origin, pictures.frames)]
+    some = [coverage.silhouettes[k] for k in cameras.order[:: max(1, len(cameras.order) // _WIDTH_VIEWS)]]
+    width_px = root_width.thin_width_px(some)
+    made = [
+        picture_checks.of_scan(dataset.origin, pictures.frames),
+        picture_checks.of_resolution(width_px, dataset.scene.camera.image_wh, trust),
+    ]
     if not dataset.masks:
         made += [
             picture_checks.of_exposure(coverage.exposures, trust),

@@ -8,14 +8,16 @@ is said.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 NO_VOLUME = "this scan cannot give a volume: "
 """How every such verdict begins."""
 
 State = Literal["good", "fair", "bad", "untold"]
-Name = Literal["scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight"]
+Name = Literal[
+    "scan", "exposure", "curve", "sharpness", "markers", "canister", "motion", "dirt", "views", "sight", "resolution", "corrections"
+]
 Limits = tuple[float, float]
 """Beyond which a number is fair, and bad; where the first is larger, below which."""
 
@@ -57,6 +59,22 @@ class Check:
 def failed(checks: Sequence[Check]) -> tuple[str, ...]:
     """Return a sentence for each check that takes the trust away."""
     return tuple(f"{check.found} ({check.advice})" if check.advice else check.found for check in checks if check.state == "bad")
+
+
+def explained(checks: Sequence[Check]) -> tuple[Check, ...]:
+    """Return checks in which coarse pictures are named as the cause of what follows from them.
+
+    Where roots are too thin in the pictures, views disagree and roots seem to move though nothing moved.
+    """
+    thin = next((check for check in checks if check.name == "resolution" and check.state in ("fair", "bad")), None)
+    if thin is None:
+        return tuple(checks)
+    return tuple(
+        replace(check, found=f"{thin.found}, so that {check.found}", advice=thin.advice)
+        if check.name in ("motion", "sight") and check.state == "bad"
+        else check
+        for check in checks
+    )
 
 
 def verdict(lost: Sequence[str]) -> str:

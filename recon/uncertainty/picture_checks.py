@@ -131,6 +131,26 @@ def of_canister(pose: CanisterPose | None, scene: Scene, trust: TrustSettings = 
     )
 
 
+def of_resolution(width_px: float | None, image_wh: tuple[int, int], trust: TrustSettings = TrustSettings()) -> Check:
+    """Check that roots are wide enough in the pictures.
+
+    Parameters
+    ----------
+    width_px : float or None
+        Of thin roots (`root_width.thin_width_px`); None where there are no lines.
+    image_wh : (int, int)
+        Size of the pictures.
+    trust : TrustSettings
+        The limits.
+    """
+    if width_px is None:
+        return untold("resolution", "no roots were found as lines in the pictures", unit="px")
+    said = f"a quarter of the roots' length is thinner than {width_px:.1f} px"
+    enough = round(image_wh[0] / max(width_px, 1e-6), -1)
+    advice = f"take pictures of at least {enough:.0f} pixels across, in which it is a pixel wide, or stand nearer"
+    return judged("resolution", width_px, "px", trust.resolution_px, said, advice)
+
+
 def of_views(azimuth_deg: Sequence[float] | NDArray[np.float64], pictures: int, trust: TrustSettings = TrustSettings()) -> Check:
     """Check that the views are enough and go all the way round.
 

@@ -30,11 +30,10 @@ _ANYWHERE = 0.9
 _LOOKS = 16
 """Places on the way out of sight where somebody may see the water empty again."""
 _WHERE = {
-    (0, -1): "towards the wall, where the water bends light away from the cameras",
-    (2, -1): "below the pictures' lower edge or the reach of the light: hang it higher, or add a ring that looks lower",
-    (2, 1): "below the net pot or behind it",
+    -1: "below the pictures' lower edge or the reach of the light: hang it higher, or add a ring that looks lower",
+    1: "below the net pot or behind it",
 }
-"""How to say where sight ends, by axis and side."""
+"""Where sight ends along the vertical, by side."""
 
 
 def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -> Term:
@@ -72,13 +71,21 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
             hidden[axis, side] = float((_gaps(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
-    where = _WHERE[(2, side) if axis == 2 else (0, -1)]
+    where = _WHERE[side] if axis == 2 else _towards_wall(bank)
     return Term(
         name="occluded",
         less_mm3=0.0,
         more_mm3=hidden[axis, -1] + hidden[axis, 1],
         why=f"the shape goes on where too few views see, {where}",
     )
+
+
+def _towards_wall(bank: ViewBank) -> str:
+    """Say where sight ends to the sides: a round wall in air bends light away, a tank of liquid about it does not."""
+    optics = bank.optics
+    bends = optics.tank is None and optics.n_water > 1.0
+    why = "where the water bends light away from the cameras" if bends else "beyond the pictures' sides or the reach of the light"
+    return f"towards the wall, {why}"
 
 
 def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: int) -> NDArray[np.int64]:

@@ -18,9 +18,8 @@ def edit(
 ) -> None:
     """Apply saved corrections to a result, without a browser.
 
-    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again, and write the corrected result to
-    another folder. Volume, length, traits and files are measured again; the interval keeps its width relative to the
-    volume. The result itself stays as it is.
+    Make the corrections of a log (edits.json, saved by 'rhizotwin view') again in another folder. The corrected shape
+    is measured and compared with the pictures: what they contradict widens the interval, or takes the trust away.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ def edit(
     output : Path
         Folder for the corrected result: new, empty, or an earlier result, which is replaced.
     dataset : Path, optional
-        Where the pictures are, if they have moved: for the page, and where the log fits roots again.
+        Where the pictures are, if they have moved.
     progress : Progress
         How much is told meanwhile.
 
@@ -61,8 +60,10 @@ def edit(
         with bar.stage("corrections"):
             session.replay(made)
         with bar.stage("measure"):
-            summary = corrected.write(session, output)
+            summary = corrected.write(session, output, dataset=dataset)
         with bar.stage("page"):
             page.write(output, dataset=dataset)
     print(f"{result_traits.edited(summary)}: {words.volume(summary)[0]}, in {output}")
+    if not summary["volume_trusted"]:
+        print(f"warning: {summary['volume_verdict']}")
     print(f"next: rhizotwin view {output}")

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
-from rhizotwin.corrections import surface
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
 from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.uncertainty.budget import Budget, Term
+from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failed, verdict
 from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
-from rhizotwin.scenes.said import between_ml
 from rhizotwin.scenes.schema import to_plain
 
 _EMPTY_MM3 = 1e-9
-_SCALED = ("less_mm3", "more_mm3")
 
 
 def share(before_mm3: float, after_mm3: float) -> float:
@@ -30,10 +32,21 @@ def share(before_mm3: float, after_mm3: float) -> float:
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
-def write(session: Session, output: Path) -> dict[str, Any]:
+def write(session: Session, output: Path, *, dataset: Path | None = None) -> dict[str, Any]:
     """Write a corrected result as a folder; return the content of its ``result.json``.
 
-    The interval keeps its width relative to the volume: what a person corrects makes no measurement more certain.
+    The causes of uncertainty keep their size relative to the volume: a correction makes no measurement more certain.
+    What the pictures contradict is one more cause, and decides whether the volume is trusted as it does without
+    corrections.
+
+    Parameters
+    ----------
+    session : Session
+        The result and its corrections.
+    output : path
+        Folder to write: new, empty or an earlier result.
+    dataset : path, optional
+        The dataset, if it is not where the result says.
 
     Raises
     ------
@@ -42,7 +55,7 @@ def write(session: Session, output: Path) -> dict[str, Any]:
     """
     state, measured = session.state, session.measure()
     mesh, roots = _mesh(session, state, measured), state.roots()
-    summary = _summary(session, measured, mesh)
+    summary = _summary(session, measured, mesh) | _trust(session, measured.volume_mm3, dataset)
     traits = result_traits.of_summary(summary, Mesh.of(mesh), roots)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
@@ -64,7 +77,6 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
     """Return the content of ``result.json`` without the traits."""
     old, state = session.summary, session.state
     before, after = float(old["volume_mm3"]), measured.volume_mm3
-    ratio = after / before if before > 0.0 else 1.0
     low, high = old["volume_bounds_mm3"]
     points = [np.asarray(mesh.vertices, np.float64), *(line.points_mm for line in state.lines.values())]
     corners = np.concatenate(points) if sum(len(part) for part in points) else np.zeros((1, 3))
@@ -79,9 +91,7 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
     }
     changed = {
         "volume_mm3": after,
-        "volume_interval_mm3": [ratio * value for value in old["volume_interval_mm3"]],
         "volume_bounds_mm3": [min(low, after), max(high, after)],
-        "volume_budget": [term | {key: ratio * term[key] for key in _SCALED} for term in old["volume_budget"]],
         "length_mm": measured.length_mm,
         "estimates": [],  # they compared the roots that were found, not those that were corrected
         "tips": sum(bool(root.tip_seen) for root in roots),
@@ -90,11 +100,39 @@ def _summary(session: Session, measured: Measured, mesh: trimesh.Trimesh) -> dic
         "edits": edits,
     }
     kept = {key: value for key, value in old.items() if key != "traits"}
-    summary = json.loads(json.dumps({**kept, **changed}))
-    ends = summary["volume_interval_mm3"]
-    if summary["volume_trusted"]:
-        summary["volume_verdict"] = f"with 90 % confidence the true volume is {between_ml(*ends)}, if the corrections are right"
-    return dict(summary)
+    return dict(json.loads(json.dumps({**kept, **changed})))
+
+
+def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str, Any]:
+    """Return interval, budget, verdict and checks of the corrected volume for ``result.json``."""
+    old, before_mm3 = session.summary, float(session.summary["volume_mm3"])
+    ratio = after_mm3 / before_mm3 if before_mm3 > 0.0 else 1.0
+    terms = [
+        Term(name=str(t.get("name", "")), less_mm3=ratio * t["less_mm3"], more_mm3=ratio * t["more_mm3"], why=t["why"])
+        for t in old["volume_budget"]
+    ]
+    checked, lost = list(old.get("checks") or []), [] if old["volume_trusted"] else [str(old["volume_verdict"]).removeprefix(NO_VOLUME)]
+    if session.log.edits:
+        try:
+            found = against_pictures.compare(session, dataset)
+        except UserError as error:
+            lost.append(f"the corrections were not compared with the pictures: {error}")
+        else:
+            terms.append(found.term(before_mm3, after_mm3))
+            check = found.check()
+            checked.append(asdict(check))
+            lost += failed([check])
+    budget = Budget(volume_mm3=after_mm3, terms=tuple(terms), views=sum(view["used"] for view in old["views"]))
+    if old["volume_trusted"]:
+        lost += budget.objections
+    verdict_now = f"{budget.verdict}, if the corrections are right" if session.log.edits else budget.verdict
+    return {
+        "volume_interval_mm3": list(budget.interval_mm3),
+        "volume_budget": [asdict(term) for term in terms],
+        "volume_trusted": not lost,
+        "volume_verdict": verdict(lost) if lost else verdict_now,
+        "checks": checked,
+    }
 
 
 def _shape(session: Session, measured: Measured) -> bytes:

@@ -1,0 +1,104 @@
+"""The top of a taproot that hides behind the net pot, and its extrapolation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.roots.crown import HIDDEN_MM
+from rhizotwin.recon.uncertainty.budget import NINETY, Term, Volume
+from rhizotwin.scenes import polyline
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.said import between_ml
+
+Array = NDArray[np.float64]
+
+_LEAST_MM = 1.0
+"""A shorter gap is the sampling of the centre line."""
+_STEP_MM = 0.25
+"""Sections are compared at places so far apart: a few of the centre line's points."""
+_WINDOW = 5
+"""The section is compared with itself over so many times the hidden length."""
+_LEAST_COSINE = 0.3
+"""A root that leaves the net pot flatter than this (73 degrees) is no longer for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiddenTop:
+    """What is hidden of the taproots between the net pot's grid and where they are first seen."""
+
+    length_mm: float
+    share: float
+    """Of the taproots' length, with what is hidden."""
+    volume_mm3: float
+    """If the taproots go on as they begin."""
+    interval_mm3: tuple[float, float]
+    """90 % interval: over the hidden length the section differs as much as it does over equal lengths below."""
+
+    @property
+    def warning(self) -> str:
+        """Say what is hidden, and what shows it."""
+        return (
+            f"the topmost {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) hide behind the net pot: "
+            "a ring that looks down past the rim shows them, such as height_mm = 10, tilt_deg = 8; going on as it begins, the taproot "
+            f"has {between_ml(*self.interval_mm3)} more there, which hull.extrapolate_taproot = true adds"
+        )
+
+    def added_to(self, volume: Volume) -> Volume:
+        """Return a volume with the extrapolation, whose interval widens by the extrapolation's own."""
+        less, more = self.volume_mm3 - self.interval_mm3[0], self.interval_mm3[1] - self.volume_mm3
+        low, high = volume.interval_mm3
+        mm3 = volume.mm3 + self.volume_mm3
+        term = Term(name="taproot extrapolated", less_mm3=less, more_mm3=more, why="the top of the taproot is extrapolated, not seen")
+        return replace(
+            volume,
+            mm3=mm3,
+            interval_mm3=(mm3 - float(np.hypot(volume.mm3 - low, less)), max(high, mm3 + more)),
+            bounds_mm3=(volume.bounds_mm3[0], max(volume.bounds_mm3[1], mm3 + more)),
+            terms=(*volume.terms, term),
+        )
+
+
+def find(roots: Sequence[Root], top_mm: float) -> HiddenTop | None:
+    """Return what the net pot hides of the taproots; None where they are seen from the top.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        Parents before children, canister frame.
+    top_mm : float
+        Height of the net pot's grid or the water's surface, whichever is lower.
+    """
+    parts = [part for root in roots if root.parent < 0 and (part := _extrapolated(root, top_mm)) is not None]
+    if not parts:
+        return None
+    length, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
+    seen_mm = sum(polyline.length_mm(root.points_mm) for root in roots if root.parent < 0)
+    reach = NINETY * float(np.hypot.reduce(sigma))
+    total, hidden = float(volume.sum()), float(length.sum())
+    interval = (max(0.0, total - reach), total + reach)
+    return HiddenTop(length_mm=hidden, share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval)
+
+
+def _extrapolated(root: Root, top_mm: float) -> tuple[float, float, float] | None:
+    """Return length, volume and its standard deviation of the hidden top of a root; None where it has none."""
+    gap_mm = top_mm - float(root.points_mm[0, 2])
+    if not _LEAST_MM < gap_mm < HIDDEN_MM:
+        return None
+    way = polyline.way_mm(root.points_mm)
+    window = min(_WINDOW * gap_mm, float(way[-1]))
+    down = root.points_mm[0] - root.points_mm[int(np.searchsorted(way, min(gap_mm, way[-1])))]
+    cosine = float(down[2] / max(np.linalg.norm(down), 1e-9))
+    if cosine < _LEAST_COSINE:
+        return None
+    length_mm = gap_mm / cosine
+    at = np.arange(0.0, window, _STEP_MM)
+    section = 0.25 * np.pi * np.square(np.interp(at, way, root.diameters_mm))
+    apart = max(1, round(length_mm / _STEP_MM))
+    change = section[apart:] - section[:-apart]
+    sigma = float(np.sqrt(np.mean(np.square(change)))) if len(change) else float(section.mean())
+    begin = float(section[: apart + 1].mean())
+    return length_mm, begin * length_mm, sigma * length_mm

@@ -1,0 +1,112 @@
+"""A corrected shape compared with the pictures: what they show and it lacks, and what it has and they do not show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin import engine
+from rhizotwin.corrections.cameras import Cameras
+from rhizotwin.corrections.session import Session
+from rhizotwin.recon.results import result_files
+from rhizotwin.recon.settings import TrustSettings
+from rhizotwin.recon.uncertainty.budget import Term
+from rhizotwin.recon.uncertainty.checks import Check, foremost, judged
+from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:  # needs the engine, which is started first
+    from rhizotwin.recon.hull.agreement import Agreement
+
+Array = NDArray[np.float64]
+
+_VIEWS = 8
+"""Views that are compared, spread over the turn: as many as the reconstruction compares its hull with."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """By how much corrections changed the agreement with the pictures, as shares."""
+
+    missed: float
+    """Share of what the pictures show that the corrections left unexplained."""
+    surplus: float
+    """Share of the shape that the corrections put before pictures which show nothing there."""
+
+    def check(self, trust: TrustSettings = TrustSettings()) -> Check:
+        """Check that the pictures agree with the corrections as well as views must agree with each other."""
+        lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what the pictures show unexplained"
+        beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show nothing"
+        advice = "look at the corrected shape over the pictures with 'rhizotwin view', and undo what is wrong"
+        return foremost(
+            judged("corrections", self.missed, "share", trust.missed, lacking, advice),
+            judged("corrections", self.surplus, "share", trust.missed, beyond, advice),
+        )
+
+    def term(self, before_mm3: float, after_mm3: float) -> Term:
+        """Return the cause of uncertainty: an area of the pictures stands for as large a share of the volume.
+
+        Parameters
+        ----------
+        before_mm3, after_mm3 : float
+            Volume as reconstructed and as corrected.
+        """
+        why = "the pictures do not agree with all corrections"
+        return Term(name="corrections", less_mm3=self.surplus * after_mm3, more_mm3=self.missed * before_mm3, why=why)
+
+
+def compare(session: Session, dataset_folder: Path | None) -> Comparison:
+    """Compare the shape before and after the corrections with the silhouettes of the result.
+
+    Parameters
+    ----------
+    session : Session
+        The result and its corrections.
+    dataset_folder : path or None
+        The dataset; None: where the result says.
+
+    Raises
+    ------
+    UserError
+        Where the dataset is not there or is another one, or the result has no silhouettes.
+    """
+    summary = session.summary
+    dataset = load_dataset(dataset_folder or Path(str(summary["dataset"])))
+    result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], session.folder, dataset)
+    engine.ensure("auto")
+    from rhizotwin.recon.hull import agreement, carve
+    from rhizotwin.recon.optics.projection import ViewBank
+    from rhizotwin.recon.results.load import load_result
+
+    cameras, kept = Cameras.of(dataset, summary), load_result(session.folder).silhouettes
+    known = [k for k, file in enumerate(cameras.files) if file in kept]
+    if not known:
+        raise UserError(f"{session.folder} has no silhouettes")
+    some = [known[k] for k in carve.spread(len(known))[:_VIEWS]]
+    bank = ViewBank.of([cameras.views[k] for k in some], cameras.optics)
+    silhouettes = [kept[cameras.files[k]] for k in some]
+
+    def agree(low: NDArray[np.integer], size: NDArray[np.integer], volume_mm3: Array) -> tuple[float, float]:
+        there = volume_mm3 > 0.0
+        if not there.any():
+            return 1.0, 0.0
+        leaves = session.leaves
+        middles = leaves.origin_mm + leaves.voxel_mm * (low[there] + 0.5 * size[there, None])
+        found = agreement.compare(bank, silhouettes, middles, leaves.voxel_mm * size[there].astype(np.float64))
+        return found.share, _surplus(found, volume_mm3[there])
+
+    measured, leaves = session.measure(), session.leaves
+    as_found = leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3
+    missed, surplus = agree(leaves.low, leaves.size, as_found)
+    missed_now, surplus_now = agree(measured.solid.low, measured.solid.size, measured.volumes_mm3)
+    return Comparison(missed=max(0.0, missed_now - missed), surplus=max(0.0, surplus_now - surplus))
+
+
+def _surplus(found: Agreement, volume: Array) -> float:
+    """Return the share of a volume that the views which see it exclude, the mean over views."""
+    seen = found.sees @ volume
+    return float(np.mean((found.excluded & found.sees) @ volume / np.maximum(seen, 1e-12)))
