@@ -19,7 +19,7 @@ COMMANDS = {"G1", "G90", "G92", *(f"M{code}" for code in (17, 18, 110, 113, 114,
 
 
 @dataclass
-class Board:
+class _Board:
     """A board behind a port: the methods of `rig.serial_line.port.Port`, answers after Marlin 2.1."""
 
     greets: bool = False
@@ -54,12 +54,10 @@ class Board:
         self.printed = 0
         self.closed = 0
         self.unplugged = False
-        self.stopped = False
         if self.greets:
             self.put("start\nPowerUp\nMarlin 2.1.2.5\necho: Last Updated: 2024-12-02\n", 1.0)
 
     def write(self, data: bytes) -> None:
-        """Take bytes from the host."""
         if self.unplugged:
             raise OSError(5, "Input/output error")
         number = len(self.sent)
@@ -72,7 +70,6 @@ class Board:
                 self.take(text.decode("latin-1").strip())
 
     def read(self, timeout_s: float) -> bytes:
-        """Hand out the next piece that is due within the time-out."""
         if self.unplugged:
             raise OSError(5, "Input/output error")
         self.waiting.sort(key=lambda piece: piece[0])
@@ -85,12 +82,10 @@ class Board:
         return data
 
     def discard_input(self) -> None:
-        """Drop what is due."""
         while self.read(0.0):
             pass
 
     def close(self) -> None:
-        """Count how often the port is closed."""
         self.closed += 1
 
     def reset(self, banner: str) -> None:
@@ -111,7 +106,6 @@ class Board:
                     self.waiting.append((max(self.clock.at_s, self.free_s) + delay_s + later_s, data))
 
     def take(self, text: str) -> None:
-        """Check number and checksum of a line."""
         if not text:
             return None
         number: int | None = None
@@ -131,11 +125,9 @@ class Board:
         return None
 
     def refuse(self, why: str) -> None:
-        """Ask for the line that is wanted."""
         self.put(f"Error:{why}, Last Line: {self.last}\nResend: {self.last + 1}\n" + "ok\n" * self.ok_after_resend)
 
     def carry_out(self, text: str, ok: str) -> None:
-        """Do a command."""
         name, *words = text.split()
         values = {word[0]: float(found[0]) if (found := re.match(r"-?[\d.]+", word[1:])) else 0.0 for word in words}
         now_s = max(self.clock.at_s, self.free_s)
@@ -143,9 +135,7 @@ class Board:
             self.put(f'echo:Unknown command: "{text}"\n{ok}')
             return
         self.done.append(text)
-        if name == "G1" and self.stopped:
-            self.put("Printer stopped due to errors. Fix the error and use M999 to restart.\n")
-        elif name == "G1" and "X" in values:
+        if name == "G1" and "X" in values:
             self.done_s = max(self.done_s, now_s) + abs(values["X"] - self.x_deg) / SPEED_DEG_PER_S
             self.x_deg = values["X"]
             self.moves.append(self.x_deg)
@@ -178,56 +168,52 @@ class Board:
         return self.clock.at_s >= self.done_s
 
 
-class BoardSerial:
+class _BoardSerial:
     """What pyserial would return for a board."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: _Board) -> None:
         self.board = board
         self.timeout = 0.0
         self._received = b""
 
     @property
     def in_waiting(self) -> int:
-        """Number of bytes that have arrived."""
         self._received += self.board.read(0.0)
         return len(self._received)
 
     def read(self, size: int) -> bytes:
-        """Hand out the next piece that is due within the time-out."""
         if len(self._received) < size:
             self._received += self.board.read(self.timeout)
         data, self._received = self._received[:size], self._received[size:]
         return data
 
     def write(self, data: bytes) -> int:
-        """Take bytes from the host."""
         self.board.write(data)
         return len(data)
 
     def close(self) -> None:
-        """Count how often the port is closed."""
         self.board.close()
 
 
 @pytest.fixture
-def board() -> Board:
-    return Board()
+def board() -> _Board:
+    return _Board()
 
 
 @pytest.fixture(scope="session")
-def make_board() -> type[Board]:
-    return Board
+def make_board() -> type[_Board]:
+    return _Board
 
 
 @pytest.fixture
-def serial_board(board: Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
+def serial_board(board: _Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[_Board]:
     """Return a board that every serial port leads to."""
-    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: BoardSerial(board))
+    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: _BoardSerial(board))
     return board
 
 
 @pytest.fixture
-def talk(make_board: Callable[..., Board]) -> Talk:
+def talk(make_board: Callable[..., _Board]) -> Talk:
     """Return a link that was started on a script."""
     script = Script(make_board().clock, *GREETING)
     link = MarlinLink(script)

@@ -85,7 +85,8 @@ class World:
     def reset_board(self) -> None:
         """Let the board forget everything, the rotor jump and the lamps go out."""
         self.reset = True
-        self.counter_deg, self.panel, self.front = None, 0.0, 0.0
+        self.counter_deg = None
+        self.lamps_out()
         self.table_true_deg += 2.6
 
 
@@ -101,9 +102,10 @@ class _FakeClock:
 
 
 @dataclass
-class _FakeTable:
+class _FakeBoard:
+    """Table and lights."""
+
     world: World
-    closed: bool = False
 
     def describe(self) -> str:
         return "a fake board"
@@ -142,21 +144,16 @@ class _FakeTable:
         self.world.call("table.release")
         self.world.motor = False
 
-    def close(self) -> None:
-        self.closed = True
-
-
-@dataclass
-class _FakeLights:
-    world: World
-
     def set(self, *, panel: float, front: float) -> None:
         self.world.call("lights.set")
         self.world.panel, self.world.front = panel, front
 
     def off(self) -> None:
         self.world.call("lights.off")
-        self.world.panel = self.world.front = 0.0
+        self.world.lamps_out()
+
+    def close(self) -> None:
+        pass
 
 
 @dataclass
@@ -227,29 +224,27 @@ class _FakeArm:
 
 
 @cache
-def sketch(scene: Scene) -> Sketch:
+def _sketch(scene: Scene) -> Sketch:
     return Sketch(scene, distortion=scene.camera.distortion, canister_from_strip=np.eye(4))
 
 
 @cache
 def drawn(scene: Scene, camera: bytes, table_deg: float, panel: float, front: float) -> np.ndarray:
     """Draw the strip before the panel."""
-    canister = plan.rig_from_table(scene, table_deg)
-    cam_from_rig = np.frombuffer(camera).reshape(4, 4)
-    sight = Sight(cam_from_rig=cam_from_rig, rig_from_canister=canister, table_deg=table_deg, panel=panel, front=front)
-    return sketch(scene).picture(sight)
+    poses = {"cam_from_rig": np.frombuffer(camera).reshape(4, 4), "rig_from_canister": plan.rig_from_table(scene, table_deg)}
+    return _sketch(scene).picture(Sight(**poses, table_deg=table_deg, panel=panel, front=front))
 
 
 def devices(world: World) -> Devices:
-    with_arm = world.joints_deg is not None
+    with_arm, board = world.joints_deg is not None, _FakeBoard(world)
     return Devices(
         rig=RigFile(arm=ArmPart() if with_arm else None),
         clock=_FakeClock(world),
-        table=_FakeTable(world),
-        lights=_FakeLights(world),
+        table=board,
+        lights=board,
         camera=_FakeCamera(world),
         arm=_FakeArm(world) if with_arm else None,
-        open_board=lambda: (_FakeTable(world), _FakeLights(world)),
+        open_board=lambda: (_FakeBoard(world), _FakeBoard(world)),
     )
 
 

@@ -1,15 +1,18 @@
-"""The arm's moves on a fake bus: what is sent, what is refused, every way a move may go wrong."""
+"""The arm on a fake bus: its moves, how it is prepared, its health, and every way in which these may go wrong."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhizotwin.rig.arm.arm import open_arm
+from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, arm_and_bus
+from rhizotwin.rig.rig_file import ArmPart
+from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, SILENT, ScriptedLine, arm_and_bus
 
 
 @BOTH
@@ -25,30 +28,21 @@ def test_moves_all_joints_with_one_command_and_asks_nothing_meanwhile(tells: boo
     assert bus.names() == ["move"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Refused:
-    name: str
-    joints_deg: tuple[float, ...]
-    says: str
+REFUSED = {
+    "above": ((0, 91.3, 0, 0, 0), r"servo 5\) cannot go to 91\.30 deg, its limits are -86 to 91"),
+    "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot go to -90\.01 deg"),
+    "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot go to nan"),
+    "endless": ((0, 0, 0, float("inf"), 0), "wrist pitch .* cannot go to inf"),
+    "counts": ((0, 0, 0, -118.5, 0), r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
+    "too few": ((0, 0, 0, 0), "4 joint angles were given but it has 5 joints"),
+}
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        _Refused(name="above", joints_deg=(0, 91.3, 0, 0, 0), says=r"servo 5\) cannot go to 91\.30 deg, its limits are -86 to 91"),
-        _Refused(name="below", joints_deg=(-90.01, 0, 0, 0, 0), says=r"base \(servo 6\) cannot go to -90\.01 deg"),
-        _Refused(name="not a number", joints_deg=(0, 0, float("nan"), 0, 0), says="elbow .* cannot go to nan"),
-        _Refused(name="endless", joints_deg=(0, 0, 0, float("inf"), 0), says="wrist pitch .* cannot go to inf"),
-        _Refused(name="counts", joints_deg=(0, 0, 0, -118.5, 0), says=r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
-        _Refused(name="too few", joints_deg=(0, 0, 0, 0), says="4 joint angles were given but it has 5 joints"),
-        _Refused(name="too many", joints_deg=(0, 0, 0, 0, 0, 0), says="6 joint angles"),
-    ],
-    ids=lambda case: case.name,
-)
-def test_refuses_before_anything_is_sent(case: _Refused) -> None:
+@pytest.mark.parametrize(("joints_deg", "says"), REFUSED.values(), ids=REFUSED)
+def test_refuses_before_anything_is_sent(joints_deg: tuple[float, ...], says: str) -> None:
     arm, bus = arm_and_bus()
-    with pytest.raises(UnsafeError, match=case.says):
-        arm.move_to(case.joints_deg)
+    with pytest.raises(UnsafeError, match=says):
+        arm.move_to(joints_deg)
     assert bus.log == []
 
 
@@ -79,22 +73,19 @@ def test_no_joint_is_ever_faster_than_allowed(joints_deg: tuple[float, ...], spe
     assert all(abs(at[servo] - wanted[servo]) <= 0.5 + 1e-9 for servo in IDS)
 
 
-def test_a_long_move_is_made_in_parts_on_one_straight_way() -> None:
+def test_a_long_move_is_made_in_parts_on_one_straight_way_and_a_bus_may_demand_slow_ones() -> None:
     arm, bus = arm_and_bus(part=replace(PART, max_speed_deg_per_s=1.0))
     arm.move_to((90.0, -45.0, 0.0, 0.0, 0.0))
     assert [duration_s for _, duration_s in bus.moves] == [pytest.approx(30.0)] * 3
     assert [targets[6] for targets, _ in bus.moves] == [625, 750, 875]
     assert [targets[5] for targets, _ in bus.moves] == pytest.approx([572.5, 635, 697.5], abs=0.5)
-
-
-def test_a_bus_may_ask_for_slower_moves() -> None:
     arm, bus = arm_and_bus(tells=False)
     bus.least_move_s = 2.0
     arm.move_to((3.0, 0.0, 0.0, 0.0, 0.0))
     assert bus.moves[0][1] == 2.0
 
 
-def test_sag_and_dead_band_within_the_tolerance_count_as_arrived() -> None:
+def test_sag_within_the_tolerance_counts_as_arrived_and_creeping_is_waited_for() -> None:
     arm, bus = arm_and_bus()
     bus.sag = {5: -12}
     read = arm.move_to((0.0, 24.0, 0.0, 0.0, 0.0))
@@ -103,6 +94,10 @@ def test_sag_and_dead_band_within_the_tolerance_count_as_arrived() -> None:
     bus.sag = {5: -13}
     with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was sent to 48\.0 deg but stands at 51\.1 deg"):
         arm.move_to((0.0, 48.0, 0.0, 0.0, 0.0))
+    arm, bus = arm_and_bus()
+    sleep = bus.clock.sleep
+    bus.clock.sleep = lambda seconds: sleep(seconds if seconds < 0.2 else seconds - 0.5)
+    np.testing.assert_allclose(arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0)), (60.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
 
 
 @BOTH
@@ -119,7 +114,7 @@ def test_a_blocked_joint_stops_the_arm_and_is_named(tells: bool) -> None:
 
 
 @BOTH
-def test_a_lost_command_is_repeated_once(tells: bool) -> None:
+def test_a_lost_command_is_repeated_once_unless_it_is_within_the_dead_band(tells: bool) -> None:
     arm, bus = arm_and_bus(tells=tells)
     bus.lose_moves = 1
     np.testing.assert_allclose(arm.move_to((2.0, 0.0, 0.0, 0.0, 0.0)), (2.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
@@ -129,33 +124,19 @@ def test_a_lost_command_is_repeated_once(tells: bool) -> None:
     with pytest.raises(UnsafeError, match=r"base .* was sent to 30"):
         arm.move_to((30.0, 0.0, 0.0, 0.0, 0.0))
     assert len(bus.moves) == 2
-
-
-def test_a_joint_in_its_dead_band_is_not_commanded_again_and_again() -> None:
-    arm, bus = arm_and_bus()
+    arm, bus = arm_and_bus(tells=tells)
     bus.lose_moves = 1
     arm.move_to((0.5, 0.0, 0.0, 0.0, 0.0))
     assert len(bus.moves) == 1
 
 
-def test_an_arm_that_still_creeps_when_its_time_is_over_is_waited_for() -> None:
-    arm, bus = arm_and_bus()
-    clock = bus.clock
-
-    def late(seconds: float) -> None:
-        clock.at_s += seconds if seconds < 0.2 else seconds - 0.5
-
-    clock.sleep = late
-    np.testing.assert_allclose(arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0)), (60.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
-
-
 def test_an_arm_that_never_rests_is_stopped() -> None:
     arm, bus = arm_and_bus()
+    move = bus.move
 
-    def start_drifting(targets: Mapping[int, int], duration_s: float) -> None:  # noqa: ARG001
-        bus.log.append(("move", None))
-        bus._to = {}
-        bus.drift = {3: 2.0}
+    def start_drifting(targets: Mapping[int, int], duration_s: float) -> None:
+        move(targets, duration_s)
+        bus._to, bus.drift = {}, {3: 2.0}
 
     bus.move = start_drifting
     with pytest.raises(UnsafeError, match=r"wrist pitch .* does not come to rest"):
@@ -177,13 +158,18 @@ def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError |
     assert bus.names().count("stop") == 1
 
 
-def test_torque_lost_on_the_way_is_told_as_such() -> None:
-    arm, bus = arm_and_bus()
-    bus.limp_on_move = 5
-    with pytest.raises(LostError, match=r"shoulder \(servo 5\) has lost its torque.*brown-out"):
-        arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
-    assert bus.names() == ["move", "stop"]
-    assert not arm.holds()
+def test_torque_lost_on_the_way_is_named_and_rather_the_heat_that_caused_it() -> None:
+    for celsius, error, says in (
+        (30, LostError, r"shoulder \(servo 5\) has lost its torque.*brown-out"),
+        (86, UnsafeError, r"shoulder \(servo 5\) is at 86 °C"),
+    ):
+        arm, bus = arm_and_bus()
+        bus.limp_on_move = 5
+        bus.celsius[5] = celsius
+        with pytest.raises(error, match=says):
+            arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
+        assert bus.names() == ["move", "stop"]
+        assert not arm.holds()
 
 
 def test_torque_lost_at_rest_is_found_before_the_next_move() -> None:
@@ -209,3 +195,103 @@ def test_where_torque_cannot_be_read_a_fallen_joint_tells_it() -> None:
     assert bus.moves == []
     arm.prepare()
     arm.move_to(MIDDLE)
+
+
+@BOTH
+def test_prepare_commands_the_present_place_before_the_torque(tells: bool) -> None:
+    arm, bus = arm_and_bus(tells=tells, prepared=False)
+    bus.at = {6: 437.0, 5: 520.0, 4: 611.0, 3: 480.0, 2: 502.0}
+    present = {servo: round(at) for servo, at in bus.at.items()}
+    arm.prepare()
+    assert [(name, what) for name, what in bus.log if name != "positions"] == [("move", present), ("load", True)]
+    assert bus.moves[0][1] >= 1.0
+    assert bus.at == present
+    assert arm.holds()
+
+
+STANDS_WRONG = [
+    (4, -3, r"elbow \(servo 4\) stands at -120\.7 deg \(-3 counts\).*by hand"),
+    (4, 1004, r"elbow \(servo 4\).*1004 counts"),
+    (6, 60, r"base \(servo 6\) stands at -105\.6 deg.*-90 to 90 deg"),
+]
+
+
+@pytest.mark.parametrize(("servo", "counts", "says"), STANDS_WRONG)
+def test_prepare_refuses_a_servo_that_stands_where_it_may_not(servo: int, counts: int, says: str) -> None:
+    arm, bus = arm_and_bus(prepared=False)
+    bus.at[servo] = counts
+    with pytest.raises(UnsafeError, match=says):
+        arm.prepare()
+    assert bus.names() == []
+    assert not arm.holds()
+    bus.at[servo] = 500
+    bus.at[6] = 500 + 92 * COUNTS_PER_DEG  # sagged just beyond its limit
+    arm.prepare()
+    assert arm.holds()
+
+
+def test_prepare_refuses_a_wrong_supply_an_arm_that_is_being_moved_and_torque_that_stays_off() -> None:
+    arm, bus = arm_and_bus(prepared=False)
+    for volt in (6.4, 8.6):
+        bus.volt = volt
+        with pytest.raises(UnsafeError, match=rf"{volt:.2f} V, outside 6\.5 to 8\.4 V"):
+            arm.prepare()
+    assert bus.log == []
+    bus.volt = 7.5
+    bus.drift = {4: 2.0}
+    with pytest.raises(UnsafeError, match=r"elbow .* does not come to rest"):
+        arm.prepare()
+    assert bus.names() == []
+    arm, bus = arm_and_bus(prepared=False)
+    bus.limp_always = {3}
+    with pytest.raises(LostError, match=r"wrist pitch \(servo 3\) has lost its torque"):
+        arm.prepare()
+    assert not arm.holds()
+
+
+@BOTH
+def test_prepare_stops_when_a_joint_leaves_its_place(tells: bool) -> None:
+    arm, bus = arm_and_bus(tells=tells, prepared=False)
+    bus.blocked = {5: 550.0}
+    with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) went from 0\.0 to -9\.6 deg"):
+        arm.prepare()
+    assert bus.names()[-1] == "stop"
+    assert not arm.holds()
+
+
+def test_health_watches_temperature_supply_and_torque() -> None:
+    arm, bus = arm_and_bus()
+    arm.health()
+    for servo, celsius, volt, on, error, says in (
+        (3, 66, 7.5, True, UnsafeError, r"wrist pitch \(servo 3\) is at 66 °C, above 65 °C"),
+        (3, 65, 6.0, True, UnsafeError, r"6\.00 V"),
+        (6, 41, 7.0, False, LostError, r"base \(servo 6\)"),
+    ):
+        bus.celsius[servo], bus.volt, bus.on[servo] = celsius, volt, on
+        with pytest.raises(error, match=says):
+            arm.health()
+    assert arm.describe() == "servos, 5 servos, 7.0 V, warmest wrist pitch (servo 3) 65 °C"
+    assert arm_and_bus(tells=False)[0].describe() == "servos, 5 servos, 7.5 V, temperatures unknown"
+    arm.relax()
+    arm.health()  # that a limp arm has no torque is no fault
+    assert not any(bus.on.values())
+
+
+ASK_LX, ASK_LSC = "55 55 06 03 1c da", "55 55 08 15 05 06 05 04 03 02"
+PROTOCOLS = {
+    "lx": (replace(PART, protocol="lx"), [(ASK_LX, SILENT)] * 5, "servo 6 does not answer"),
+    "lx with echo": (replace(PART, protocol="lx", echo="yes"), [(ASK_LX, SILENT)] * 5, "adapter's echo"),
+    "lsc": (replace(PART, protocol="lsc"), [(ASK_LSC, SILENT), ("00 " * 100, SILENT)] * 4, "board does not answer"),
+}
+
+
+@pytest.mark.parametrize(("part", "script", "says"), PROTOCOLS.values(), ids=PROTOCOLS)
+def test_open_arm_uses_the_protocol_of_the_rig_file(part: ArmPart, script: list[tuple[str, str]], says: str) -> None:
+    line = ScriptedLine(*script)
+    arm: Arm = open_arm(line, part, line.clock)
+    assert len(line.script) == len(script)
+    with pytest.raises(NoAnswerError, match=says):
+        arm.read_joints()
+    assert not line.script
+    arm.close()
+    assert line.closed

@@ -1,7 +1,7 @@
 """Paths of the arm against canister, table, floor and bars: distances by brute force, and that nothing is missed between samples."""
 
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,49 +50,34 @@ def distance_of(rig: RigFile, piece: str, other: str, joints_deg: Joints) -> flo
 # Shapes.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Spot:
-    """A point, and how far it is from a shape, by hand."""
-
-    solid: Solid
-    at: tuple[float, float, float]
-    distance_mm: float
-
-
-SPOTS = (
-    Spot(solid=SOLIDS[0], at=(100.0, 0.0, -50.0), distance_mm=23.8),
-    Spot(solid=SOLIDS[0], at=(0.0, 0.0, 12.0), distance_mm=12.0),
-    Spot(solid=SOLIDS[0], at=(0.0, 79.2, 4.0), distance_mm=5.0),
-    Spot(solid=SOLIDS[0], at=(70.2, 0.0, -50.0), distance_mm=-6.0),
-    Spot(solid=SOLIDS[0], at=(0.0, 0.0, -150.4), distance_mm=-2.0),
-    Spot(solid=SOLIDS[1], at=(43.0, 64.0, 15.0), distance_mm=5.0),
-    Spot(solid=SOLIDS[1], at=(0.0, 0.0, 8.0), distance_mm=-3.0),
-    Spot(solid=SOLIDS[2], at=(5.0, 5.0, -180.0), distance_mm=15.0),
-)
+SPOTS = [
+    (0, (100.0, 0.0, -50.0), 23.8),
+    (0, (0.0, 0.0, 12.0), 12.0),
+    (0, (0.0, 79.2, 4.0), 5.0),
+    (0, (70.2, 0.0, -50.0), -6.0),
+    (0, (0.0, 0.0, -150.4), -2.0),
+    (1, (43.0, 64.0, 15.0), 5.0),
+    (1, (0.0, 0.0, 8.0), -3.0),
+    (2, (5.0, 5.0, -180.0), 15.0),
+]
+"""Which solid, a point, and how far it is from there, by hand."""
 
 
-@pytest.mark.parametrize("spot", SPOTS, ids=lambda spot: f"{spot.solid.name} {spot.at}")
-def test_distance_of_a_point(spot: Spot) -> None:
-    assert float(spot.solid.distance_mm(np.array(spot.at))) == pytest.approx(spot.distance_mm)
-
-
-@given(begin=point, end=point, k=st.integers(0, len(SOLIDS) - 1))
-@settings(max_examples=60)
-def test_distance_of_a_link_is_the_least_of_its_points(begin: Array, end: Array, k: int) -> None:
-    along = begin + np.linspace(0.0, 1.0, 2001)[:, None] * (end - begin)
-    sampled = SOLIDS[k].distance_mm(along).min()
-    found = float(least_distance(SOLIDS[k], begin[None], end[None])[0])
-    assert found <= sampled + 1e-4
-    assert found >= sampled - np.linalg.norm(end - begin) / 4000.0 - 1e-6
+def test_distance_of_a_point() -> None:
+    for solid, at, distance_mm in SPOTS:
+        assert float(SOLIDS[solid].distance_mm(np.array(at))) == pytest.approx(distance_mm)
 
 
 @given(at=point, begin=point, end=point)
 @settings(max_examples=60)
-def test_distance_of_a_point_from_a_link(at: Array, begin: Array, end: Array) -> None:
+def test_distance_of_a_link_is_the_least_of_its_points(at: Array, begin: Array, end: Array) -> None:
     along = begin + np.linspace(0.0, 1.0, 2001)[:, None] * (end - begin)
+    coarse = np.linalg.norm(end - begin) / 4000.0 + 1e-6
+    for solid in SOLIDS:
+        sampled = solid.distance_mm(along).min()
+        assert sampled - coarse <= float(least_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
     sampled = np.linalg.norm(along - at, axis=1).min()
-    found = float(point_to_segment(at[None], begin[None], end[None])[0])
-    assert sampled - np.linalg.norm(end - begin) / 4000.0 - 1e-6 <= found <= sampled + 1e-6
+    assert sampled - coarse <= float(point_to_segment(at[None], begin[None], end[None])[0]) <= sampled + 1e-6
 
 
 def test_solids_are_those_of_the_scene_and_the_rig_file() -> None:
@@ -107,15 +92,17 @@ def test_solids_are_those_of_the_scene_and_the_rig_file() -> None:
     ]
 
 
-def test_distances_of_a_pose_told_by_hand() -> None:
+def test_distances_of_a_pose_by_hand() -> None:
     """Stretched toward the table: shoulder at x = 650 and z = -39, camera 293 mm before it, on the canister's side."""
-    stretched = (0.0, 90.0, 0.0, 0.0, 0.0)
-    assert distance_of(RIG, "camera", "the canister", stretched) == pytest.approx(650 - 293 - 76.2 - 35)
-    assert distance_of(RIG, "last link", "the canister", stretched) == pytest.approx(650 - 293 - 76.2 - 32)
-    assert distance_of(RIG, "forearm", "the floor", stretched) == pytest.approx(195 - 39 - 32)
-    assert distance_of(RIG, "base", "the table", stretched) == pytest.approx(np.hypot(650 - 110, 52.4) - 32)
-    assert distance_of(RIG, "camera", "the arm's own upper arm", stretched) == pytest.approx(96.4 + 95 - 35 - 32)
-    folded = (0.0, 0.0, 88.0, 112.0, 0.0)
+    stretched, folded = (0.0, 90.0, 0.0, 0.0, 0.0), (0.0, 0.0, 88.0, 112.0, 0.0)
+    for piece, other, distance_mm in (
+        ("camera", "the canister", 650 - 293 - 76.2 - 35),
+        ("last link", "the canister", 650 - 293 - 76.2 - 32),
+        ("forearm", "the floor", 195 - 39 - 32),
+        ("base", "the table", np.hypot(650 - 110, 52.4) - 32),
+        ("camera", "the arm's own upper arm", 96.4 + 95 - 35 - 32),
+    ):
+        assert distance_of(RIG, piece, other, stretched) == pytest.approx(distance_mm)
     assert distance_of(RIG, "camera", "the arm's own upper arm", folded) < 0.0
 
 
@@ -142,100 +129,70 @@ def shoot_ring_of_the_page() -> Ring:
     return Ring(**plan["plan"]["rings"][1])
 
 
-def test_base_near_the_floor_is_no_collision() -> None:
-    low = replace(RIG, arm=replace(ARM, position_mm=(650.0, 0.0, -194.0)))
-    check_path(low, SCENE, [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)])
-
-
-def test_base_in_the_table_is_refused() -> None:
+def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_and_named() -> None:
+    way = [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)]
+    check_path(replace(RIG, arm=replace(ARM, position_mm=(650.0, 0.0, -194.0))), SCENE, way)
     with pytest.raises(UnsafeError, match="arm: the base would"):
-        check_path(near(100.0), SCENE, [ARM.park_deg, (0.0, 0.0, 0.0, 0.0, 0.0)])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Crash:
-    """A way that ends or passes where it must not."""
-
-    name: str
-    rig: RigFile
-    path: tuple[Joints, ...]
-    match: str
-
-
-CRASHES = (
-    Crash(
-        name="into the canister",
-        rig=near(),
-        path=((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)),
-        match=r"^arm: the (camera|last link) would touch the canister at the end of the way; move the ring",
-    ),
-    Crash(
-        name="past the canister",
-        rig=near(),
-        path=((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
-        match=r"the camera would touch the net pot 50 % along the way",
-    ),
-    Crash(
-        name="second leg",
-        rig=near(),
-        path=((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
-        match=r"the camera would touch the net pot 75 % along the way",
-    ),
-    Crash(
-        name="over the pot",
-        rig=near(300.0),
-        path=((0, 0, 0, 0, 0), (0, 69, 0, 0, 0)),
-        match=r"would (touch|come within \d+\.\d mm of) the net pot",
-    ),
-    Crash(name="table", rig=near(380.0), path=((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), match=r"the table at the end of the way"),
-    Crash(name="floor", rig=RIG, path=((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), match=r"(touch|of) the floor at the end of the way"),
-    Crash(
-        name="bar",
-        rig=replace(RIG, clearance=Clearance(bars=(Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0)),))),
-        path=((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)),
-        match=r"the bar 1",
-    ),
-    Crash(
-        name="its own upper arm",
-        rig=RIG,
-        path=((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)),
-        match=r"the camera would touch the arm's own upper arm",
-    ),
-)
-
-
-@pytest.mark.parametrize("crash", CRASHES, ids=lambda crash: crash.name)
-def test_crash_is_refused_with_what_where_and_how_near(crash: Crash) -> None:
-    with pytest.raises(UnsafeError, match=crash.match):
-        check_path(crash.rig, SCENE, crash.path)
-
-
-def test_margin_is_kept_and_told() -> None:
+        check_path(near(100.0), SCENE, way)
     rig = near(380.0, margin_mm=0.0)
-    upright, reaching = (0.0,) * 5, (0.0, 30.0, 60.0, 0.0, 0.0)  # comes nearer all the way
-    spare = pairs(rig, SCENE, np.array([reaching])).distance_mm.min()
+    way = [(0.0,) * 5, (0.0, 30.0, 60.0, 0.0, 0.0)]  # comes nearer all the way
+    spare = pairs(rig, SCENE, np.array(way[1:])).distance_mm.min()
     assert 5.0 < spare < 40.0
-    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, [upright, reaching])
-    with pytest.raises(
-        UnsafeError, match=rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm must be kept\) at the end of the way"
-    ):
-        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, [upright, reaching])
+    check_path(replace(rig, clearance=Clearance(margin_mm=spare - 0.01)), SCENE, way)
+    says = rf"within {spare:.1f} mm of the \w+.* \({spare + 0.6:.0f} mm must be kept\) at the end of the way"
+    with pytest.raises(UnsafeError, match=says):
+        check_path(replace(rig, clearance=Clearance(margin_mm=spare + 0.6)), SCENE, way)
+
+
+BAR_BEFORE = Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0))
+CRASHES = {
+    "into the canister": (
+        near(),
+        ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)),
+        r"^arm: the (camera|last link) would touch the canister at the end of the way; move the ring",
+    ),
+    "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the way"),
+    "second leg": (
+        near(),
+        ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
+        r"the camera would touch the net pot 75 % along the way",
+    ),
+    "over the pot": (near(300.0), ((0, 0, 0, 0, 0), (0, 69, 0, 0, 0)), r"would (touch|come within \d+\.\d mm of) the net pot"),
+    "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the way"),
+    "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the way"),
+    "bar": (replace(RIG, clearance=Clearance(bars=(BAR_BEFORE,))), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
+    "its own upper arm": (RIG, ((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), r"the camera would touch the arm's own upper arm"),
+    "touches the canister": (
+        near(),
+        ((0, 90, 0, 0, 0), ARM.park_deg),
+        r"the canister where it stands now; move it away by hand, torque off",
+    ),
+}
+
+
+@pytest.mark.parametrize(("rig", "path", "match"), CRASHES.values(), ids=CRASHES)
+def test_crash_is_refused_with_what_where_and_how_near(rig: RigFile, path: tuple[Joints, ...], match: str) -> None:
+    with pytest.raises(UnsafeError, match=match):
+        check_path(rig, SCENE, path)
 
 
 def test_thin_bar_between_samples_is_not_missed() -> None:
     """A thin arm swings half round and would brush a needle in one narrow piece of the way."""
     thin = Clearance(margin_mm=0.0, arm_radius_mm=1.0, camera_radius_mm=1.0)
     begin, end = (-90.0, 90.0, 0.0, 0.0, 0.0), (90.0, 90.0, 0.0, 0.0, 0.0)
+
+    def check(at: Array, low_mm: float) -> None:
+        """Check the way past a cube of 1 mm whose lower side is at a height above a place of the camera."""
+        cube = Bar(low_mm=tuple(np.add(at, (-0.5, -0.5, low_mm))), high_mm=tuple(np.add(at, (0.5, 0.5, low_mm + 1.0))))
+        check_path(replace(RIG, clearance=replace(thin, bars=(cube,))), SCENE, [begin, end])
+
     for part in np.linspace(0.03, 0.97, 7):
-        x, y, z = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
-        needle = Bar(low_mm=(x - 0.5, y - 0.5, z - 0.5), high_mm=(x + 0.5, y + 0.5, z + 0.5))
+        at = camera_mm(RIG, tuple(np.add(begin, part * np.subtract(end, begin))))
         with pytest.raises(UnsafeError, match=rf"the bar 1 {100 * part:.0f} % along the way"):
-            check_path(replace(RIG, clearance=replace(thin, bars=(needle,))), SCENE, [begin, end])
-        grazing = Bar(low_mm=(x - 0.5, y - 0.5, z + 0.8), high_mm=(x + 0.5, y + 0.5, z + 1.8))
+            check(at, -0.5)
         with pytest.raises(UnsafeError, match="the bar 1"):
-            check_path(replace(RIG, clearance=replace(thin, bars=(grazing,))), SCENE, [begin, end])
-        above = Bar(low_mm=(x - 0.5, y - 0.5, z + 1.6), high_mm=(x + 0.5, y + 0.5, z + 2.6))
-        check_path(replace(RIG, clearance=replace(thin, bars=(above,))), SCENE, [begin, end])
+            check(at, 0.8)
+        check(at, 1.6)
 
 
 def test_verdicts_agree_with_dense_samples() -> None:
@@ -275,64 +232,43 @@ def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> No
 # Leaving a place that is too near.
 
 
-def test_arm_that_sagged_into_a_margin_may_move_away_but_not_nearer() -> None:
+def test_arm_that_sagged_into_a_margin_or_lies_on_the_floor_may_move_away_but_not_nearer() -> None:
     sagged = (0.0, 84.0, 30.0, 0.0, 0.0)
     floor = distance_of(RIG, "camera", "the floor", sagged)
     rig = replace(RIG, clearance=Clearance(margin_mm=floor + 5.0))
     check_path(rig, SCENE, [sagged, ARM.park_deg])
-    with pytest.raises(UnsafeError, match="the floor"):
-        check_path(rig, SCENE, [ARM.park_deg, sagged])
-    with pytest.raises(UnsafeError, match="the floor"):
-        check_path(rig, SCENE, [sagged, (0.0, 88.0, 30.0, 0.0, 0.0), ARM.park_deg])
-
-
-def test_arm_that_lies_on_the_floor_may_be_lifted() -> None:
+    for path in ([ARM.park_deg, sagged], [sagged, (0.0, 88.0, 30.0, 0.0, 0.0), ARM.park_deg]):
+        with pytest.raises(UnsafeError, match="the floor"):
+            check_path(rig, SCENE, path)
     lying = (0.0, 90.0, 62.0, -25.0, 0.0)
     assert -32.0 < distance_of(RIG, "camera", "the floor", lying) < 0.0
     check_path(RIG, SCENE, [lying, ARM.park_deg])
-
-
-def test_arm_that_touches_the_canister_is_not_moved() -> None:
-    with pytest.raises(UnsafeError, match=r"the canister where it stands now; move it away by hand, torque off"):
-        check_path(near(), SCENE, [(0.0, 90.0, 0.0, 0.0, 0.0), ARM.park_deg])
 
 
 # Ways round.
 
 
 def test_way_round_goes_through_a_drawn_in_arm() -> None:
-    rig = near()
     begin, end = (60.0, 80.0, 0.0, 0.0, 0.0), (-60.0, 80.0, 0.0, 0.0, 0.0)
-    path = plan_path(rig, SCENE, begin, end)
+    path = plan_path(near(), SCENE, begin, end)
     assert len(path) > 1
     assert path[-1] == end
-    check_path(rig, SCENE, [begin, *path])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Detour:
-    """What else is in the way, and the shape in which the arm gets past."""
-
-    name: str
-    bar: Bar
-    shape: tuple[float, ...]
-
-
-DETOURS = (
-    Detour(name="post behind", bar=Bar(low_mm=(736.0, -2.0, -50.0), high_mm=(740.0, 2.0, 50.0)), shape=ARM.park_deg[1:4]),
-    Detour(name="wall behind", bar=Bar(low_mm=(705.0, -300.0, -50.0), high_mm=(720.0, 300.0, 150.0)), shape=(0.0, 0.0, 0.0)),
-)
-
-
-@pytest.mark.parametrize("detour", DETOURS, ids=lambda detour: detour.name)
-def test_way_round_turns_the_base_with_the_arm_drawn_in(detour: Detour) -> None:
-    begin, end = (45.0, 80.0, 0.0, 0.0, 10.0), (88.0, 80.0, 0.0, 0.0, 0.0)
-    x, y, z = camera_mm(RIG, (67.0, 80.0, 0.0, 0.0, 0.0))
-    between = Bar(low_mm=(x - 2.0, y - 2.0, z - 2.0), high_mm=(x + 2.0, y + 2.0, z + 2.0))
-    rig = replace(RIG, clearance=Clearance(bars=(between, detour.bar)))
-    assert plan_path(rig, SCENE, begin, end) == [(45.0, *detour.shape, 10.0), (88.0, *detour.shape, 0.0), end]
-
-
-def test_no_way_round_says_what_is_in_the_straight_one() -> None:
+    check_path(near(), SCENE, [begin, *path])
     with pytest.raises(UnsafeError, match=r"the canister at the end of the way; .*neither is there a clear way with the arm drawn in"):
         plan_path(near(), SCENE, ARM.park_deg, (0.0, 90.0, 0.0, 0.0, 0.0))
+
+
+DETOURS = {
+    "post behind": (Bar(low_mm=(736.0, -2.0, -50.0), high_mm=(740.0, 2.0, 50.0)), ARM.park_deg[1:4]),
+    "wall behind": (Bar(low_mm=(705.0, -300.0, -50.0), high_mm=(720.0, 300.0, 150.0)), (0.0, 0.0, 0.0)),
+}
+"""What else is in the way, and the shape in which the arm gets past."""
+
+
+@pytest.mark.parametrize(("bar", "shape"), DETOURS.values(), ids=DETOURS)
+def test_way_round_turns_the_base_with_the_arm_drawn_in(bar: Bar, shape: tuple[float, ...]) -> None:
+    begin, end = (45.0, 80.0, 0.0, 0.0, 10.0), (88.0, 80.0, 0.0, 0.0, 0.0)
+    middle = camera_mm(RIG, (67.0, 80.0, 0.0, 0.0, 0.0))
+    between = Bar(low_mm=tuple(middle - 2.0), high_mm=tuple(middle + 2.0))
+    rig = replace(RIG, clearance=Clearance(bars=(between, bar)))
+    assert plan_path(rig, SCENE, begin, end) == [(45.0, *shape, 10.0), (88.0, *shape, 0.0), end]

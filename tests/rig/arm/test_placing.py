@@ -1,6 +1,6 @@
 """Joint angles for the plan's rings: what the default arm reaches, what is refused with which numbers, the correction by markers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def limited(k: int, low: float, high: float) -> tuple[Joint, ...]:
 
 
 REACHED = (
-    Ring(height_mm=-42.0, distance_mm=400.0, tilt_deg=0.0),
+    Ring(),
     Ring(height_mm=-70.0),
     Ring(height_mm=130.0),
     Ring(height_mm=45.0, tilt_deg=15.0),
@@ -43,20 +43,15 @@ REACHED = (
 @pytest.mark.parametrize("ring", REACHED, ids=lambda ring: f"{ring.height_mm:g} {ring.distance_mm:g} {ring.tilt_deg:g}")
 def test_default_arm_reaches_the_rings_that_the_page_promises(ring: Ring) -> None:
     joints_deg = joints_for(DEFAULT, camera_wanted(ring))
-    off_mm, off_deg = frames.pose_error(cam_from_rig(ArmPart(), joints_deg), camera_wanted(ring))
-    assert off_mm < 1e-6
-    assert off_deg < 1e-6
+    camera = cam_from_rig(ArmPart(), joints_deg)
+    assert max(frames.pose_error(camera, camera_wanted(ring))) < 1e-6
+    room_deg = 10.0 if ring == Ring() else 0.0  # for corrections of the default ring
     for joint, angle in zip(ArmPart().joints, joints_deg, strict=True):
-        assert joint.min_deg <= angle <= joint.max_deg
+        assert joint.min_deg + room_deg <= angle <= joint.max_deg - room_deg
     # Written out: upright picture, optical axis toward the table.
-    rig_from_cam = frames.invert(cam_from_rig(ArmPart(), joints_deg))
+    rig_from_cam = frames.invert(camera)
     assert rig_from_cam[2, 1] < -0.9
     assert rig_from_cam[0, 2] < -0.9
-
-
-def test_default_ring_leaves_room_for_corrections() -> None:
-    for joint, angle in zip(ArmPart().joints, joints_for(DEFAULT, camera_wanted(Ring())), strict=True):
-        assert joint.min_deg + 10.0 < angle < joint.max_deg - 10.0
 
 
 def test_elbow_is_up() -> None:
@@ -73,65 +68,42 @@ def test_whole_turns_are_chosen_to_fit_the_limits() -> None:
     assert turned[4] == pytest.approx(plain[4] + 360.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Refused:
-    """A place that is refused, and with which words."""
-
-    name: str
-    rig: RigFile
-    ring: Ring
-    match: str
-
-
-REFUSED = (
-    Refused(
-        name="too far",
-        rig=RIG,
-        ring=Ring(distance_mm=350.0),
-        match=r"distance 350 mm, height -42 mm, tilt 0 deg is out of reach: .* 205 mm from the shoulder, the links reach 5 to 198 mm; move",
+REFUSED = {
+    "too far": (
+        RIG,
+        Ring(distance_mm=350.0),
+        r"distance 350 mm, height -42 mm, tilt 0 deg is out of reach: .* 205 mm from the shoulder, the links reach 5 to 198 mm; move",
     ),
-    Refused(
-        name="too near",
-        rig=with_arm(links_mm=(61.0, 150.0, 50.0, 95.0)),
-        ring=Ring(distance_mm=530.0),
-        match=r"would have to be 25 mm from the shoulder, the links reach 100 to 200 mm",
+    "too near": (
+        with_arm(links_mm=(61.0, 150.0, 50.0, 95.0)),
+        Ring(distance_mm=530.0),
+        r"would have to be 25 mm from the shoulder, the links reach 100 to 200 mm",
     ),
-    Refused(
-        name="elbow", rig=RIG, ring=Ring(distance_mm=450.0), match=r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"
+    "elbow": (RIG, Ring(distance_mm=450.0), r"within the joints' limits: elbow 116\.0 deg \(limits -88 to 88\); move"),
+    "far aside": (
+        with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),
+        Ring(),
+        r"would stand 16\.7 deg beside the rig's x axis, at most 15 deg face the backlight; move the arm's base .* nearer to y = 0",
     ),
-    Refused(
-        name="far aside",
-        rig=with_arm(position_mm=(600.0, 180.0, -100.0), rotation_deg=(0.0, 0.0, -160.0)),
-        ring=Ring(),
-        match=r"would stand 16\.7 deg beside the rig's x axis, at most 15 deg face the backlight; move the arm's base .* nearer to y = 0",
-    ),
-)
+}
 
 
-@pytest.mark.parametrize("refused", REFUSED, ids=lambda refused: refused.name)
-def test_refused_with_the_numbers(refused: Refused) -> None:
-    with pytest.raises(UnsafeError, match=refused.match):
-        joints_for(refused.rig, camera_wanted(refused.ring))
+@pytest.mark.parametrize(("rig", "ring", "match"), REFUSED.values(), ids=REFUSED)
+def test_refused_with_the_numbers(rig: RigFile, ring: Ring, match: str) -> None:
+    with pytest.raises(UnsafeError, match=match):
+        joints_for(rig, camera_wanted(ring))
 
 
-def test_no_arm() -> None:
-    with pytest.raises(RigError, match=r"has no \[arm\]"):
-        joints_for(RigFile(), camera_wanted(Ring()))
+ASKEW = {"beside": ((650.0, 25.0, -100.0), (0.0, 0.0, 180.0)), "leaning": ((650.0, 0.0, -100.0), (2.0, 3.0, 178.0))}
 
 
-@pytest.mark.parametrize(
-    ("position_mm", "rotation_deg"),
-    [((650.0, 25.0, -100.0), (0.0, 0.0, 180.0)), ((650.0, 0.0, -100.0), (2.0, 3.0, 178.0))],
-    ids=["beside", "leaning"],
-)
+@pytest.mark.parametrize(("position_mm", "rotation_deg"), ASKEW.values(), ids=ASKEW)
 def test_an_arm_that_stands_askew_turns_the_camera_round_the_table(position_mm: tuple[float, ...], rotation_deg: tuple[float, ...]) -> None:
     rig = with_arm(position_mm=position_mm, rotation_deg=rotation_deg)
     assert rig.arm is not None
     ring = Ring(height_mm=-20.0, tilt_deg=4.0)
     camera = cam_from_rig(rig.arm, joints_for(rig, camera_wanted(ring)))
-    off_mm, off_deg = frames.pose_error(camera, turned_to(camera_wanted(ring), camera))
-    assert off_mm < 1e-5
-    assert off_deg < 1e-5
+    assert max(frames.pose_error(camera, turned_to(camera_wanted(ring), camera))) < 1e-5
     assert 0.01 < abs(np.rad2deg(azimuth_rad(camera))) < 5.0
 
 
@@ -151,30 +123,19 @@ def test_correction_without_a_wish_makes_the_image_plane_tangent() -> None:
     joints_deg = (2.0, 50.0, 70.0, -25.0, 3.0)
     measured = cam_from_rig(ARM, joints_deg)
     moved = cam_from_rig(ARM, corrected_joints(RIG, joints_deg, measured))
-    off_mm, off_deg = frames.pose_error(turned_to(tangent(measured), moved), moved)
-    assert off_mm < 1e-5
-    assert off_deg < 1e-5
+    assert max(frames.pose_error(turned_to(tangent(measured), moved), moved)) < 1e-5
 
 
-def test_correction_beyond_a_limit_is_refused() -> None:
+def test_corrections_that_cannot_be_are_refused() -> None:
     wanted = camera_wanted(Ring())
     elbow = joints_for(RIG, wanted)[2]
     rig = with_arm(joints=limited(2, -88.0, elbow + 1.0), park_deg=(0.0, 0.0, 0.0, 0.0, 0.0))
     joints_deg = joints_for(rig, wanted)
     with pytest.raises(UnsafeError, match=r"cannot be corrected within the joints' limits: elbow 81\.0 deg \(limits -88 to 77\.96"):
         corrected_joints(rig, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, -4, 0, 0))), wanted)
-
-
-def test_correction_that_is_none_is_refused() -> None:
-    wanted = camera_wanted(Ring())
-    joints_deg = joints_for(RIG, wanted)
     with pytest.raises(UnsafeError, match=r"by the markers the .* more than a correction of 25 deg: check joints, links_mm"):
         corrected_joints(RIG, joints_deg, cam_from_rig(ARM, np.add(joints_deg, (0, 0, 0, 0, 40))), wanted)
-
-
-def test_correction_out_of_reach_is_refused() -> None:
-    wanted = camera_wanted(Ring())
-    joints_deg = joints_for(RIG, wanted)
-    beyond = camera_wanted(Ring(distance_mm=300.0))
     with pytest.raises(UnsafeError, match=r"distance 300 mm, .* cannot be reached: the camera would stay \d+\.\d mm off"):
-        corrected_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), beyond)
+        corrected_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), camera_wanted(Ring(distance_mm=300.0)))
+    with pytest.raises(RigError, match=r"has no \[arm\]"):
+        joints_for(RigFile(), wanted)

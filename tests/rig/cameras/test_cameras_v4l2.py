@@ -116,7 +116,7 @@ def opened(address: str = "0", settings: CameraSettings = SETTINGS) -> V4l2Camer
     return camera
 
 
-def test_everything_automatic_is_off(device: _Device) -> None:
+def test_everything_automatic_is_off_after_what_restarts_the_stream(device: _Device) -> None:
     shot = opened().capture()
     assert device.controls == {
         cv2.CAP_PROP_AUTO_EXPOSURE: 1.0,
@@ -128,56 +128,42 @@ def test_everything_automatic_is_off(device: _Device) -> None:
         cv2.CAP_PROP_GAMMA: 100.0,
     }
     assert (shot.exposure_s, shot.gain) == (pytest.approx(0.0156), 16.0)
-    assert shot.image.dtype == np.uint8
-    assert shot.image.shape == (24, 32)
+    assert (shot.image.dtype, shot.image.shape) == (np.uint8, (24, 32))
+    at = device.order.index
+    assert max(at(cv2.CAP_PROP_FRAME_HEIGHT), at(cv2.CAP_PROP_BUFFERSIZE)) < min(at(prop) for prop in ALL)
+    assert at(cv2.CAP_PROP_AUTO_EXPOSURE) < at(cv2.CAP_PROP_EXPOSURE)
+    assert at(cv2.CAP_PROP_AUTO_WB) < at(cv2.CAP_PROP_WB_TEMPERATURE)
 
 
-def test_controls_come_after_what_restarts_the_stream(device: _Device) -> None:
-    opened()
-    first_control = min(device.order.index(prop) for prop in ALL)
-    assert device.order.index(cv2.CAP_PROP_FRAME_HEIGHT) < first_control
-    assert device.order.index(cv2.CAP_PROP_BUFFERSIZE) < first_control
-    assert device.order.index(cv2.CAP_PROP_AUTO_EXPOSURE) < device.order.index(cv2.CAP_PROP_EXPOSURE)
-    assert device.order.index(cv2.CAP_PROP_AUTO_WB) < device.order.index(cv2.CAP_PROP_WB_TEMPERATURE)
-
-
-def test_a_picture_is_exposed_after_the_call(device: _Device) -> None:
+def test_a_picture_is_exposed_after_the_call_and_grey_is_luminance(device: _Device) -> None:
     camera = opened()
     camera._capture.fill()
-    device.colour = (200, 200, 200)
-    assert camera.capture().image.min() == 200
-
-
-def test_grey_is_luminance(device: _Device) -> None:
     device.colour = (10, 100, 200)  # blue, green, red
-    assert opened().capture().image[0, 0] == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+    image = camera.capture().image
+    assert image.min() == image.max() == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
 
 
-@pytest.mark.parametrize("address", ["2", "/dev/video7"])
-def test_address(device: _Device, address: str) -> None:
-    camera = opened(address)
-    assert device.opened_with == [(2 if address == "2" else address, cv2.CAP_V4L2)]
-    name = "/dev/video2" if address == "2" else address
-    assert camera.describe() == f"USB camera {name}, 32x24, 8 bits, YUYV, 15.6 ms"
+def test_address(device: _Device) -> None:
+    for address, source, name in (("2", 2, "/dev/video2"), ("/dev/video7", "/dev/video7", "/dev/video7")):
+        camera = opened(address)
+        assert device.opened_with[-1] == (source, cv2.CAP_V4L2)
+        assert camera.describe() == f"USB camera {name}, 32x24, 8 bits, YUYV, 15.6 ms"
+    for address in ("", "usb", "http://pi:8471", "³"):
+        with pytest.raises(RigError, match="neither a number nor a device file"):
+            V4l2Camera(address, SETTINGS)
 
 
-@pytest.mark.parametrize("address", ["", "usb", "http://pi:8471", "³"])
-def test_no_address(address: str) -> None:
-    with pytest.raises(RigError, match="neither a number nor a device file"):
-        V4l2Camera(address, SETTINGS)
+STUCK = [
+    (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure is 3 instead of 1"),
+    (cv2.CAP_PROP_EXPOSURE, r"exposure \(in 0.1 ms\) is 250 instead of 156"),
+    (cv2.CAP_PROP_GAIN, "gain is 64 instead of 16"),
+    (cv2.CAP_PROP_AUTO_WB, "automatic white balance is 1 instead of 0"),
+    (cv2.CAP_PROP_WB_TEMPERATURE, "white balance is 3000 instead of 4600"),
+    (cv2.CAP_PROP_AUTOFOCUS, "autofocus is 1 instead of 0"),
+]
 
 
-@pytest.mark.parametrize(
-    ("prop", "said"),
-    [
-        (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure is 3 instead of 1"),
-        (cv2.CAP_PROP_EXPOSURE, r"exposure \(in 0.1 ms\) is 250 instead of 156"),
-        (cv2.CAP_PROP_GAIN, "gain is 64 instead of 16"),
-        (cv2.CAP_PROP_AUTO_WB, "automatic white balance is 1 instead of 0"),
-        (cv2.CAP_PROP_WB_TEMPERATURE, "white balance is 3000 instead of 4600"),
-        (cv2.CAP_PROP_AUTOFOCUS, "autofocus is 1 instead of 0"),
-    ],
-)
+@pytest.mark.parametrize(("prop", "said"), STUCK)
 def test_what_a_driver_says_is_not_believed(device: _Device, prop: int, said: str) -> None:
     device.stuck = {prop}
     with pytest.raises(RigError, match=f"camera /dev/video0: its settings do not hold: {said}; v4l2-ctl"):
@@ -185,28 +171,22 @@ def test_what_a_driver_says_is_not_believed(device: _Device, prop: int, said: st
     assert device.released == 1
 
 
-def test_settings_that_go_back_once_frames_come(device: _Device) -> None:
-    device.reverts = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}
-    with pytest.raises(RigError, match="automatic exposure is 3 instead of 1"):
-        opened()
-
-
-def test_settings_that_go_back_later(device: _Device) -> None:
+def test_settings_that_go_back_once_frames_come_or_later(device: _Device) -> None:
     camera = opened()
     camera.capture()
     device.reverts = {cv2.CAP_PROP_EXPOSURE: 80.0}
     with pytest.raises(RigError, match="is 80 instead of 156"):
         camera.capture()
+    device.reverts = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}
+    with pytest.raises(RigError, match="automatic exposure is 3 instead of 1"):
+        opened()
 
 
-def test_a_camera_without_colours_gain_and_focus(device: _Device) -> None:
+def test_a_camera_may_lack_colours_gain_and_focus_but_no_exposure(device: _Device) -> None:
     device.controls = {prop: ALL[prop] for prop in (cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE)}
     camera = opened()
     assert camera.capture().gain is None
     assert "its gamma cannot be set to 1, so that pictures may not be linear in light" in camera.describe()
-
-
-def test_a_camera_that_exposes_as_it_likes(device: _Device) -> None:
     device.controls = {}
     with pytest.raises(RigError, match=r"automatic exposure is missing instead of 1, exposure .* is missing instead of 156"):
         opened()
@@ -219,42 +199,33 @@ def test_too_short_an_exposure(device: _Device) -> None:
         opened(settings=CameraSettings(image_wh=(32, 24), bits=8, exposure_s=1e-5, gain=16.0))
 
 
-def test_no_camera(device: _Device) -> None:
-    device.there = False
-    with pytest.raises(RigError, match="camera /dev/video0: cannot be opened; look for it with ls /dev/video"):
-        opened()
-    assert device.released == 1
-
-
-def test_another_size(device: _Device) -> None:
+def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
+    camera = open_camera(CameraPart(kind="v4l2"), image_wh=(32, 24), bits=12, clock=SystemClock())
+    with pytest.raises(RigError, match="give 8 bits, not 12; set bits = 8 of the scene's camera"):
+        camera.prepare()
+    assert not device.opened_with
     device.sizes = ((16, 12),)
     with pytest.raises(RigError, match="gives pictures of 16x12 pixels, not 32x24; set image_wh"):
         opened()
     assert device.released == 1
+    device.there = False
+    with pytest.raises(RigError, match="camera /dev/video0: cannot be opened; look for it with ls /dev/video"):
+        opened()
+    assert device.released == 2
 
 
-def test_a_camera_that_is_pulled_out(device: _Device) -> None:
+def test_pulled_out_opened_anew_and_closed(device: _Device) -> None:
     camera = opened()
     for left in (0, 5):
         device.frames_left = left
         with pytest.raises(RigError, match="gives no pictures any more; check its cable"):
             camera.capture()
-
-
-def test_more_than_8_bits(device: _Device) -> None:
-    camera = open_camera(CameraPart(kind="v4l2"), image_wh=(32, 24), bits=12, clock=SystemClock())
-    with pytest.raises(RigError, match="give 8 bits, not 12; set bits = 8 of the scene's camera"):
-        camera.prepare()
-    assert not device.opened_with
-
-
-def test_opened_anew_and_closed(device: _Device) -> None:
-    camera = opened()
+    device.frames_left = 100
     camera.prepare()
-    assert device.released == 1
+    released = device.released
     camera.close()
     camera.close()
-    assert device.released == 2
+    assert device.released == released + 1
     assert camera.describe() == "USB camera /dev/video0, not open"
     with pytest.raises(RigError, match="not open; prepare it first"):
         camera.capture()

@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -95,23 +95,22 @@ def test_a_crossing_is_measured_to_hundredths_of_a_pixel(angles_deg: tuple[float
         errors.append(fit.at_px - centre)
         claimed.append(fit.sigma_px)
         assert fit.blur_px == pytest.approx(np.hypot(blur_px, 12.0**-0.5), rel=0.15)
+    rms_px = np.sqrt(np.mean(np.square(errors)))
     assert np.abs(np.mean(errors, axis=0)).max() < 0.02
-    assert np.sqrt(np.mean(np.square(errors))) < 0.03
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.median(claimed), rel=0.8)
+    assert rms_px < 0.03
+    assert rms_px == pytest.approx(np.median(claimed), rel=0.8)
 
 
 def test_what_is_no_crossing_is_not_measured() -> None:
-    sides = 9.0 * np.eye(2)
-    image = crossing(np.array([20.0, 20.0]), (3.0, 91.0), blur_px=0.8, noise=0.0, seed=0)
-    middle = np.array([20.0, 20.0])
+    sides, middle = 9.0 * np.eye(2), np.array([20.0, 20.0])
+    image = crossing(middle, (3.0, 91.0), blur_px=0.8, noise=0.0, seed=0)
     assert fit_saddle(image, middle, sides) is not None
     assert fit_saddle(image, np.array([5.0, 20.0]), sides) is None, "at the border"
     assert fit_saddle(image, middle, 0.2 * sides) is None, "too small"
-    assert fit_saddle(np.full_like(image, 20000), middle, sides) is None, "nothing there"
     edge = np.where(np.arange(41)[None, :] < 20, np.uint16(5000), np.uint16(50000)).repeat(41, axis=0)
-    assert fit_saddle(edge, middle, sides) is None, "an edge only"
-    rng = np.random.default_rng(0)
-    assert fit_saddle(rng.integers(0, 65535, (41, 41)).astype(np.uint16), middle, sides) is None, "noise"
+    noise = np.random.default_rng(0).integers(0, 65535, (41, 41)).astype(np.uint16)
+    for other in (np.full_like(image, 20000), edge, noise):
+        assert fit_saddle(other, middle, sides) is None
 
 
 def flat_picture(board: CharucoBoard = BOARD, *, px_per_mm: float = 3.0) -> NDArray[np.uint8]:
@@ -121,19 +120,14 @@ def flat_picture(board: CharucoBoard = BOARD, *, px_per_mm: float = 3.0) -> NDAr
     return np.asarray(255.0 * cv2.resize(paper, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def test_a_board_straight_on_has_its_corners_where_they_were_drawn() -> None:
-    found = find_board(flat_picture(), BOARD)
-    assert isinstance(found, BoardView)
-    np.testing.assert_array_equal(found.ids, np.arange(24))
-    np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * 3.0 - 0.5, atol=0.02)
-
-
-def test_a_large_dark_picture_of_16_bits_is_searched_too() -> None:
+def test_a_board_straight_on_has_its_corners_where_they_were_drawn_even_in_a_large_dark_picture() -> None:
     large = cv2.resize(flat_picture(), None, fx=4.0, fy=4.0, interpolation=cv2.INTER_CUBIC).astype(np.uint16) * 8
     assert max(large.shape) > 2100
-    found = find_board(large, BOARD)
-    assert isinstance(found, BoardView)
-    np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * 12.0 - 0.5, atol=0.1)
+    for picture, px_per_mm, atol in ((flat_picture(), 3.0, 0.02), (large, 12.0, 0.1)):
+        found = find_board(picture, BOARD)
+        assert isinstance(found, BoardView)
+        np.testing.assert_array_equal(found.ids, np.arange(24))
+        np.testing.assert_allclose(found.corners_px, (BOARD.corners_mm[:, :2] + 12.0) * px_per_mm - 0.5, atol=atol)
 
 
 def noisy_picture() -> NDArray[np.uint8]:
@@ -142,34 +136,23 @@ def noisy_picture() -> NDArray[np.uint8]:
     return np.clip(flat_picture() * 0.6 + 40.0 + noise, 0.0, 255.0).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class Useless:
-    """A picture that must be refused, and a word of the reason."""
-
-    name: str
-    picture: NDArray[np.uint8]
-    reason: str
-
-
-USELESS = [
-    Useless("empty", np.full((300, 400), 90, np.uint8), "no board was found"),
-    Useless("mirrored", np.ascontiguousarray(flat_picture()[:, ::-1]), "mirrored"),
-    Useless("other dictionary", flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), "markers of APRILTAG_36h11"),
-    Useless("other board", flat_picture(CharucoBoard(squares_xy=(5, 7))), "not as they stand on a board of 7x5"),
-    Useless("few corners", flat_picture()[:160, :260], "8 are needed"),
-    Useless(
-        "one row", np.where(np.arange(522)[:, None] > 190, np.uint8(255), flat_picture(CharucoBoard(squares_xy=(12, 5)))), "in one row"
-    ),
-    Useless("noisy", noisy_picture(), "corners can be measured: too blurred, too noisy"),
-]
+ONE_ROW = CharucoBoard(squares_xy=(12, 5))
+USELESS = {
+    "empty": (np.full((300, 400), 90, np.uint8), BOARD, "no board was found"),
+    "mirrored": (np.ascontiguousarray(flat_picture()[:, ::-1]), BOARD, "mirrored"),
+    "other dictionary": (flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), BOARD, "markers of APRILTAG_36h11"),
+    "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), BOARD, "not as they stand on a board of 7x5"),
+    "few corners": (flat_picture()[:160, :260], BOARD, "8 are needed"),
+    "one row": (np.where(np.arange(522)[:, None] > 190, np.uint8(255), flat_picture(ONE_ROW)), ONE_ROW, "in one row"),
+    "noisy": (noisy_picture(), BOARD, "corners can be measured: too blurred, too noisy"),
+}
 
 
-@pytest.mark.parametrize("case", USELESS, ids=lambda case: case.name)
-def test_a_useless_picture_is_refused_with_its_reason(case: Useless) -> None:
-    board = CharucoBoard(squares_xy=(12, 5)) if case.name == "one row" else BOARD
-    found = find_board(case.picture, board)
+@pytest.mark.parametrize(("picture", "board", "reason"), USELESS.values(), ids=USELESS)
+def test_a_useless_picture_is_refused_with_its_reason(picture: NDArray[np.uint8], board: CharucoBoard, reason: str) -> None:
+    found = find_board(picture, board)
     assert isinstance(found, NoBoard)
-    assert case.reason in found.reason
+    assert reason in found.reason
 
 
 # -- the fit
@@ -190,27 +173,20 @@ def seen_views(
     return views
 
 
-@dataclass(frozen=True)
-class Lens:
-    """A lens, and which terms the fit must find that it does not need."""
-
-    name: str
-    camera: Camera
-    left_out: set[str]
-
-
-LENSES = [
-    Lens("straight", Camera(), {"fx / fy", "k3", "p1, p2", "k2", "k1"}),
-    Lens("bench", replace(Camera(), distortion=BENCH, principal_px=(410.0, 290.0)), {"fx / fy", "k3"}),
-    Lens("barrel", replace(Camera(), distortion=(-0.3, 0.0, 0.0, 0.0, 0.0)), {"fx / fy", "k3", "p1, p2", "k2"}),
-    Lens("everything", Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
-]
+CURVED = replace(Camera(), distortion=BENCH, principal_px=(410.0, 290.0))
+LENSES = {
+    "straight": (Camera(), {"fx / fy", "k3", "p1, p2", "k2", "k1"}),
+    "bench": (CURVED, {"fx / fy", "k3"}),
+    "barrel": (replace(Camera(), distortion=(-0.3, 0.0, 0.0, 0.0, 0.0)), {"fx / fy", "k3", "p1, p2", "k2"}),
+    "everything": (Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
+}
+"""Lenses, and which terms the fit must find that they do not need."""
 
 
-@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.name)
-def test_the_lens_is_found_with_no_more_terms_than_it_has(lens: Lens) -> None:
-    true, fit = lens.camera, fit_lens(seen_views(lens.camera), BOARD, lens.camera.image_wh)
-    assert set(fit.left_out) == lens.left_out
+@pytest.mark.parametrize(("true", "left_out"), LENSES.values(), ids=LENSES)
+def test_the_lens_is_found_with_no_more_terms_than_it_has(true: Camera, left_out: set[str]) -> None:
+    fit = fit_lens(seen_views(true), BOARD, true.image_wh)
+    assert set(fit.left_out) == left_out
     assert fit.rms_px == pytest.approx(0.03 * np.sqrt(2.0), rel=0.15)
     np.testing.assert_allclose(fit.focal_px, true.focal_px, rtol=1e-3)
     found = np.array([*fit.focal_px, *fit.principal_px, *fit.distortion])
@@ -220,28 +196,24 @@ def test_the_lens_is_found_with_no_more_terms_than_it_has(lens: Lens) -> None:
 
 
 def test_standard_deviations_are_honest() -> None:
-    camera = LENSES[1].camera
-    off = []
+    off, poses = [], [draw_pose(Scene(camera=CURVED), BOARD, seed=0, index=k) for k in range(12)]
     for seed in range(12):
-        poses = [draw_pose(Scene(camera=camera), BOARD, seed=0, index=k) for k in range(12)]
-        fit = fit_lens(seen_views(camera, seed=seed, poses=poses), BOARD, camera.image_wh)
+        fit = fit_lens(seen_views(CURVED, seed=seed, poses=poses), BOARD, CURVED.image_wh)
         off.append([(fit.focal_px[1] - 1300.0) / fit.focal_std_px[1], (fit.principal_px[0] - 410.0) / fit.principal_std_px[0]])
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.7
 
 
 def test_a_picture_that_fits_no_other_and_a_wrong_corner_are_left_out_by_name() -> None:
-    camera = LENSES[1].camera
-    views = seen_views(camera)
+    views = seen_views(CURVED)
     bent = views["07.png"]
-    bulge = 3.0 * np.sin(bent.corners_px / 40.0)
-    views["07.png"] = replace(bent, corners_px=bent.corners_px + bulge)
+    views["07.png"] = replace(bent, corners_px=bent.corners_px + 3.0 * np.sin(bent.corners_px / 40.0))
     views["03.png"].corners_px[5] += 1.5
-    fit = fit_lens(views, BOARD, camera.image_wh)
+    fit = fit_lens(views, BOARD, CURVED.image_wh)
     assert list(fit.rejected) == ["07.png"]
     assert "px rms" in fit.rejected["07.png"]
     assert fit.dropped_corners == 1
     assert len(fit.views["03.png"].ids) == len(views["03.png"].ids) - 1
-    np.testing.assert_allclose(fit.focal_px, camera.focal_px, rtol=1e-3)
+    np.testing.assert_allclose(fit.focal_px, CURVED.focal_px, rtol=1e-3)
 
 
 # -- what the pictures must show
@@ -258,39 +230,26 @@ def held(tilts_deg: list[float], directions_deg: list[float], *, depth_mm: float
     return poses
 
 
-def test_boards_that_were_not_tilted_are_refused() -> None:
-    views = seen_views(Camera(), poses=held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], [0.0, 60.0, 120.0, 180.0, 240.0, 300.0], aside_mm=10.0))
-    with pytest.raises(RigError, match=r"hardly tilted|no focal length"):
-        calibrate_views(views, BOARD, (800, 600))
+def test_poses_that_determine_no_lens_are_refused() -> None:
+    large = Camera(image_wh=(3200, 2400), principal_px=(1599.5, 1199.5))
+    sixths = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
+    for camera, poses, says in (
+        (Camera(), held([1.0, 2.0, 3.0, 2.0, 1.0, 3.0], sixths, aside_mm=10.0), r"hardly tilted|no focal length"),
+        (Camera(), held([30.0], [20.0]) * 6, "1 different ways only"),
+        (large, held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0), "of the field"),
+    ):
+        with pytest.raises(RigError, match=says):
+            calibrate_views(seen_views(camera, poses=poses), BOARD, camera.image_wh)
 
 
-def test_the_same_picture_again_and_again_is_refused() -> None:
-    poses = held([30.0] * 6, [20.0] * 6)
-    views = seen_views(Camera(), poses=[poses[0], *[poses[0]] * 5])
-    with pytest.raises(RigError, match="1 different ways only"):
-        calibrate_views(views, BOARD, (800, 600))
-
-
-def test_a_board_in_a_corner_of_the_field_is_refused() -> None:
-    camera = Camera(image_wh=(3200, 2400), principal_px=(1599.5, 1199.5))
-    views = seen_views(camera, poses=held([25.0, 30.0, 35.0, 20.0, 30.0], [0.0, 72.0, 144.0, 216.0, 288.0], depth_mm=700.0))
-    with pytest.raises(RigError, match="of the field"):
-        calibrate_views(views, BOARD, camera.image_wh)
-
-
-def test_too_few_pictures_are_refused_and_few_are_warned_of() -> None:
+def test_too_few_pictures_are_refused_few_and_one_way_of_tilting_warned_of() -> None:
     views = seen_views(Camera(), pictures=6)
     with pytest.raises(RigError, match="2 pictures of the board can be used"):
         calibrate_views(dict(list(views.items())[:2]), BOARD, (800, 600))
-    made = calibrate_views(views, BOARD, (800, 600))
-    assert any("only 6 pictures" in warning for warning in made.warnings)
-    assert not calibrate_views(seen_views(Camera()), BOARD, (800, 600)).warnings
-
-
-def test_one_way_of_tilting_is_warned_of() -> None:
-    poses = held([-40.0, -30.0, -20.0, 0.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0], [90.0] * 10, aside_mm=30.0)
-    made = calibrate_views(seen_views(Camera(), poses=poses), BOARD, (800, 600))
-    assert any("about one axis" in warning for warning in made.warnings)
+    one_axis = held([-40.0, -30.0, -20.0, 0.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0], [90.0] * 10, aside_mm=30.0)
+    for seen, warned in ((views, "only 6 pictures"), (seen_views(Camera(), poses=one_axis), "about one axis"), (seen_views(Camera()), "")):
+        warnings = calibrate_views(seen, BOARD, (800, 600)).warnings
+        assert any(warned in warning for warning in warnings) if warned else not warnings
 
 
 # -- the twin's pictures
@@ -309,15 +268,20 @@ def true_lens(folder: Path) -> tuple[Camera, dict[str, Array]]:
     return Camera(**lens), {name: np.array(pose) for name, pose in truth["cam_from_board"].items()}
 
 
-def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(twin: Path) -> None:
-    camera, poses = true_lens(twin)
-    assert camera.distortion == BENCH
+def corner_errors(folder: Path) -> list[tuple[BoardView, Array]]:
+    """Return the board in each picture of a twin, and by how much its corners miss where the true camera projects them."""
+    camera, poses = true_lens(folder)
     errors = []
     for name, pose in poses.items():
-        found = find_board(cv2.imread(str(twin / name), cv2.IMREAD_UNCHANGED), BOARD)
+        found = find_board(cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED), BOARD)
         assert isinstance(found, BoardView), name
-        errors.append(found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids])
-    wrong = np.concatenate(errors)
+        errors.append((found, found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids]))
+    return errors
+
+
+def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(twin: Path) -> None:
+    assert true_lens(twin)[0].distortion == BENCH
+    wrong = np.concatenate([error for _, error in corner_errors(twin)])
     assert len(wrong) > 100
     assert np.abs(wrong.mean(axis=0)).max() < 0.01
     assert np.sqrt(np.mean(wrong**2)) < 0.04
@@ -326,12 +290,9 @@ def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(
 def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
     blurred = replace(load_profile("clean"), aperture_mm=5.0, focus_error_mm=150.0)
     simulate_board(replace(SMALL, disturbances=blurred), BOARD, tmp_path / "pictures", pictures=3)
-    camera, poses = true_lens(tmp_path / "pictures")
-    for name, pose in poses.items():
-        found = find_board(cv2.imread(str(tmp_path / "pictures" / name), cv2.IMREAD_UNCHANGED), BOARD)
-        assert isinstance(found, BoardView), name
+    for found, error in corner_errors(tmp_path / "pictures"):
         assert found.blur_px > 0.4
-        assert np.abs(np.mean(found.corners_px - project(camera, pose, BOARD.corners_mm)[found.ids], axis=0)).max() < 0.02
+        assert np.abs(error.mean(axis=0)).max() < 0.02
 
 
 def test_picture_k_does_not_depend_on_the_others(twin: Path, tmp_path: Path) -> None:

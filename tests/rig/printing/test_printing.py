@@ -1,7 +1,7 @@
 """What is printed, drawn at 300 dpi and measured; and the size of the written pages."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -51,22 +51,26 @@ def found_markers(picture: NDArray[np.uint8]) -> dict[int, NDArray[np.float64]]:
 
 
 @pytest.fixture(scope="module")
-def strip_found() -> dict[int, NDArray[np.float64]]:
-    pages = strip_pages(SCENE, paper=Paper(), paper_mm=0.0)
-    assert len(pages) == 1
-    return found_markers(drawn(pages[0]))
+def strip_drawn() -> NDArray[np.uint8]:
+    (page,) = strip_pages(SCENE, paper=Paper(), paper_mm=0.0)
+    return drawn(page)
 
 
-def test_every_marker_is_read_and_stands_upright(strip_found: dict[int, NDArray[np.float64]]) -> None:
+@pytest.fixture(scope="module")
+def strip_found(strip_drawn: NDArray[np.uint8]) -> dict[int, NDArray[np.float64]]:
+    return found_markers(strip_drawn)
+
+
+@pytest.fixture(scope="module")
+def board_drawn() -> NDArray[np.uint8]:
+    return drawn(board_page(CharucoBoard(), paper=Paper()))
+
+
+def test_every_marker_stands_upright_and_ids_rise_to_the_right(strip_found: dict[int, NDArray[np.float64]]) -> None:
     assert sorted(strip_found) == list(range(62))
-    for corners in strip_found.values():
-        top_left, top_right, bottom_right, bottom_left = corners
+    for top_left, top_right, _, bottom_left in strip_found.values():
         assert top_left[0] < top_right[0]
-        assert bottom_left[0] < bottom_right[0]
         assert top_left[1] < bottom_left[1]
-
-
-def test_ids_rise_to_the_right_in_pieces_below_each_other(strip_found: dict[int, NDArray[np.float64]]) -> None:
     middles = {k: corners.mean(axis=0) for k, corners in strip_found.items()}
     reading = sorted(range(31), key=lambda k: (round(middles[k][1] / 20.0), middles[k][0]))
     assert reading == list(range(31))
@@ -98,23 +102,12 @@ def test_pieces_of_several_pages_hold_every_column_once() -> None:
     assert [min(found) for found in seen] == sorted(min(found) for found in seen)
 
 
-@dataclass(frozen=True)
-class Printer:
-    """A printer that makes so many mm of 100."""
-
-    name: str
-    across_mm: float
-    down_mm: float
-
-
-@pytest.mark.parametrize(
-    "printer", [Printer("true", 100.0, 100.0), Printer("small", 99.0, 98.5), Printer("large", 101.2, 100.3)], ids=lambda p: p.name
-)
-def test_the_ruler_and_the_square_come_out_right(printer: Printer) -> None:
-    paper = Paper(size_mm=PAGES_MM["a4"], printed_ruler_mm=(printer.across_mm, printer.down_mm))
+@pytest.mark.parametrize("came_out_mm", [(100.0, 100.0), (99.0, 98.5), (101.2, 100.3)], ids=["true", "small", "large"])
+def test_the_ruler_and_the_square_come_out_right(came_out_mm: tuple[float, float]) -> None:
+    """Of a printer that makes so many mm of 100, across and down."""
+    paper = Paper(size_mm=PAGES_MM["a4"], printed_ruler_mm=came_out_mm)
     page = strip_pages(SCENE, paper=paper)[0]
-    stretch = np.array(page.stretch_xy)
-    came_out = np.array([printer.across_mm, printer.down_mm]) / 100.0
+    stretch, came_out = np.array(page.stretch_xy), np.array(came_out_mm) / 100.0
     on_paper = drawn(page).astype(float)
     ticks = [part for part in page.parts if isinstance(part, Line) and part.to_mm[1] - part.from_mm[1] == 5.0]
     assert len(ticks) == 11
@@ -140,23 +133,17 @@ def test_ids_keep_away_from_markers_or_leave_the_strip() -> None:
     assert sorted(found_markers(drawn(strip_pages(tight, paper=Paper())[0]))) == list(range(62))
 
 
-def test_the_board_is_what_opencv_draws() -> None:
+def test_the_board_is_what_opencv_draws_and_is_never_taken_for_the_strip(
+    board_drawn: NDArray[np.uint8], strip_drawn: NDArray[np.uint8]
+) -> None:
     board = CharucoBoard()
-    page = board_page(board, paper=Paper())
-    picture = drawn(page)
-    corners, ids, _, markers = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(picture)
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(board_drawn)
     assert sorted(np.ravel(ids)) == list(range(24))
     assert sorted(np.ravel(markers)) == list(range(17))
     at_mm = (np.reshape(corners, (-1, 2)) + 0.5) / PX_PER_MM - 10.0
     np.testing.assert_allclose(at_mm, board.corners_mm[np.ravel(ids), :2], atol=0.05)
-
-
-def test_board_and_strip_are_never_taken_for_each_other() -> None:
-    for dictionary, page in (
-        (cv2.aruco.DICT_APRILTAG_36h11, board_page(CharucoBoard(), paper=Paper())),
-        (cv2.aruco.DICT_5X5_100, strip_pages(SCENE, paper=Paper())[0]),
-    ):
-        assert cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(dictionary)).detectMarkers(drawn(page))[1] is None
+    for dictionary, picture in ((cv2.aruco.DICT_APRILTAG_36h11, board_drawn), (cv2.aruco.DICT_5X5_100, strip_drawn)):
+        assert cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(dictionary)).detectMarkers(picture)[1] is None
 
 
 def test_pdf_pages_have_the_paper_s_size_and_ask_not_to_be_scaled(tmp_path: Path) -> None:
@@ -176,14 +163,14 @@ def test_svg_pages_are_numbered_and_have_the_paper_s_size(tmp_path: Path) -> Non
     paths = write_pages(strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0))), tmp_path / "strip.svg", title="strip")
     assert [path.name for path in paths] == [f"strip-{k + 1}.svg" for k in range(len(paths))]
     assert len(paths) > 1
-    single = write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "one.svg", title="strip")
-    assert [path.name for path in single] == ["one.svg"]
-    text = single[0].read_text(encoding="utf-8")
+    (one,), (again,) = (write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / name, title="strip") for name in ("one.svg", "again.svg"))
+    assert one.name == "one.svg"
+    assert one.read_bytes() == again.read_bytes()
+    text = one.read_text(encoding="utf-8")
     assert 'width="297mm" height="210mm"' in text
     box = re.search(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"', text)
     assert box
     assert float(box[1]) / float(box[2]) == pytest.approx(297.0 / 210.0, abs=1e-6)
-    assert write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / "again.svg", title="strip")[0].read_bytes() == single[0].read_bytes()
 
 
 def test_what_does_not_fit_is_refused_with_the_sizes(tmp_path: Path) -> None:

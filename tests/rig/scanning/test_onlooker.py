@@ -10,8 +10,8 @@ from rhizotwin.scenes.dataset import load_dataset
 from tests.rig.fake_devices import World, run
 
 
-class Heard(Onlooker):
-    """Keeps what it hears; holds as often as asked, and ends the scan before a picture."""
+class _Heard(Onlooker):
+    """Keeps what it hears; holds as often as it should, and ends the scan before a picture."""
 
     watches_motion = True
 
@@ -23,20 +23,16 @@ class Heard(Onlooker):
         self._holds, self._ends_before = holds, ends_before
 
     def on_plan(self, total: int, done: int) -> None:
-        """Keep it."""
         self.plan = (total, done)
 
     def on_look(self, look: Look) -> None:
-        """Keep it."""
         assert threading.current_thread() is not threading.main_thread()
         self.looks.append(look)
 
     def on_line(self, text: str) -> None:
-        """Keep it."""
         self.lines.append(text)
 
     def holds(self) -> bool:
-        """Hold, go on or end."""
         self.asked += 1
         if self._ends_before is not None and self.asked > self._ends_before:
             raise KeyboardInterrupt
@@ -45,7 +41,7 @@ class Heard(Onlooker):
 
 
 def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
-    world, heard = World(), Heard(holds=2)
+    world, heard = World(), _Heard(holds=2)
     made = run(world, tmp_path / "d", onlooker=heard)
     assert heard.plan == (len(made.frames), 0)
     assert [look.frame.file for look in heard.looks] == [frame.file for frame in made.frames]
@@ -62,11 +58,11 @@ def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
 def test_one_who_ends_the_scan_leaves_what_was_taken_and_it_is_taken_up(tmp_path: Path):
     world = World()
     with pytest.raises(KeyboardInterrupt):
-        run(world, tmp_path / "d", onlooker=Heard(ends_before=2))
+        run(world, tmp_path / "d", onlooker=_Heard(ends_before=2))
     kept = load_dataset(tmp_path / "d")
     assert len(kept.frames) == 2
     assert not kept.origin["complete"]
-    heard = Heard()
+    heard = _Heard()
     made = run(world, tmp_path / "d", resume=True, onlooker=heard)
     assert made.origin["complete"]
     assert heard.plan == (len(made.frames), 2)

@@ -15,7 +15,7 @@ from rhizotwin.rig.scanning import session
 from rhizotwin.rig.scanning.homing import facing_angle
 from rhizotwin.rig.scanning.markers import read_strip
 from rhizotwin.scenes import plan
-from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from tests.rig import fake_devices
@@ -23,6 +23,15 @@ from tests.rig.fake_devices import BLIND, SCENE, Trouble, World, angles, devices
 
 CALLS = 25
 """Calls of devices in a scan of `SCENE` without trouble."""
+
+
+def taken_up(world: World, folder: Path, **options: Any) -> Dataset:
+    """Take a scan up without further trouble, to the end of its plan."""
+    world.on_call = lambda _: None
+    made = run(world, folder, resume=True, **options)
+    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    assert made.origin["complete"]
+    return made
 
 
 @pytest.mark.parametrize("number", range(1, CALLS - 1))
@@ -37,27 +46,18 @@ def test_ctrl_c_at_any_call(number: int, tmp_path: Path) -> None:
         assert not before.origin["complete"]
         taken = {frame.file: frame for frame in before.frames}
         assert world.motor, "the angle must survive until the scan is taken up"
-    world.on_call = lambda _: None
-    made = run(world, tmp_path / "d", resume=True)
-    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
+    made = taken_up(world, tmp_path / "d")
     assert made == load_dataset(tmp_path / "d")
-    assert made.origin["complete"]
     for frame in made.frames:
         assert read_image(made, frame) is not None
-        if frame.file in taken:
-            assert frame == taken[frame.file], "a picture was taken twice"
+        assert frame == taken.get(frame.file, frame), "a picture was taken twice"
 
 
-@pytest.mark.parametrize("number", [CALLS - 1, CALLS])
-def test_ctrl_c_on_the_way_out_of_a_finished_scan(number: int, tmp_path: Path) -> None:
-    world = World(on_call=stop_at(number))
-    assert run(world, tmp_path / "d").origin["complete"]
-    assert (world.panel, world.front, world.motor) == (0.0, 0.0, False)
-
-
-def test_the_calls_above_reach_the_end_of_a_scan(tmp_path: Path) -> None:
-    world = World()
-    run(world, tmp_path / "d")
+def test_ctrl_c_on_the_way_out_of_a_finished_scan(tmp_path: Path) -> None:
+    for number in (CALLS - 1, CALLS, CALLS + 1):
+        world = World(on_call=stop_at(number))
+        assert run(world, tmp_path / str(number)).origin["complete"]
+        assert (world.panel, world.front, world.motor) == (0.0, 0.0, False)
     assert world.calls[-2:] == ["lights.off", "table.release"]
     assert len(world.calls) == CALLS
 
@@ -111,120 +111,102 @@ def test_table_that_was_reset_is_found_again(tmp_path: Path) -> None:
         world.reset_board()
 
     Trouble("", "table.move", 4, reset).arm(world)
-    made = run(world, tmp_path / "d")
-    assert [frame.placement for frame in made.frames] == [0, 0, 0, 1]
+    assert [frame.placement for frame in run(world, tmp_path / "d").frames] == [0, 0, 0, 1]
     offset = world.table_true_deg - world.counter_deg
     assert (offset - offsets[0] + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.1)
 
 
-STOPS = [
-    Trouble("camera dead", "camera.capture", 3, lambda world: keep_failing(world, "camera", RigError("camera: no picture"))),
-    Trouble("board dead", "table.move", 3, lambda world: keep_failing(world, "table", LostError("turntable: unplugged"))),
-    Trouble("lamps dead", "camera.capture", 3, lambda world: keep_dark(world)),
-]
+def test_error_of_the_way_out_does_not_hide_the_first(tmp_path: Path) -> None:
+    errors = {"table.move": UnsafeError("turntable: is on fire"), "lights.off": RigError("lights: no answer")}
+    said: list[str] = []
 
-
-def keep_failing(world: World, device: str, error: Exception) -> None:
     def on_call(name: str) -> None:
-        if name.startswith(device):
-            raise error
+        if name in errors:
+            raise errors[name]
 
-    world.on_call = on_call
-    raise error
+    with pytest.raises(UnsafeError, match="on fire"):
+        run(World(on_call=on_call), tmp_path / "d", said=said)
+    assert any("switch them off by hand" in line and "no answer" in line for line in said)
+
+
+def keep_failing(device: str, error: Exception) -> Callable[[World], None]:
+    def begin(world: World) -> None:
+        def on_call(name: str) -> None:
+            if name.startswith(device):
+                raise error
+
+        world.on_call = on_call
+        raise error
+
+    return begin
 
 
 def keep_dark(world: World) -> None:
-    def on_call(_: str) -> None:
-        world.panel = world.front = 0.0
-
-    world.on_call = on_call
-    on_call("")
+    world.on_call = lambda _: world.lamps_out()
+    world.lamps_out()
 
 
-@pytest.mark.parametrize("trouble", STOPS, ids=lambda trouble: trouble.name)
-def test_fault_that_stays_stops_the_scan_with_its_cause(trouble: Trouble, tmp_path: Path) -> None:
-    world, said = World(), []
+STOPS = {
+    "camera: no picture": Trouble("", "camera.capture", 3, keep_failing("camera", RigError("camera: no picture"))),
+    "turntable: unplugged.*did not come back": Trouble("", "table.move", 3, keep_failing("table", LostError("turntable: unplugged"))),
+    "lights: the panel is": Trouble("", "camera.capture", 3, keep_dark),
+}
+"""Faults that stay, by what is said of them."""
+
+
+@pytest.mark.parametrize(("named", "trouble"), STOPS.items(), ids=["camera", "board", "lamps"])
+def test_fault_that_stays_stops_the_scan_with_its_cause(named: str, trouble: Trouble, tmp_path: Path) -> None:
+    world = World()
     trouble.arm(world)
-    named = {
-        "camera dead": "camera: no picture",
-        "board dead": "turntable: unplugged.*did not come back",
-        "lamps dead": "lights: the panel is",
-    }
-    with pytest.raises(RigError, match=named[trouble.name]):
-        run(world, tmp_path / "d", said=said)
+    with pytest.raises(RigError, match=named):
+        run(world, tmp_path / "d")
     assert (world.panel, world.front) == (0.0, 0.0)
     kept = load_dataset(tmp_path / "d")
     assert 1 <= len(kept.frames) < 4
     assert kept.origin["log"][-1]["event"] == "stopped"
     assert world.now_s < 120.0
-    world.on_call = lambda _: None
     world.reset_board()
-    made = run(world, tmp_path / "d", resume=True)
-    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
-    assert made.frames[: len(kept.frames)] == kept.frames
+    assert taken_up(world, tmp_path / "d").frames[: len(kept.frames)] == kept.frames
 
 
-def test_error_of_the_way_out_does_not_hide_the_first(tmp_path: Path) -> None:
-    world, said = World(), []
-
-    def on_call(name: str) -> None:
-        if name == "table.move":
-            raise UnsafeError("turntable: is on fire")
-        if name == "lights.off":
-            raise RigError("lights: no answer")
-
-    world.on_call = on_call
-    with pytest.raises(UnsafeError, match="on fire"):
-        run(world, tmp_path / "d", said=said)
-    assert any("switch them off by hand" in line and "no answer" in line for line in said)
+def slip(deg: float) -> Trouble:
+    """Let the table slip before its third move."""
+    return Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + deg))
 
 
 def test_table_that_slips_is_noticed_by_the_markers(tmp_path: Path) -> None:
     world = World()
-    Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 7.2)).arm(world)
+    slip(7.2).arm(world)
     with pytest.raises(RigError, match=r"the markers of images/view_002\.png show \+7\.\d\d deg beside the commanded 180 deg"):
         run(world, tmp_path / "d")
     assert [frame.file for frame in load_dataset(tmp_path / "d").frames] == ["images/view_000.png", "images/view_001.png"]
-    made = run(world, tmp_path / "d", resume=True)
-    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
-    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
-
-
-def slip_and_stop(world: World) -> None:
-    """Let the table slip before its third move, and press Ctrl-C at its fourth."""
-    moves = [0]
-
-    def on_call(name: str) -> None:
-        if name == "table.move":
-            moves[0] += 1
-            if moves[0] == 3:
-                world.table_true_deg += 7.2
-            if moves[0] == 4:
-                raise KeyboardInterrupt
-
-    world.on_call = on_call
+    assert [frame.placement for frame in taken_up(world, tmp_path / "d").frames] == [0, 0, 1, 1]
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["stopped", "killed"])
 def test_table_that_slipped_before_the_scan_was_stopped(killed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The wrong picture is taken out on the way out, or else when the scan is taken up."""
-    world, said = World(), []
-    slip_and_stop(world)
+    world, said, moves = World(), list[str](), [0]
+
+    def slip_and_stop(name: str) -> None:
+        moves[0] += name == "table.move"
+        if name == "table.move" and moves[0] == 3:
+            world.table_true_deg += 7.2
+        if name == "table.move" and moves[0] == 4:
+            raise KeyboardInterrupt
+
+    world.on_call = slip_and_stop
     if killed:
         monkeypatch.setattr(scan_module._Scan, "_stopped", lambda *_: None)
     with pytest.raises(KeyboardInterrupt):
         run(world, tmp_path / "d")
     assert len(load_dataset(tmp_path / "d").frames) == (3 if killed else 2)
-    world.on_call = lambda _: None
-    made = run(world, tmp_path / "d", resume=True, said=said)
-    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
-    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+    assert [frame.placement for frame in taken_up(world, tmp_path / "d", said=said).frames] == [0, 0, 1, 1]
     assert any("it was turned" in line for line in said)
 
 
 def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world, written = World(), []
-    write = session.write_bytes
+    world, written, write = World(), list[Path](), session.write_bytes
 
     def full_later(path: Path, data: bytes) -> None:
         written.append(path)
@@ -236,9 +218,7 @@ def test_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(UserError, match=r"view_002\.png: the disk is full"):
         run(world, tmp_path / "d")
     monkeypatch.undo()
-    made = run(world, tmp_path / "d", resume=True)
-    assert angles(made) == [view.table_deg for view in plan.views(SCENE)]
-    assert [frame.placement for frame in made.frames] == [0, 0, 1, 1]
+    assert [frame.placement for frame in taken_up(world, tmp_path / "d").frames] == [0, 0, 1, 1]
 
 
 def noisy(monkeypatch: pytest.MonkeyPatch, *, shown_deg: Callable[[float], float] = lambda angle: angle) -> None:
@@ -254,9 +234,13 @@ def noisy(monkeypatch: pytest.MonkeyPatch, *, shown_deg: Callable[[float], float
     monkeypatch.setattr(fake_devices, "drawn", drawn)
 
 
-@pytest.mark.parametrize("scene", [SCENE, BLIND], ids=["markers", "no markers"])
-def test_camera_that_hangs_is_noticed_at_the_second_picture(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = World(scene=scene)
+BOTH_SCENES = pytest.mark.parametrize(("scene", "given_deg"), [(SCENE, None), (BLIND, 77.0)], ids=["markers", "no markers"])
+
+
+@BOTH_SCENES
+def test_camera_that_hangs_is_noticed_at_the_second_picture(
+    scene: Scene, given_deg: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     noisy(monkeypatch)
     drawn, kept = fake_devices.drawn, []
 
@@ -267,20 +251,19 @@ def test_camera_that_hangs_is_noticed_at_the_second_picture(scene: Scene, tmp_pa
 
     monkeypatch.setattr(fake_devices, "drawn", hanging)
     with pytest.raises(RigError, match="gave the same picture at 90 deg as at 0 deg, byte for byte"):
-        run(world, tmp_path / "d", table_angle_deg=77.0 if scene is BLIND else None)
+        run(World(scene=scene), tmp_path / "d", table_angle_deg=given_deg)
     assert [path.name for path in (tmp_path / "d" / "images").iterdir()] == ["view_000.png"]
 
 
-@pytest.mark.parametrize("scene", [SCENE, BLIND], ids=["markers", "no markers"])
+@BOTH_SCENES
 def test_table_that_only_says_that_it_turns_is_noticed_at_the_second_picture(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: Scene, given_deg: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = World(scene=scene)
+    world = World(scene=scene, table_true_deg=77.0)
     noisy(monkeypatch, shown_deg=lambda _: 77.0)
-    world.table_true_deg = 77.0
     named = "looks like the picture before" if scene is BLIND else r"view_00[01]\.png show [+-]\d+\.\d\d deg beside"
     with pytest.raises(RigError, match=named):
-        run(world, tmp_path / "d", table_angle_deg=77.0 if scene is BLIND else None)
+        run(world, tmp_path / "d", table_angle_deg=given_deg)
     assert sum(name == "camera.capture" for name in world.calls) <= 4
     if scene is BLIND:
         assert [path.name for path in (tmp_path / "d" / "images").iterdir()] == ["view_000.png"]
@@ -297,14 +280,14 @@ def test_what_no_marker_proves_is_said_at_the_end(tmp_path: Path, monkeypatch: p
 
 def test_four_lost_steps_of_a_geared_table_are_noticed(tmp_path: Path) -> None:
     """0.72 degrees of a table whose motor makes 0.18 degrees of it a step; half a degree of one that makes 1.8 is nothing."""
-    for step_deg, slips in ((0.18, True), (1.8, False)):
+
+    def scanned(step_deg: float) -> Dataset:
         world = World()
-        Trouble("", "table.move", 3, lambda world: setattr(world, "table_true_deg", world.table_true_deg + 0.72)).arm(world)
-        rig = RigFile(arm=None, turntable=TurntablePart(full_step_deg=step_deg))
-        made = replace(devices(world), rig=rig)
-        if slips:
-            with pytest.raises(RigError, match=r"view_002\.png show \+0\.[67]\d deg beside the commanded 180"):
-                scan_module.scan(made, SCENE, tmp_path / "slips")
-            assert len(load_dataset(tmp_path / "slips").frames) == 2
-        else:
-            assert scan_module.scan(made, SCENE, tmp_path / "not").origin["complete"]
+        slip(0.72).arm(world)
+        made = replace(devices(world), rig=RigFile(arm=None, turntable=TurntablePart(full_step_deg=step_deg)))
+        return scan_module.scan(made, SCENE, tmp_path / str(step_deg))
+
+    with pytest.raises(RigError, match=r"view_002\.png show \+0\.[67]\d deg beside the commanded 180"):
+        scanned(0.18)
+    assert len(load_dataset(tmp_path / "0.18").frames) == 2
+    assert scanned(1.8).origin["complete"]

@@ -7,6 +7,7 @@ import tty
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,27 +20,22 @@ from rhizotwin.rig.serial_line.recording import Recorder
 
 
 @dataclass
-class Terminal:
+class _Terminal:
     """The device's side of a pseudo-terminal, and the host's."""
 
     master: int
     port: Port
 
-    def unplug(self) -> None:
-        """Pull the cable."""
-        os.close(self.master)
-        self.master = -1
 
-
-def opened(url: str) -> Port:
-    return Port(url, baud=115200, clock=SystemClock(), device="turntable")
+def opened(url: str, recorder: Recorder | None = None) -> Port:
+    return Port(url, baud=115200, clock=SystemClock(), device="turntable", recorder=recorder)
 
 
 @pytest.fixture
-def terminal() -> Iterator[Terminal]:
+def terminal() -> Iterator[_Terminal]:
     master, slave = os.openpty()
     tty.setraw(slave)
-    there = Terminal(master, opened(os.ttyname(slave)))
+    there = _Terminal(master, opened(os.ttyname(slave)))
     os.close(slave)
     yield there
     there.port.close()
@@ -47,7 +43,7 @@ def terminal() -> Iterator[Terminal]:
         os.close(there.master)
 
 
-def test_all_bytes_pass_both_ways(terminal: Terminal) -> None:
+def test_all_bytes_pass_both_ways_and_a_read_does_not_wait_for_more(terminal: _Terminal) -> None:
     every = bytes(range(256))
     terminal.port.write(every)
     heard = b""
@@ -57,20 +53,14 @@ def test_all_bytes_pass_both_ways(terminal: Terminal) -> None:
     os.write(terminal.master, every)
     heard = b""
     while len(heard) < len(every):
-        heard += terminal.port.read(1.0)
+        heard += terminal.port.read(60.0)
     assert heard == every
-
-
-def test_a_read_returns_what_is_there_and_does_not_wait_for_more(terminal: Terminal) -> None:
-    assert terminal.port.read(0.0) == b""
-    assert terminal.port.read(0.003) == b""
-    os.write(terminal.master, b"ok")
-    assert terminal.port.read(60.0) == b"ok"
+    assert terminal.port.read(0.0) == terminal.port.read(0.003) == b""
 
 
 def test_input_is_discarded_and_recorded(serial_board: Any) -> None:
     """Not on a pseudo-terminal, where bytes take their time from one side to the other."""
-    notes = Notes()
+    notes = _Notes()
     port = Port("fake", baud=115200, clock=serial_board.clock, device="turntable", recorder=notes)
     serial_board.waiting = [(0.0, b"old"), (0.0, b"older"), (5.0, b"new")]
     port.discard_input()
@@ -78,73 +68,52 @@ def test_input_is_discarded_and_recorded(serial_board: Any) -> None:
     assert b"".join(data for _, _, data in notes.entries[1:]) == b"oldoldernew"
 
 
-def test_unplugged(terminal: Terminal) -> None:
-    terminal.unplug()
+def test_unplugged(terminal: _Terminal) -> None:
+    os.close(terminal.master)
+    terminal.master = -1
     for action in (lambda: terminal.port.read(1.0), lambda: terminal.port.read(0.0), lambda: terminal.port.write(b"x")):
         with pytest.raises(LostError, match=r"turntable on /dev/pts/\d+: unplugged"):
             action()
 
 
-def test_a_closed_port_is_lost_and_may_be_closed_again(terminal: Terminal) -> None:
+def test_a_port_in_use_is_refused_and_a_closed_one_lost(terminal: _Terminal) -> None:
+    with pytest.raises(RigError, match="used by another program"):
+        opened(terminal.port.url)
     terminal.port.close()
     terminal.port.close()
     with pytest.raises(LostError):
         terminal.port.read(0.0)
 
 
-def test_a_port_in_use_is_refused(terminal: Terminal) -> None:
-    with pytest.raises(RigError, match="used by another program"):
-        opened(terminal.port.url)
-
-
 def test_an_absent_port_is_refused_with_those_that_are_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    @dataclass
-    class There:
-        device: str
-
-    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda: [There("/dev/ttyUSB7"), There("/dev/ttyACM0")])
-    with pytest.raises(RigError, match=r"is not there \(serial ports that are: /dev/ttyACM0, /dev/ttyUSB7\)"):
-        opened(str(tmp_path / "ttyUSB0"))
-    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", list)
-    with pytest.raises(RigError, match="ports that are: none"):
-        opened(str(tmp_path / "ttyUSB0"))
+    there = [SimpleNamespace(device="/dev/ttyUSB7"), SimpleNamespace(device="/dev/ttyACM0")]
+    for ports, says in ((there, r"is not there \(serial ports that are: /dev/ttyACM0, /dev/ttyUSB7\)"), ([], "ports that are: none")):
+        monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda ports=ports: ports)
+        with pytest.raises(RigError, match=says):
+            opened(str(tmp_path / "ttyUSB0"))
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """What pyserial raises, and what the person reads."""
+REFUSALS = {
+    "forbidden": (serial.SerialException(errno.EACCES, "could not open port"), "dialout"),
+    "busy": (serial.SerialException(errno.EBUSY, "could not open port"), "used by another program"),
+    "baud": (ValueError("Invalid baud rate: 5"), "Invalid baud rate: 5"),
+    "other": (serial.SerialException("Could not configure port: (25, 'Inappropriate')"), "cannot be opened as a serial port"),
+}
 
-    name: str
-    error: Exception
-    says: str
 
+@pytest.mark.parametrize(("error", "says"), REFUSALS.values(), ids=REFUSALS)
+def test_a_port_that_cannot_be_opened(error: Exception, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RigError, match="protocol 'smoke' not known"):
+        opened("smoke://signals")
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        Refusal("forbidden", serial.SerialException(errno.EACCES, "could not open port"), "dialout"),
-        Refusal("busy", serial.SerialException(errno.EBUSY, "could not open port"), "used by another program"),
-        Refusal("baud", ValueError("Invalid baud rate: 5"), "Invalid baud rate: 5"),
-        Refusal("other", serial.SerialException("Could not configure port: (25, 'Inappropriate')"), "cannot be opened as a serial port"),
-    ],
-    ids=lambda case: case.name,
-)
-def test_a_port_that_cannot_be_opened(case: Refusal, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_args: object, **_settings: object) -> None:
-        raise case.error
+        raise error
 
     monkeypatch.setattr("serial.serial_for_url", refuse)
-    with pytest.raises(RigError, match=case.says) as caught:
+    with pytest.raises(RigError, match=says) as caught:
         opened("/dev/ttyUSB0")
     assert "turntable" in str(caught.value)
     assert "/dev/ttyUSB0" in str(caught.value)
-
-
-def test_no_serial_port_and_no_such_url() -> None:
-    with pytest.raises(RigError, match="cannot be opened as a serial port"):
-        opened("/dev/null")
-    with pytest.raises(RigError, match="protocol 'smoke' not known"):
-        opened("smoke://signals")
 
 
 def test_a_socket_is_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,33 +134,31 @@ def test_a_socket_is_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
         port.close()
 
 
-class Notes(Recorder):
+class _Notes(Recorder):
     """A recorder without a file."""
 
     def __init__(self) -> None:
         self.entries: list[tuple[Any, ...]] = []
 
     def record_open(self, _t_s: float, device: str, *, url: str, baud: int) -> None:
-        """Note it."""
         self.entries.append((device, url, baud))
 
     def record(self, _t_s: float, device: str, direction: str, data: bytes) -> None:
-        """Note it."""
         self.entries.append((device, direction, data))
 
 
-class Slow:
-    """A serial port on which nothing comes; counts what is asked of it."""
+class _Slow:
+    """A serial port on which nothing comes and which takes nothing; counts how often its time-out is set."""
+
+    in_waiting = 0
 
     def __init__(self) -> None:
         self.waited: list[float] = []
         self.changes = 0
-        self.in_waiting = 0
         self._timeout = 0.0
 
     @property
     def timeout(self) -> float:
-        """The time-out that is set."""
         return self._timeout
 
     @timeout.setter
@@ -200,33 +167,31 @@ class Slow:
         self.changes += 1
 
     def read(self, _size: int) -> bytes:
-        """Wait in vain."""
         self.waited.append(self._timeout)
         return b""
 
     def write(self, _data: bytes) -> int:
-        """Take nothing."""
         raise serial.SerialTimeoutException("Write timeout")
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 @pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> Slow:
-    there = Slow()
+def slow(monkeypatch: pytest.MonkeyPatch) -> _Slow:
+    there = _Slow()
     monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: there)
     return there
 
 
-@pytest.mark.parametrize("timeout_s", [0.001, 0.02, 0.25, 1.0, 9.97, 3600.0])
-def test_time_outs_last_as_long_as_asked(slow: Slow, timeout_s: float) -> None:
-    assert opened("fake").read(timeout_s) == b""
-    assert timeout_s <= sum(slow.waited) + 1e-9
-    assert sum(slow.waited) <= timeout_s + 2.0**-10
+def test_time_outs_last_as_long_as_they_should(slow: _Slow) -> None:
+    port = opened("fake")
+    for timeout_s in (0.001, 0.02, 0.25, 1.0, 9.97, 3600.0):
+        slow.waited.clear()
+        assert port.read(timeout_s) == b""
+        assert timeout_s - 1e-9 <= sum(slow.waited) <= timeout_s + 2.0**-10
+    with pytest.raises(NoAnswerError, match="took no bytes"):
+        port.write(b"x")
 
 
-def test_time_outs_are_seldom_set(slow: Slow) -> None:
+def test_time_outs_are_seldom_set(slow: _Slow) -> None:
     """Reads that end early, as most do, with less and less time left to a deadline."""
     port = opened("fake")
     slow.read = lambda _size: b"x"
@@ -235,33 +200,23 @@ def test_time_outs_are_seldom_set(slow: Slow) -> None:
     assert slow.changes == 1
 
 
-@pytest.mark.usefixtures("slow")
-def test_a_device_that_takes_nothing() -> None:
-    with pytest.raises(NoAnswerError, match="took no bytes"):
-        opened("fake").write(b"x")
-
-
-def test_every_byte_is_recorded() -> None:
-    notes = Notes()
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    url = os.ttyname(slave)
-    port = Port(url, baud=9600, clock=SystemClock(), device="arm", recorder=notes)
+def test_every_byte_is_recorded(terminal: _Terminal) -> None:
+    notes, url = _Notes(), terminal.port.url
+    terminal.port.close()
+    port = opened(url, notes)
     port.write(b"ask")
-    os.write(master, b"\xff")
+    os.write(terminal.master, b"\xff")
     port.read(1.0)
     port.read(0.0)
-    assert notes.entries == [("arm", url, 9600), ("arm", ">", b"ask"), ("arm", "<", b"\xff")]
+    assert notes.entries == [("turntable", url, 115200), ("turntable", ">", b"ask"), ("turntable", "<", b"\xff")]
     port.close()
-    os.close(master)
-    os.close(slave)
 
 
 def test_a_socket_is_held_against_other_programs_of_this_computer() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
-        first = Port(url, baud=9600, clock=SystemClock(), device="arm")
+        first = opened(url)
         with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* works in it"):
-            Port(url, baud=9600, clock=SystemClock(), device="turntable")
+            opened(url)
         first.close()
-        Port(url, baud=9600, clock=SystemClock(), device="arm").close()
+        opened(url).close()

@@ -71,10 +71,6 @@ class Script:
         """Refuse: what is dropped must have been read."""
         raise AssertionError("the link reads what it drops")
 
-    def close(self) -> None:
-        """Note it."""
-        self.steps.append(("closed", ()))
-
 
 @dataclass
 class Talk:

@@ -13,16 +13,17 @@ PART = LightsPart(panel_strip=1, front_strip=0, panel_rgb=(255, 250, 240), front
 OFF = {"R": 0, "U": 0, "B": 0, "P": 0}
 
 
-def on(board: Any) -> MarlinLights:
+@pytest.fixture
+def lights(board: Any) -> MarlinLights:
+    """Return lamps whose link was started."""
     link = MarlinLink(board)
     link.start()
     return MarlinLights(link, PART, board.clock)
 
 
-def test_the_bytes_of_both_lamps(board: Any) -> None:
+def test_the_bytes_of_both_lamps(board: Any, lights: MarlinLights) -> None:
     """Green is U; M400 comes before, so that no step is disturbed; a level scales the brightness, not the colour."""
-    lights = on(board)
-    before = len(board.sent)
+    before, begin_s = len(board.sent), board.clock.now_s()
     lights.set(panel=1.0, front=0.5)
     assert [data.split(b" ", 1)[1].split(b"*")[0] for data in board.sent[before:]] == [
         b"M400",
@@ -30,55 +31,34 @@ def test_the_bytes_of_both_lamps(board: Any) -> None:
         b"M150 S0 R10 U20 B30 P128",
         b"M114",
     ]
-
-
-def test_a_change_is_waited_for(board: Any) -> None:
-    lights = on(board)
-    begin_s = board.clock.now_s()
+    assert board.clock.now_s() - begin_s >= PART.settle_s
     lights.set(panel=0.2, front=0.0)
-    assert board.clock.now_s() - begin_s >= 0.5
     assert board.strips == {1: {"R": 255, "U": 250, "B": 240, "P": 51}, 0: OFF}
-
-
-def test_the_same_again_is_sent_again(board: Any) -> None:
-    """The lamps cannot be read back: whoever saw them fail sets them once more."""
-    lights = on(board)
-    lights.set(panel=1.0, front=1.0)
     board.strips[1] = {}
-    lights.set(panel=1.0, front=1.0)
-    assert board.strips[1]["P"] == 255
-
-
-def test_off(board: Any) -> None:
-    lights = on(board)
-    lights.set(panel=1.0, front=1.0)
+    lights.set(panel=0.2, front=0.0)  # they cannot be read back: whoever saw them fail sets them once more
+    assert board.strips[1]["P"] == 51
     lights.off()
     assert board.strips == {0: OFF, 1: OFF}
 
 
-@pytest.mark.parametrize("level", [-0.1, 1.1, float("nan")])
-def test_levels_beyond_the_limits_are_refused(level: float, board: Any) -> None:
-    lights = on(board)
-    with pytest.raises(ValueError, match="expected 0 to 1"):
-        lights.set(panel=level, front=0.0)
-    with pytest.raises(ValueError, match="front"):
-        lights.set(panel=0.0, front=level)
+def test_levels_beyond_the_limits_are_refused(lights: MarlinLights) -> None:
+    for level in (-0.1, 1.1, float("nan")):
+        with pytest.raises(ValueError, match="expected 0 to 1"):
+            lights.set(panel=level, front=0.0)
+        with pytest.raises(ValueError, match="front"):
+            lights.set(panel=0.0, front=level)
 
 
-def test_the_link_is_started_when_it_was_not(board: Any) -> None:
-    lights = MarlinLights(MarlinLink(board), PART, board.clock)
-    lights.set(panel=1.0, front=0.0)
+def test_the_link_is_started_when_it_was_not(board: Any, make_board: Any) -> None:
+    MarlinLights(MarlinLink(board), PART, board.clock).set(panel=1.0, front=0.0)
     assert board.strips[1]["P"] == 255
-
-
-def test_off_without_anything_before(board: Any) -> None:
-    MarlinLights(MarlinLink(board), PART, board.clock).off()
-    assert board.strips == {0: OFF, 1: OFF}
+    other = make_board()
+    MarlinLights(MarlinLink(other), PART, other.clock).off()
+    assert other.strips == {0: OFF, 1: OFF}
 
 
 @pytest.mark.parametrize("at", range(4))
-def test_off_survives_a_reset(at: int, board: Any) -> None:
-    lights = on(board)
+def test_off_survives_a_reset(at: int, board: Any, lights: MarlinLights) -> None:
     lights.set(panel=1.0, front=1.0)
     board.resets = {len(board.sent) + at: "start\n Brown out Reset\nMarlin 2.1.2.5\n"}
     lights.off()
@@ -86,8 +66,7 @@ def test_off_survives_a_reset(at: int, board: Any) -> None:
     assert board.done.count("M110 N0") == 2
 
 
-def test_off_after_no_answer(board: Any) -> None:
-    lights = on(board)
+def test_off_after_no_answer(board: Any, lights: MarlinLights) -> None:
     first = len(board.sent)
     board.request_faults = dict.fromkeys(range(first + 1, first + 7), lambda _data: [(0.0, b"")])
     with pytest.raises(NoAnswerError):
@@ -96,8 +75,7 @@ def test_off_after_no_answer(board: Any) -> None:
     assert board.strips == {0: OFF, 1: OFF}
 
 
-def test_off_reaches_a_board_that_is_not_heard(board: Any) -> None:
-    lights = on(board)
+def test_off_reaches_a_board_that_is_not_heard(board: Any, lights: MarlinLights) -> None:
     lights.set(panel=1.0, front=1.0)
 
     def deaf(timeout_s: float) -> bytes:
@@ -110,9 +88,8 @@ def test_off_reaches_a_board_that_is_not_heard(board: Any) -> None:
     assert board.strips == {0: OFF, 1: OFF}
 
 
-def test_off_when_stopped_by_ctrl_c_in_a_move(board: Any) -> None:
+def test_off_when_stopped_by_ctrl_c_in_a_move(board: Any, lights: MarlinLights) -> None:
     """The answers to the move that was broken off are not taken for those of the lamps."""
-    lights = on(board)
     link = lights._link
     link.command("G1 X90 F1800")
     read = board.read
@@ -131,9 +108,7 @@ def test_off_when_stopped_by_ctrl_c_in_a_move(board: Any) -> None:
     assert board.at_rest
 
 
-def test_off_on_an_unplugged_board_says_so(board: Any) -> None:
-    lights = on(board)
-
+def test_off_on_an_unplugged_board_says_so(board: Any, lights: MarlinLights) -> None:
     def gone(_data: bytes) -> None:
         raise LostError("turntable on fake: unplugged")
 
@@ -142,31 +117,20 @@ def test_off_on_an_unplugged_board_says_so(board: Any) -> None:
         lights.off()
 
 
-def test_set_does_not_hide_a_reset(board: Any) -> None:
-    lights = on(board)
+def test_set_hides_neither_a_reset_nor_a_firmware_without_lamps(board: Any, lights: MarlinLights) -> None:
+    board.unknown = ("M150",)
+    with pytest.raises(RigError, match='does not know "M150 S1 R255 U250 B240 P255"; build Marlin'):
+        lights.set(panel=1.0, front=1.0)
     board.resets = {len(board.sent): ""}
     with pytest.raises(LostError, match="was reset"):
         lights.set(panel=1.0, front=1.0)
 
 
-def test_a_firmware_without_lamps_is_told(make_board: Any) -> None:
-    lights = on(make_board(unknown=("M150",)))
-    with pytest.raises(RigError, match='does not know "M150 S1 R255 U250 B240 P255"; build Marlin'):
-        lights.set(panel=1.0, front=1.0)
-
-
-def test_lamps_are_only_taken_for_set_when_they_are(board: Any) -> None:
+def test_lamps_are_only_taken_for_set_when_they_are(board: Any, lights: MarlinLights) -> None:
     """A doubled ``ok`` passes for that of M150, whose own line was damaged on its way."""
-    lights = on(board)
     board.reply_faults = {board.printed: lambda data: [(0.0, data), (0.0005, data)]}
-    first = len(board.sent)
-    board.request_faults = {first + 1: lambda data: [(0.0, data.replace(b"R255", b"R254"))]}
+    board.request_faults = {len(board.sent) + 1: lambda data: [(0.0, data.replace(b"R255", b"R254"))]}
     lights.set(panel=1.0, front=0.0)
     assert board.strips[1] == {"R": 255, "U": 250, "B": 240, "P": 255}
-
-
-def test_close_closes_the_port(board: Any) -> None:
-    lights = on(board)
     lights.close()
-    lights.close()
-    assert board.closed == 2  # closing twice does nothing on a real port
+    assert board.closed == 1

@@ -1,12 +1,12 @@
 """The fault menu: each does what it says, at the message or moment it says."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rhizotwin.rig.twin.adapter import Reply
-from rhizotwin.rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, kind_of, parse_fault
+from rhizotwin.rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, parse_fault
 from rhizotwin.rig.twin.line import COMPLETED, Line, corrupted
 from rhizotwin.scenes.errors import UserError
 
@@ -63,77 +63,58 @@ def table(kind: str, **changes: object) -> Fault:
 def test_bytes_take_their_time_both_ways() -> None:
     talk = _Talk()
     talk.line.write(b"123456789\n", 0.0)
-    assert talk.listen(0.0099) == b""
-    assert talk.parrot.heard == []
-    assert talk.listen(0.0002) == b""
-    assert talk.parrot.heard == [b"123456789\n"]
-    assert talk.listen(0.0098) == b""
+    for wait_s, heard, answer in ((0.0099, [], b""), (0.0002, [b"123456789\n"], b""), (0.0098, [b"123456789\n"], b"")):
+        assert talk.listen(wait_s) == answer
+        assert talk.parrot.heard == heard
     assert talk.listen(0.0102) == b"123456789\nok\n"
 
 
-@dataclass(frozen=True)
-class _Case:
-    fault: Fault
-    first: bytes
-    second: bytes = b"B\nok\n"
-
-
 CASES = [
-    _Case(table("reply_dropped"), b"ok\n"),
-    _Case(table("reply_dropped", count=2), b""),
-    _Case(table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
-    _Case(table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
-    _Case(table("reply_doubled"), b"A\nA\nok\n"),
-    _Case(table("reply_truncated", at_message=2, amount=0.4), b"A\no"),
-    _Case(table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n"),
-    _Case(table("request_dropped"), b""),
-    _Case(table("ok_missing"), b"A\n"),
-    _Case(table("ok_missing", count=2), b"A\n", b"B\n"),
-    _Case(table("reply_corrupted", amount=0.0), b"@\nok\n"),
-    _Case(table("request_corrupted", amount=0.0), b"@\nok\n"),
-    _Case(table("ok_missing_after_resend", amount=0.0), b"@\n"),
+    (table("reply_dropped"), b"ok\n", b"B\nok\n"),
+    (table("reply_dropped", count=2), b"", b"B\nok\n"),
+    (table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
+    (table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
+    (table("reply_doubled"), b"A\nA\nok\n", b"B\nok\n"),
+    (table("reply_truncated", at_message=2, amount=0.4), b"A\no", b"B\nok\n"),
+    (table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n", b"B\nok\n"),
+    (table("request_dropped"), b"", b"B\nok\n"),
+    (table("ok_missing"), b"A\n", b"B\nok\n"),
+    (table("ok_missing", count=2), b"A\n", b"B\n"),
+    (table("reply_corrupted", amount=0.0), b"@\nok\n", b"B\nok\n"),
+    (table("request_corrupted", amount=0.0), b"@\nok\n", b"B\nok\n"),
+    (table("ok_missing_after_resend", amount=0.0), b"@\n", b"B\nok\n"),
 ]
+"""Faults, and what is heard after each of two requests."""
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.fault.kind} x{case.fault.count} {case.fault.at_message} {case.fault.at_s}")
-def test_what_goes_wrong_on_the_wire(case: _Case) -> None:
-    talk = _Talk(case.fault)
-    assert talk.ask(b"A\n") == case.first
-    assert talk.ask(b"B\n") == case.second
-    assert talk.ask(b"C\n") == b"C\nok\n"
+@pytest.mark.parametrize(("fault", "first", "second"), CASES, ids=[f"{case[0].kind} {case[0].count}" for case in CASES])
+def test_what_goes_wrong_on_the_wire(fault: Fault, first: bytes, second: bytes) -> None:
+    talk = _Talk(fault)
+    assert [talk.ask(b"A\n"), talk.ask(b"B\n"), talk.ask(b"C\n")] == [first, second, b"C\nok\n"]
 
 
-def test_a_late_reply_comes_late() -> None:
+def test_a_late_reply_comes_late_and_busy_lines_before_it() -> None:
     talk = _Talk(table("reply_late", amount=3.0))
     assert talk.ask(b"A\n", wait_s=2.9) == b""
     assert talk.listen(0.2) == b"A\nok\n"
-
-
-def test_busy_lines_come_before_the_reply() -> None:
     talk = _Talk(table("busy", amount=5.0))
     assert talk.ask(b"A\n", wait_s=4.5) == b"echo:busy: processing\n" * 2
     assert talk.listen(4.0) == b"echo:busy: processing\nA\nok\n"
 
 
-def test_an_echo_comes_before_the_answer() -> None:
-    talk = _Talk(Fault(kind="echo", device="arm", count=2))
-    talk.line.device = "arm"
-    assert [talk.ask(b"A\n") for _ in range(3)] == [b"A\nA\nok\n", b"A\nA\nok\n", b"A\nok\n"]
-
-
-def test_an_unasked_frame_comes_before_the_answer() -> None:
-    talk = _Talk(Fault(kind="unasked", device="arm"))
-    talk.line.device = "arm"
-    assert talk.ask(b"A\n") == COMPLETED + b"A\nok\n"
+def test_an_echo_and_an_unasked_frame_come_before_the_answer() -> None:
+    for kind, before in (("echo", b"A\n"), ("unasked", COMPLETED)):
+        talk = _Talk(Fault(kind=kind, device="arm"))
+        talk.line.device = "arm"
+        assert [talk.ask(b"A\n"), talk.ask(b"B\n")] == [before + b"A\nok\n", b"B\nok\n"]
     assert bytes.fromhex("55 55 05 08 01 01 00") == COMPLETED
 
 
 def test_a_device_breaks_at_its_message() -> None:
     talk = _Talk(table("reset", at_message=3))
-    talk.ask(b"A\n")
-    assert talk.broken == []
-    talk.ask(b"B\n")
-    assert talk.broken == ["reset"]
+    for data, broken in ((b"A\n", []), (b"B\n", ["reset"])):
+        talk.ask(data)
+        assert talk.broken == broken
 
 
 def test_unplugged_nothing_passes() -> None:
@@ -146,12 +127,11 @@ def test_unplugged_nothing_passes() -> None:
     assert talk.line.plugs == 1
 
 
-@pytest.mark.parametrize("amount", [0.0, 0.31, 0.5, 0.99, 1.0])
-def test_one_bit_is_turned(amount: float) -> None:
+def test_one_bit_is_turned() -> None:
     data = bytes(range(1, 12))
-    changed = corrupted(data, amount)
-    assert sum((a ^ b).bit_count() for a, b in zip(data, changed, strict=True)) == 1
-    assert corrupted(b"", amount) == b""
+    for amount in (0.0, 0.31, 0.5, 0.99, 1.0):
+        assert sum((a ^ b).bit_count() for a, b in zip(data, corrupted(data, amount), strict=True)) == 1
+        assert corrupted(b"", amount) == b""
 
 
 def test_every_kind_is_drawn_within_its_menu() -> None:
@@ -168,10 +148,6 @@ def test_every_kind_is_drawn_within_its_menu() -> None:
             assert fault.at_s is None or 0.0 <= fault.at_s <= 60.0
 
 
-def test_the_same_generator_draws_the_same_faults() -> None:
-    assert draw_faults(np.random.default_rng(5), ("reset", "garbage")) == draw_faults(np.random.default_rng(5), ("reset", "garbage"))
-
-
 def test_faults_are_read_from_words() -> None:
     assert parse_fault("reset") == Fault(kind="reset", device="table", amount=0.1)
     assert parse_fault("reply_late arm amount=3 at_s=20 count=2") == Fault(kind="reply_late", device="arm", at_s=20.0, amount=3.0, count=2)
@@ -179,15 +155,9 @@ def test_faults_are_read_from_words() -> None:
     assert parse_fault(f"reply_dropped count={FOR_GOOD}").count == FOR_GOOD
 
 
-@pytest.mark.parametrize(("text", "named"), [("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')])
-def test_words_that_are_no_fault_are_refused(text: str, named: str) -> None:
-    with pytest.raises(UserError, match=named):
-        parse_fault(text)
-
-
-def test_kinds_are_told_apart() -> None:
-    assert len(set(KIND_NAMES)) == len(MENU)
-    with pytest.raises(UserError, match="there is no fault"):
-        kind_of("fire")
+def test_words_that_are_no_fault_are_refused() -> None:
+    for text, named in (("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')):
+        with pytest.raises(UserError, match=named):
+            parse_fault(text)
     with pytest.raises(UserError, match="there is no fault"):
         Pending((table("fire"),))

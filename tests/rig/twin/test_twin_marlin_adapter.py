@@ -1,6 +1,7 @@
 """Marlin's line protocol as the twin speaks it: lines, checksums and answers as in Marlin's own sources."""
 
-from dataclasses import dataclass
+import operator
+from functools import reduce
 
 import pytest
 from hypothesis import given
@@ -44,112 +45,65 @@ def _lines(replies: list) -> list[str]:
 
 def test_the_wire_examples_are_accepted() -> None:
     board = _Board()
-    for line in ("N0 M110 N0*125", "N1 M115*39", "N2 G91*19", "N3 G1 X3.6 F1800*23"):
-        assert board.send(line)[-1] == "ok", line
+    said = [line for byte in b"N0 M110 N0*125\nN1 M115*39\n" for line in board.send(bytes([byte]))]
+    assert said[0] == said[-1] == "ok"
+    assert said[1].startswith("FIRMWARE_NAME:Marlin 2.1")
+    assert "Cap:EMERGENCY_PARSER:1" in said
+    for line in ("N2 G91*19", "N3 G1 X3.6 F1800*23"):
+        assert board.send(line) == ["ok"], line
     assert board.send("N4 M400*35") == []
     assert board.wait(0.5) == ["ok"]
     assert board.send("N5 M114*34") == ["X:3.60 Y:0.00 Z:0.00 E:0.00 Count X:64 Y:0 Z:0", "ok"]
     for line in ("N6 M150 S0 R255 U255 B255 P255*119", "N7 M150 S1 I0 R255*123", "N8 M18 S0*81"):
         assert board.send(line) == ["ok"], line
-    assert board.lamps[0].level == pytest.approx(1.0)
-    assert board.lamps[1].level == pytest.approx(1.0 / 90.0)
+    assert [lamp.level for lamp in board.lamps] == pytest.approx([1.0, 1.0 / 90.0])
 
 
-def test_the_firmware_tells_what_it_is() -> None:
-    lines = _Board().send("M115")
-    assert lines[0].startswith("FIRMWARE_NAME:Marlin 2.1")
-    assert "Cap:EMERGENCY_PARSER:1" in lines
-    assert lines[-1] == "ok"
+BAD = {
+    "N3 M114*36": "Error:Line Number is not Last Line Number+1, Last Line: 0",
+    "N1 M115*40": "Error:checksum mismatch, Last Line: 0",
+    "N1 M115": "Error:No Checksum with line number, Last Line: 0",
+}
 
 
-def test_a_byte_at_a_time_is_the_same() -> None:
-    board = _Board()
-    said = [line for byte in b"N0 M110 N0*125\nN1 M115*39\n" for line in board.send(bytes([byte]))]
-    assert said[0] == "ok"
-    assert said[-1] == "ok"
-    assert len(said) > 3
-
-
-@dataclass(frozen=True)
-class _Bad:
-    name: str
-    line: str
-    error: str
-
-
-BAD = [
-    _Bad("wrong number", "N3 M114*36", "Error:Line Number is not Last Line Number+1, Last Line: 0"),
-    _Bad("wrong checksum", "N1 M115*40", "Error:checksum mismatch, Last Line: 0"),
-    _Bad("no checksum", "N1 M115", "Error:No Checksum with line number, Last Line: 0"),
-]
-
-
-@pytest.mark.parametrize("case", BAD, ids=lambda case: case.name)
-def test_a_bad_line_is_asked_for_again(case: _Bad) -> None:
-    board = _Board()
-    assert board.send(case.line) == [case.error, "Resend: 1", "ok"]
-    assert _Board(ok_after_resend=False).send(case.line) == [case.error, "Resend: 1"]
-    assert board.send("N1 M115*39")[-1] == "ok"
-
-
-def test_a_line_sent_twice_is_refused_the_second_time() -> None:
-    board = _Board()
-    assert board.send("N1 M115*39")[-1] == "ok"
-    assert board.send("N1 M115*39") == ["Error:Line Number is not Last Line Number+1, Last Line: 1", "Resend: 2", "ok"]
+def test_a_bad_line_and_one_sent_twice_are_requested_again() -> None:
+    for line, error in BAD.items():
+        board = _Board()
+        assert board.send(line) == [error, "Resend: 1", "ok"]
+        assert _Board(ok_after_resend=False).send(line) == [error, "Resend: 1"]
+        assert board.send("N1 M115*39")[-1] == "ok"
+        assert board.send("N1 M115*39") == ["Error:Line Number is not Last Line Number+1, Last Line: 1", "Resend: 2", "ok"]
 
 
 def test_the_last_number_in_an_m110_wins() -> None:
     board = _Board()
-    line = "N7 M110 N41"
-    assert board.send(f"{line}*{_xor(line)}") == ["ok"]
-    line = "N42 M114"
-    assert board.send(f"{line}*{_xor(line)}")[-1] == "ok"
-    assert board.send("M110 N5") == ["ok"]
-    line = "N6 M114"
-    assert board.send(f"{line}*{_xor(line)}")[-1] == "ok"
+    for line in ("N7 M110 N41", "N42 M114", "M110 N5", "N6 M114"):
+        checksum = reduce(operator.xor, line.encode())
+        assert board.send(f"{line}*{checksum}" if line.startswith("N") else line)[-1] == "ok"
 
 
-def test_comments_and_empty_lines_have_no_ok() -> None:
+def test_comments_unchecked_lines_and_unknown_commands() -> None:
     board = _Board()
-    assert board.send("") == []
-    assert board.send("   ; only a comment") == []
+    assert board.send("") == board.send("   ; only a comment") == []
     assert board.send("M17 ; energise") == ["ok"]
     assert board.table.energised
-
-
-def test_lines_without_a_number_are_not_checked() -> None:
-    assert _Board().send("M114*7")[-1] == "ok"
-
-
-def test_unknown_commands_are_echoed_and_accepted() -> None:
-    assert _Board().send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
+    assert board.send("M114*7")[-1] == "ok"
+    assert board.send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
 
 
 def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
     board = _Board()
     assert board.send("G1 X90 F1200") == ["ok"]
     assert board.send("M114") == ["X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0", "ok"]
-    assert board.send("M400") == []
-    assert board.send("M114") == []  # waits behind
+    assert board.send("M400") == board.send("M114") == []  # waits behind
     assert board.wait(4.8) == ["echo:busy: processing"] * 2
     assert board.wait(0.1) == ["ok", "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0", "ok"]
     assert board.table.true_deg == pytest.approx(90.0)
-
-
-def test_the_busy_interval_can_be_set() -> None:
-    board = _Board()
-    assert board.send("M113") == ["echo:M113 S2", "ok"]
-    board.send("M113 S1")
-    board.send("G1 X90 F1200")
-    board.send("M400")
+    assert [board.send(line) for line in ("M113", "M113 S1", "G1 X0 F1200", "M400")] == [["echo:M113 S2", "ok"], ["ok"], ["ok"], []]
     assert board.wait(4.4) == ["echo:busy: processing"] * 4
-
-
-def test_a_full_queue_holds_the_ok_back() -> None:
     board = _Board()
     answers = [board.send(f"G1 X{(k % 2) * 10} F600") for k in range(1, 20)]
-    assert answers[:16] == [["ok"]] * 16
-    assert answers[-1] == []
+    assert (answers[:16], answers[-1]) == ([["ok"]] * 16, [])  # a full queue
 
 
 def test_positions_absolute_relative_and_declared() -> None:
@@ -163,44 +117,34 @@ def test_positions_absolute_relative_and_declared() -> None:
     assert board.send("M114")[0].startswith("X:0.00 ")
 
 
-@pytest.mark.parametrize(
-    ("line", "levels"),
-    [
+def test_m150_lights_forgets_colours_but_keeps_the_brightness() -> None:
+    for line, levels in (
         ("M150 S0 R255 U255 B255", (1.0, 0.0)),
         ("M150 S1 R U B", (0.0, 1.0)),
         ("M150 R255 P51", (1.0 / 15.0, 1.0 / 15.0)),
         ("M150 S1 U51", (0.0, 1.0 / 15.0)),
         ("M150 S0 R999 U255 B255", (1.0, 0.0)),
-    ],
-)
-def test_m150_lights(line: str, levels: tuple[float, float]) -> None:
-    board = _Board()
-    assert board.send(line) == ["ok"]
-    assert [lamp.level for lamp in board.lamps] == pytest.approx(levels)
-
-
-def test_m150_forgets_colours_but_keeps_the_brightness() -> None:
-    board = _Board()
-    board.send("M150 S0 R255 P102")
-    board.send("M150 S0 U255")
-    assert board.lamps[0].level == pytest.approx(0.4 / 3.0)
-    board.send("M150 S0 B255 K")
-    assert board.lamps[0].level == pytest.approx(0.8 / 3.0)
+    ):
+        board = _Board()
+        assert board.send(line) == ["ok"]
+        assert [lamp.level for lamp in board.lamps] == pytest.approx(levels)
+    for line, level in (("M150 S0 R255 P102", 0.4 / 3.0), ("M150 S0 U255", 0.4 / 3.0), ("M150 S0 B255 K", 0.8 / 3.0)):
+        board.send(line)
+        assert board.lamps[0].level == pytest.approx(level)
 
 
 def test_an_idle_motor_is_released_unless_it_was_forbidden() -> None:
     board = _Board()
-    board.send("M17")
-    board.wait(119.0)
-    assert board.table.energised
-    board.wait(2.0)
-    assert not board.table.energised
-    board.send("M17")
-    board.send("M18 S0")
-    board.wait(100_000.0)
-    assert board.table.energised
-    board.send("M84")
-    assert not board.table.energised
+    for lines, seconds, energised in (
+        (["M17"], 119.0, True),
+        ([], 2.0, False),
+        (["M17", "M18 S0"], 100_000.0, True),
+        (["M84"], 0.0, False),
+    ):
+        for line in lines:
+            board.send(line)
+        board.wait(seconds)
+        assert board.table.energised == energised
 
 
 def test_m410_stops_at_once_even_behind_m400() -> None:
@@ -214,20 +158,14 @@ def test_m410_stops_at_once_even_behind_m400() -> None:
     assert f"X:{board.table.true_deg:.2f} " in board.send("M114")[0]
 
 
-def test_m112_kills_until_a_reset() -> None:
+def test_a_killed_firmware_is_silent_until_a_reset_and_a_stopped_one_refuses_moves_until_m999() -> None:
     board = _Board()
     board.send("M17")
     assert board.send("N1 M112*32") == ["echo:M112 Shutdown", "Error:Printer halted. kill() called!"]
     assert not board.table.energised
-    assert board.send("M114") == []
-    assert board.wait(1000.0) == []
+    assert board.send("M114") == board.wait(1000.0) == []
     board.adapter.reset(board.now_s)
     assert board.wait(1.0)[0] == "start"
-    assert board.send("M114")[-1] == "ok"
-
-
-def test_a_stopped_firmware_refuses_moves_until_m999() -> None:
-    board = _Board()
     board.adapter.commands.stopped = True
     assert board.send("G1 X10")[0].startswith("Printer stopped due to errors. Fix the error and use M999 to restart.")
     assert not board.table.moving
@@ -254,16 +192,10 @@ def test_a_reset_forgets_everything_and_greets() -> None:
 
 def test_a_resend_drops_what_waits_behind_it() -> None:
     board = _Board()
-    board.send("G1 X90 F600")
-    board.send("M400")
-    board.send("N5 M114*1")
-    board.send("M115")
-    assert [line for line in board.wait(20.0) if "busy" not in line] == [
-        "ok",
-        "Error:Line Number is not Last Line Number+1, Last Line: 0",
-        "Resend: 1",
-        "ok",
-    ]
+    for line in ("G1 X90 F600", "M400", "N5 M114*1", "M115"):
+        board.send(line)
+    refused = ["Error:Line Number is not Last Line Number+1, Last Line: 0", "Resend: 1", "ok"]
+    assert [line for line in board.wait(20.0) if "busy" not in line] == ["ok", *refused]
 
 
 @given(st.binary(max_size=300))
@@ -273,10 +205,3 @@ def test_noise_does_no_harm(noise: bytes) -> None:
     board.adapter.reset(board.now_s)
     assert board.wait(1.0)[0] == "start"
     assert board.send("M114")[-1] == "ok"
-
-
-def _xor(text: str) -> int:
-    total = 0
-    for character in text:
-        total ^= ord(character)
-    return total

@@ -14,7 +14,7 @@ from rhizotwin.rig.rig_file import CameraPart
 from rhizotwin.rig.twin.camera import TwinCamera
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault, Pending
 from rhizotwin.rig.twin.pictures import Rendered, calibrated_scene, draw
-from rhizotwin.rig.twin.record import Record, digest_of
+from rhizotwin.rig.twin.record import digest_of
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.twin import Twin, default_rig
 from rhizotwin.rig.twin.world import Sight
@@ -27,7 +27,7 @@ from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.scenes.truth import load_truth
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import build_specimen
-from rhizotwin.sim.world import draw_world
+from rhizotwin.sim.world import TrueCamera, draw_world
 from tests.rig.fake_time import Time
 
 WRONG = Disturbances(
@@ -51,16 +51,19 @@ def scene_of(image_wh: tuple[int, int], wrong: Disturbances = WRONG) -> Scene:
 
 def sight_of(scene: Scene, k: int, *, seed: int = 0) -> Sight:
     """Return what the camera of view k of the simulator sees."""
-    camera = draw_world(scene, seed=seed).cameras[k]
-    return Sight(
-        cam_from_rig=camera.cam_from_rig, rig_from_canister=camera.rig_from_canister, table_deg=camera.table_deg, panel=1.0, front=1.0
-    )
+    seen = draw_world(scene, seed=seed).cameras[k]
+    poses = {"cam_from_rig": seen.cam_from_rig, "rig_from_canister": seen.rig_from_canister}
+    return Sight(**poses, table_deg=seen.table_deg, panel=1.0, front=1.0)
+
+
+def sketch_of(scene: Scene) -> Sketch:
+    drawn = draw(scene, seed=0)
+    return Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
 
 
 def test_the_strip_is_drawn_where_it_is_projected() -> None:
     scene = scene_of((800, 600))
-    drawn = draw(scene, seed=0)
-    sketch = Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
+    sketch, corners_of = sketch_of(scene), plan.marker_corners(scene.strip, scene.net_pot)
     for k in (0, 1, 4):
         sight = sight_of(scene, k)
         picture = sketch.picture(sight)
@@ -69,16 +72,10 @@ def test_the_strip_is_drawn_where_it_is_projected() -> None:
         assert not (picture & 15).any()
         markers = detect_markers(picture, scene.strip)
         found = dict(zip(markers.ids.tolist(), markers.corners_px, strict=True))
-        cam_from_strip = sight.cam_from_rig @ sight.rig_from_canister @ drawn.canister_from_strip
-        facing = {number for number, corners in plan.marker_corners(scene.strip, scene.net_pot).items() if _faces(cam_from_strip, corners)}
+        cam_from_strip = sight.cam_from_rig @ sight.rig_from_canister @ draw(scene, seed=0).canister_from_strip
+        facing = {number for number, corners in corners_of.items() if _faces(cam_from_strip, corners)}
         assert len(facing & set(found)) >= 0.9 * len(facing) >= 8
-        off_px = np.concatenate(
-            [
-                found[number] - _project(scene, cam_from_strip, corners)
-                for number, corners in plan.marker_corners(scene.strip, scene.net_pot).items()
-                if number in facing & set(found)
-            ]
-        )
+        off_px = np.concatenate([found[k] - _project(scene, cam_from_strip, corners_of[k]) for k in facing & set(found)])
         assert np.abs(off_px).max() < 0.25
         assert np.abs(off_px.mean(axis=0)).max() < 0.03
 
@@ -102,9 +99,7 @@ def _faces(cam_from_strip: frames.Array, corners: frames.Array) -> bool:
 
 def test_a_sketch_is_as_bright_as_its_lamps() -> None:
     scene = scene_of((200, 150))
-    drawn = draw(scene, seed=0)
-    sketch = Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
-    full = sight_of(scene, 0)
+    sketch, full = sketch_of(scene), sight_of(scene, 0)
     both = sketch.light(full)
     panel, front = sketch.light(replace(full, front=0.0)), sketch.light(replace(full, panel=0.0))
     np.testing.assert_allclose(panel + front, both, atol=1e-6)
@@ -182,9 +177,7 @@ def test_a_scan_with_the_twin_has_a_truth(tmp_path: Path) -> None:
     assert not (tmp_path / "record.jsonl").exists()
 
 
-def _camera(twin: Twin, k: int) -> object:
-    from rhizotwin.sim.world import TrueCamera
-
+def _camera(twin: Twin, k: int) -> TrueCamera:
     sight = twin.record.shots[k].sight
     return TrueCamera(cam_from_rig=sight.cam_from_rig, rig_from_canister=sight.rig_from_canister, table_deg=sight.table_deg)
 
@@ -211,26 +204,20 @@ def test_a_picture_shows_where_the_devices_are_not_where_they_were_told_to_be() 
     assert twin.record.shot_of(first + np.uint16(16)) is None
 
 
-def test_the_twin_stands_as_the_simulator_draws_it() -> None:
+def test_the_twin_stands_as_the_simulator_draws_it_without_an_arm_on_a_tripod() -> None:
     scene = scene_of((64, 48))
-    twin = Twin(scene, seed=5, profile_name="bench", pictures="sketch")
-    np.testing.assert_array_equal(twin.world.table_from_canister, draw_world(scene, seed=5).table_from_canister)
+    twin, world = Twin(scene, seed=5, profile_name="bench", pictures="sketch"), draw_world(scene, seed=5)
+    np.testing.assert_array_equal(twin.world.table_from_canister, world.table_from_canister)
     known = twin.calibrated_scene()
     assert known == calibrated_scene(scene)
     assert known.specimen is None
     assert known.disturbances == Disturbances()
     assert known.camera.distortion == WRONG.distortion
-
-
-def test_a_twin_without_an_arm_has_its_camera_on_a_tripod() -> None:
-    scene = scene_of((64, 48))
-    rig = replace(Twin(scene, pictures="sketch").rig, arm=None)
-    twin = Twin(scene, seed=5, pictures="sketch", rig=rig)
-    assert set(twin.lines) == {"table"}
-    world = draw_world(scene, seed=5)
-    np.testing.assert_array_equal(twin.world.cam_from_rig, world.cameras[0].cam_from_rig)
-    twin.put_camera(1)
-    np.testing.assert_array_equal(twin.world.cam_from_rig, world.cameras[3].cam_from_rig)
+    tripod = Twin(scene, seed=5, pictures="sketch", rig=replace(twin.rig, arm=None))
+    assert set(tripod.lines) == {"table"}
+    np.testing.assert_array_equal(tripod.world.cam_from_rig, world.cameras[0].cam_from_rig)
+    tripod.put_camera(1)
+    np.testing.assert_array_equal(tripod.world.cam_from_rig, world.cameras[3].cam_from_rig)
 
 
 def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCamera, Time, list[float]]:
@@ -244,30 +231,24 @@ def camera_with(*faults: Fault, part: CameraPart | None = None) -> tuple[TwinCam
     return TwinCamera(look, clock, part=part or nominal, nominal=nominal, pending=Pending(faults)), clock, exposures
 
 
-def test_a_picture_is_exposed_after_it_was_asked_for() -> None:
+def test_a_picture_is_exposed_after_its_request() -> None:
     camera, clock, exposures = camera_with(part=CameraPart(exposure_s=0.04, gain=2.0))
     clock.at_s = 5.0
     shot = camera.capture()
-    assert (shot.exposure_s, shot.gain) == (0.04, 2.0)
-    assert shot.image[0, 0] == 5020
+    assert (shot.exposure_s, shot.gain, shot.image[0, 0]) == (0.04, 2.0, 5020)
     assert exposures == [4.0]
     assert clock.at_s >= 5.04
 
 
-def test_old_and_wrongly_exposed_pictures_are_taken_again() -> None:
+def test_old_and_wrongly_exposed_pictures_are_taken_again_and_a_camera_that_stops_is_waited_for_and_named() -> None:
     for kind in ("stale_frame", "wrong_exposure"):
         camera, _, exposures = camera_with(Fault(kind=kind, device="camera", at_message=2, amount=2.0, count=2))
-        first = camera.capture()
-        second = camera.capture()
+        first, second = camera.capture(), camera.capture()
         assert second.image[0, 0] > first.image[0, 0]
-        assert second.exposure_s == 0.02
-        assert exposures[-1] == 1.0
+        assert (second.exposure_s, exposures[-1]) == (0.02, 1.0)
         never, _, _ = camera_with(Fault(kind=kind, device="camera", amount=2.0, count=FOR_GOOD))
         with pytest.raises(NoAnswerError, match="3 times in a row"):
             never.capture()
-
-
-def test_a_camera_that_stops_is_waited_for_and_named() -> None:
     camera, clock, _ = camera_with(Fault(kind="camera_stopped", device="camera", amount=4.0))
     camera.capture()
     assert 4.0 < clock.at_s < 5.0
@@ -278,12 +259,9 @@ def test_a_camera_that_stops_is_waited_for_and_named() -> None:
     assert clock.at_s == pytest.approx(20.0)
 
 
-def test_pictures_are_told_apart_by_their_content() -> None:
-    record, image = Record(), np.arange(6, dtype=np.uint16).reshape(2, 3)
+def test_pictures_are_distinguished_by_their_content() -> None:
+    image = np.arange(6, dtype=np.uint16).reshape(2, 3)
     sight = Sight(cam_from_rig=np.eye(4), rig_from_canister=np.eye(4), table_deg=1.0, panel=1.0, front=0.0)
-    record.add(image, sight, 2.0)
-    assert record.shot_of(image) is record.shots[0]
-    assert digest_of(image) != digest_of(image.T)
-    assert digest_of(image) != digest_of(image.astype(np.uint8))
+    assert len({digest_of(image), digest_of(image.T), digest_of(image.astype(np.uint8))}) == 3
     assert sight.place_key == replace(sight, panel=0.5).place_key
     assert sight.key != replace(sight, panel=0.5).key

@@ -1,10 +1,10 @@
 """The twin's ports: in virtual time by pyserial's own way in, and behind pseudo-terminals in real time."""
 
 import gc
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -17,14 +17,8 @@ ASK_ARM = bytes.fromhex("55 55 05 03 1c db")  # position of servo 5
 
 
 def twin(*faults: Fault, seed: int = 0, resets_on_open: bool = False, profile_name: str = "clean") -> Twin:
-    return Twin(
-        Scene(disturbances=Disturbances(table_deg=0.1)),
-        seed=seed,
-        profile_name=profile_name,
-        faults=faults,
-        pictures="sketch",
-        resets_on_open=resets_on_open,
-    )
+    scene = Scene(disturbances=Disturbances(table_deg=0.1))
+    return Twin(scene, seed=seed, profile_name=profile_name, faults=faults, pictures="sketch", resets_on_open=resets_on_open)
 
 
 def opened(url: str, timeout: float = 0.25, exclusive: bool | None = None) -> serial.SerialBase:
@@ -57,15 +51,14 @@ def test_a_move_over_the_port_turns_the_table_in_no_time() -> None:
     port.close()
 
 
-def test_a_read_ends_with_its_bytes_or_its_time_out() -> None:
+def test_a_read_ends_with_its_bytes_or_its_time_out_or_not_for_ever() -> None:
     rig = twin()
     port = opened(rig.rig.arm.port, timeout=0.5)
     assert port.read(8) == b""
     assert rig.clock.now_s() == pytest.approx(0.5)
     port.write(ASK_ARM)
     assert port.in_waiting == 0
-    answer = port.read(8)
-    assert answer[:5] == bytes.fromhex("55 55 05 05 1c")
+    assert port.read(8)[:5] == bytes.fromhex("55 55 05 05 1c")
     assert 0.5 < rig.clock.now_s() < 0.51
     port.write(ASK_ARM)
     port.timeout = 0.0
@@ -74,17 +67,17 @@ def test_a_read_ends_with_its_bytes_or_its_time_out() -> None:
         pass
     assert rig.clock.now_s() < deadline_s
     port.close()
+    with serial.serial_for_url(rig.rig.turntable.port, timeout=None) as board:
+        board.write(b"G4 S5\n")
+        assert board.read(5) == b"echo:"
+        assert board.read(42) == b"busy: processing\necho:busy: processing\nok\n"
+        with pytest.raises(serial.SerialException, match="for ever"):
+            board.read(1000)
 
 
-def test_a_read_without_time_out_waits_for_what_comes_and_not_for_ever() -> None:
-    rig = twin()
-    port = serial.serial_for_url(rig.rig.turntable.port, timeout=None)
-    port.write(b"G4 S5\n")
-    assert port.read(5) == b"echo:"
-    assert port.read(42) == b"busy: processing\necho:busy: processing\nok\n"
-    with pytest.raises(serial.SerialException, match="for ever"):
-        port.read(1000)
-    port.close()
+def checked(body: bytes) -> bytes:
+    """Return a frame of the servo bus."""
+    return b"\x55\x55" + body + bytes([~sum(body) & 0xFF])
 
 
 def talk(seed: int) -> bytes:
@@ -92,17 +85,14 @@ def talk(seed: int) -> bytes:
     board, arm = opened(rig.rig.turntable.port), opened(rig.rig.arm.port)
     heard = b"".join(asked(board, line) for line in (b"M17", b"M115", b"G1 X9 F1800", b"M400", b"M114"))
     for number in range(1, 7):
-        body = bytes([number, 7, 1, 0xF4, 0x01, 0xE8, 0x03])
-        arm.write(b"\x55\x55" + body + bytes([~sum(body) & 0xFF]))
+        arm.write(checked(bytes([number, 7, 1, 0xF4, 0x01, 0xE8, 0x03])))
     rig.clock.sleep(0.7)
     for number in range(1, 7):
-        body = bytes([number, 3, 28])
-        arm.write(b"\x55\x55" + body + bytes([~sum(body) & 0xFF]))
+        arm.write(checked(bytes([number, 3, 28])))
         heard += arm.read(8)
-    heard += repr((rig.world.joints_deg, rig.world.table_deg, rig.clock.now_s())).encode()
     board.close()
     arm.close()
-    return heard
+    return heard + repr((rig.world.joints_deg, rig.world.table_deg, rig.clock.now_s())).encode()
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
@@ -110,22 +100,17 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert talk(3) != talk(4)
 
 
-def test_the_host_forgets_what_came_before_it_opened() -> None:
+def test_the_host_forgets_what_came_before_it_opened_which_may_reset_the_board() -> None:
     rig = twin()
     port = opened(rig.rig.turntable.port)
     port.write(b"M115\n")
     port.close()
     rig.clock.sleep(1.0)
-    port = opened(rig.rig.turntable.port)
-    assert port.read(1) == b""
-    port.close()
-
-
-def test_opening_may_reset_the_board() -> None:
+    with opened(rig.rig.turntable.port) as port:
+        assert port.read(1) == b""
     rig = twin(resets_on_open=True)
-    port = opened(rig.rig.turntable.port, timeout=1.0)
-    assert port.read(6) == b"start\n"
-    port.close()
+    with opened(rig.rig.turntable.port, timeout=1.0) as port:
+        assert port.read(6) == b"start\n"
 
 
 def test_a_pulled_cable_is_as_on_linux() -> None:
@@ -149,23 +134,17 @@ def test_a_pulled_cable_is_as_on_linux() -> None:
     again.close()
 
 
-def test_a_port_is_locked_for_who_asks_for_it() -> None:
-    rig = twin()
-    port = opened(rig.rig.turntable.port, exclusive=True)
-    with pytest.raises(serial.SerialException, match="exclusively lock"):
-        opened(rig.rig.turntable.port, exclusive=True)
-    opened(rig.rig.turntable.port).close()
-    port.close()
-    opened(rig.rig.turntable.port, exclusive=True).close()
-
-
-def test_closed_ports_and_gone_twins_are_named() -> None:
+def test_a_port_is_locked_on_demand_and_closed_ports_and_gone_twins_are_named() -> None:
     rig = twin()
     url = rig.rig.turntable.port
-    port = opened(url)
+    port = opened(url, exclusive=True)
+    with pytest.raises(serial.SerialException, match="exclusively lock"):
+        opened(url, exclusive=True)
+    opened(url).close()
     port.close()
     with pytest.raises(serial.SerialException):
         port.read(1)
+    opened(url, exclusive=True).close()
     del rig, port
     gc.collect()
     with pytest.raises(serial.SerialException, match="could not open port"):
@@ -174,17 +153,16 @@ def test_closed_ports_and_gone_twins_are_named() -> None:
 
 def test_a_reset_loses_motor_angle_and_lights() -> None:
     rig = twin(Fault(kind="reset", device="table", at_s=2.0))
-    port = opened(rig.rig.turntable.port)
-    for line in (b"M17", b"M150 P255 R U B", b"G92 X360"):
-        asked(port, line)
-    assert rig.world.panel.level == 1.0
-    rig.clock.sleep(2.5)
-    assert rig.world.panel.level == 0.0
-    assert b"start\n Watchdog Reset\n" in port.read(500)
-    assert b"X:0.00" in asked(port, b"M114")
+    with opened(rig.rig.turntable.port) as port:
+        for line in (b"M17", b"M150 P255 R U B", b"G92 X360"):
+            asked(port, line)
+        assert rig.world.panel.level == 1.0
+        rig.clock.sleep(2.5)
+        assert rig.world.panel.level == 0.0
+        assert b"start\n Watchdog Reset\n" in port.read(500)
+        assert b"X:0.00" in asked(port, b"M114")
     assert not rig.world.table.energised
     assert [fault.kind for _, fault in rig.pending.happened] == ["reset"]
-    port.close()
 
 
 def test_device_faults_reach_their_device() -> None:
@@ -199,9 +177,7 @@ def test_device_faults_reach_their_device() -> None:
     for unit in world.servos.values():
         unit.load(True)
     rig.clock.sleep(1.0)
-    assert shoulder.stalled
-    assert not elbow.holds
-    assert rig.board.commands.stopped
+    assert (shoulder.stalled, elbow.holds, rig.board.commands.stopped) == (True, False, True)
     rig.clock.sleep(2.0)
     assert not shoulder.stalled
     rig.clock.sleep(2.5)
@@ -231,56 +207,44 @@ def test_a_repaired_twin_has_no_fault_left() -> None:
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[tuple[Twin, dict[str, Path]]]:
-    if sys.platform == "win32":
-        pytest.skip("needs pseudo-terminals")
-    from rhizotwin.rig.twin.pty_ports import PtyPorts
-
+def served(tmp_path: Path) -> Iterator[tuple[Twin, Any]]:
+    pty_ports = pytest.importorskip("rhizotwin.rig.twin.pty_ports", reason="needs pseudo-terminals", exc_type=ImportError)
     rig = twin()
-    ports = PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0, opened=lambda name: rig.board_opened() if name == "table" else None)
+    ports = pty_ports.PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0)
     ports.start()
-    yield rig, ports.paths
+    yield rig, ports
     ports.stop()
+    assert not ports.paths["table"].exists()
 
 
-def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, dict[str, Path]]) -> None:
-    rig, paths = served
-    with opened(str(paths["table"]), timeout=5.0, exclusive=True) as port:
+def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, Any]) -> None:
+    rig, ports = served
+    with opened(str(ports.paths["table"]), timeout=5.0, exclusive=True) as port:
         port.write(b"N0 M110 N0*125\n")
         assert port.read(3) == b"ok\n"
         port.write(b"G1 X90 F1800\nM400\nM114\n")
         assert port.read_until(b"X:90.00 ").endswith(b"X:90.00 ")
-    with opened(str(paths["arm"]), timeout=5.0) as port:
+    with opened(str(ports.paths["arm"]), timeout=5.0) as port:
         port.write(ASK_ARM)
         assert port.read(8)[:5] == bytes.fromhex("55 55 05 05 1c")
-    with opened(str(paths["table"]), timeout=5.0) as port:  # once more
+    with opened(str(ports.paths["table"]), timeout=5.0) as port:  # once more
         port.write(b"M114\n")
         assert port.read_until(b"ok\n").startswith(b"X:90.00")
     assert rig.world.table.true_deg == pytest.approx(90.0)
 
 
-def test_a_cable_pulled_from_a_pseudo_terminal(tmp_path: Path) -> None:
-    if sys.platform == "win32":
-        pytest.skip("needs pseudo-terminals")
-    from rhizotwin.rig.twin.pty_ports import PtyPorts
-
-    rig = twin()
-    ports = PtyPorts(rig.lines, rig.clock, tmp_path, speed=1000.0)
-    ports.start()
-    try:
-        port = opened(str(ports.paths["table"]), timeout=10.0)
-        with ports.lock:
-            rig.inject(Fault(kind="unplugged", device="table", amount=1.0))
-        ports.wake()
-        with pytest.raises(serial.SerialException, match="device reports readiness to read but returned no data"):
-            port.read(1)
-        port.close()
-        deadline = time.monotonic() + 10.0
-        while not ports.paths["table"].exists():
-            assert time.monotonic() < deadline
-        with opened(str(ports.paths["table"]), timeout=5.0) as again:
-            again.write(b"M114\n")
-            assert again.read_until(b"ok\n").startswith(b"X:0.00")
-    finally:
-        ports.stop()
-    assert not ports.paths["table"].exists()
+def test_a_cable_pulled_from_a_pseudo_terminal(served: tuple[Twin, Any]) -> None:
+    rig, ports = served
+    port = opened(str(ports.paths["table"]), timeout=10.0)
+    with ports.lock:
+        rig.inject(Fault(kind="unplugged", device="table", amount=1.0))
+    ports.wake()
+    with pytest.raises(serial.SerialException, match="device reports readiness to read but returned no data"):
+        port.read(1)
+    port.close()
+    deadline = time.monotonic() + 10.0
+    while not ports.paths["table"].exists():
+        assert time.monotonic() < deadline
+    with opened(str(ports.paths["table"]), timeout=5.0) as again:
+        again.write(b"M114\n")
+        assert again.read_until(b"ok\n").startswith(b"X:0.00")

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,28 +23,25 @@ if sys.platform == "win32":
 SCENE = Scene(disturbances=Disturbances(distortion=(-0.05, 0.0, 0.0, 0.0, 0.0)))
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[TwinServer]:
-    served = TwinServer(Twin(SCENE, seed=1, pictures="sketch", resets_on_open=True), tmp_path, speed=100.0)
-    served.start()
-    yield served
-    served.stop()
-
-
-def test_another_program_finds_table_and_camera(server: TwinServer) -> None:
+def test_another_program_finds_table_and_camera(tmp_path: Path) -> None:
+    server = TwinServer(Twin(SCENE, seed=1, pictures="sketch", resets_on_open=True), tmp_path, speed=100.0)
+    server.start()
     rig = server.rig
-    with serial.serial_for_url(rig.turntable.port, baudrate=rig.turntable.baud, timeout=5.0) as port:
-        assert port.read_until(b"Loaded\n").startswith(b"start\n External Reset\n")
-        port.write(b"M150 S0 R U B\nM400\n")
-        assert port.read_until(b"ok\nok\n")
-    camera = open_camera(rig.camera, image_wh=SCENE.camera.image_wh, bits=SCENE.camera.bits, clock=SystemClock())
-    camera.prepare()
-    shot = camera.capture()
-    camera.close()
+    try:
+        with serial.serial_for_url(rig.turntable.port, baudrate=rig.turntable.baud, timeout=5.0) as port:
+            assert port.read_until(b"Loaded\n").startswith(b"start\n External Reset\n")
+            port.write(b"M150 S0 R U B\nM400\n")
+            assert port.read_until(b"ok\nok\n")
+        camera = open_camera(rig.camera, image_wh=SCENE.camera.image_wh, bits=SCENE.camera.bits, clock=SystemClock())
+        camera.prepare()
+        shot = camera.capture()
+        camera.close()
+        assert "panel 1.0" in server.where()
+    finally:
+        server.stop()
     assert shot.image.shape == (600, 800)
     assert shot.image.max() / 65535.0 == pytest.approx(0.75, abs=0.02)
     assert shot.exposure_s == rig.camera.exposure_s
-    assert "panel 1.0" in server.where()
 
 
 def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> None:
@@ -72,8 +69,6 @@ def test_run_twin_writes_a_rig_file_and_obeys_the_console(tmp_path: Path) -> Non
 
 
 def test_a_rig_without_an_arm_is_written_too(tmp_path: Path) -> None:
-    from dataclasses import replace
-
     rig = replace(Twin(SCENE, pictures="sketch").rig, arm=None)
     (tmp_path / "rig.toml").write_text(rig_text(rig))
     assert load_rig(tmp_path / "rig.toml") == rig

@@ -1,6 +1,5 @@
 """The two servo protocols as the twin speaks them; frames byte by byte from the vendors' manuals."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -10,182 +9,154 @@ from rhizotwin.rig.twin.lx_adapter import LxAdapter
 from rhizotwin.rig.twin.servo import Servo, Supply
 
 
-def hexes(text: str) -> bytes:
-    return bytes.fromhex(text)
-
-
 def servos(*numbers: int, start: float = 500.0) -> dict[int, Servo]:
     return {number: Servo(start_counts=start, imperfections=CLEAN, key=(0, number)) for number in numbers}
 
 
 class _Bus:
-    """Servos on a bus, fed by hand."""
+    """Servos on a bus, fed by hand; bytes are written as hexadecimal digits."""
+
+    adapter_type: type = LxAdapter
 
     def __init__(self, *numbers: int, start: float = 500.0) -> None:
         self.servos = servos(*numbers, start=start)
         self.supply = Supply(key=(0,))
-        self.adapter = LxAdapter(self.servos, self.supply)
+        self.adapter = self.adapter_type(self.servos, self.supply)
 
-    def send(self, data: bytes) -> bytes:
-        return b"".join(reply.data for reply in self.adapter.receive(data, 0.0))
+    def send(self, sent: str) -> str:
+        return b"".join(reply.data for reply in self.adapter.receive(bytes.fromhex(sent), 0.0)).hex(" ")
 
     def wait(self, seconds: float) -> None:
         for unit in self.servos.values():
             unit.advance(seconds)
 
+    def counts(self) -> list[int]:
+        return [unit.counts for unit in self.servos.values()]
+
+
+ASK_POS, POS_IS_500 = "55 55 01 03 1c df", "55 55 01 05 1c f4 01 e8"
+TO_500 = "55 55 01 07 01 f4 01 e8 03 16"
+
 
 def test_lx_examples() -> None:
     bus = _Bus(1)
-    assert bus.send(hexes("55 55 01 03 1c df")) == hexes("55 55 01 05 1c f4 01 e8")
+    assert bus.send(ASK_POS) == POS_IS_500
     bus.servos[1] = servos(1, start=-3.0)[1]
-    assert bus.send(hexes("55 55 01 03 1c df")) == hexes("55 55 01 05 1c fd ff e1")
-    assert bus.send(hexes("55 55 fe 03 0e f0")) == hexes("55 55 01 04 0e 01 eb")
+    assert bus.send(ASK_POS) == "55 55 01 05 1c fd ff e1"
+    assert bus.send("55 55 fe 03 0e f0") == "55 55 01 04 0e 01 eb"
     bus.servos[1].heat(31.0)
-    assert bus.send(hexes("55 55 01 03 1a e1")) == hexes("55 55 01 04 1a 1f c1")
+    assert bus.send("55 55 01 03 1a e1") == "55 55 01 04 1a 1f c1"
     bus.supply._volt = 7.4
-    assert bus.send(hexes("55 55 01 03 1b e0")) == hexes("55 55 01 05 1b e8 1c da")
+    assert bus.send("55 55 01 03 1b e0") == "55 55 01 05 1b e8 1c da"
+    bus.send("55 55 01 04 0d 09 e4")
+    assert set(bus.servos) == {9}
 
 
-def test_lx_moves_at_once() -> None:
+def test_lx_moves_at_once_and_stops_where_it_is() -> None:
     bus = _Bus(1, start=400.0)
-    assert bus.send(hexes("55 55 01 07 01 f4 01 e8 03 16")) == b""
+    assert bus.send(TO_500) == ""
     bus.wait(0.5)
-    assert bus.servos[1].counts == 450
+    assert bus.counts() == [450]
     bus.wait(0.5)
-    assert bus.servos[1].counts == 500
-    assert bus.send(hexes("55 55 01 03 02 f9")) == hexes("55 55 01 07 02 f4 01 e8 03 15")
+    assert bus.counts() == [500]
+    assert bus.send("55 55 01 03 02 f9") == "55 55 01 07 02 f4 01 e8 03 15"
+    bus = _Bus(1, start=400.0)
+    bus.send(TO_500)
+    bus.wait(0.25)
+    bus.send("55 55 01 03 0c ef")
+    bus.wait(5.0)
+    assert bus.counts() == [425]
 
 
 def test_lx_waits_for_the_common_start() -> None:
     bus = _Bus(1, 2, start=400.0)
-    for number, checksum in ((1, "10"), (2, "0f")):
-        bus.send(hexes(f"55 55 0{number} 07 07 f4 01 e8 03 {checksum}"))
+    for sent in ("55 55 01 07 07 f4 01 e8 03 10", "55 55 02 07 07 f4 01 e8 03 0f"):
+        bus.send(sent)
     bus.wait(2.0)
-    assert [unit.counts for unit in bus.servos.values()] == [400, 400]
-    assert bus.send(hexes("55 55 01 03 08 f3")) == hexes("55 55 01 07 08 f4 01 e8 03 0f")
-    assert bus.send(hexes("55 55 fe 03 0b f3")) == b""
+    assert bus.counts() == [400, 400]
+    assert bus.send("55 55 01 03 08 f3") == "55 55 01 07 08 f4 01 e8 03 0f"
+    assert bus.send("55 55 fe 03 0b f3") == ""
     bus.wait(1.0)
-    assert [unit.counts for unit in bus.servos.values()] == [500, 500]
-
-
-def test_lx_stops_where_it_is() -> None:
-    bus = _Bus(1, start=400.0)
-    bus.send(hexes("55 55 01 07 01 f4 01 e8 03 16"))
-    bus.wait(0.25)
-    bus.send(hexes("55 55 01 03 0c ef"))
-    bus.wait(5.0)
-    assert bus.servos[1].counts == 425
+    assert bus.counts() == [500, 500]
 
 
 def test_lx_torque() -> None:
     bus = _Bus(1)
-    assert bus.send(hexes("55 55 01 03 20 db")) == hexes("55 55 01 04 20 00 da")
-    bus.send(hexes("55 55 01 04 1f 01 da"))
-    assert bus.send(hexes("55 55 01 03 20 db")) == hexes("55 55 01 04 20 01 d9")
-    bus.send(hexes("55 55 01 04 1f 00 db"))
+    assert bus.send("55 55 01 03 20 db") == "55 55 01 04 20 00 da"
+    bus.send("55 55 01 04 1f 01 da")
+    assert bus.send("55 55 01 03 20 db") == "55 55 01 04 20 01 d9"
+    bus.send("55 55 01 04 1f 00 db")
     assert not bus.servos[1].holds
 
 
 def test_lx_limits_are_kept_and_clamp() -> None:
     bus = _Bus(1)
-    assert bus.send(hexes("55 55 01 03 15 e6")) == hexes("55 55 01 07 15 00 00 e8 03 f7")
-    bus.send(hexes("55 55 01 07 14 64 00 84 03 f8"))
-    bus.send(hexes("55 55 01 07 01 e8 03 00 00 0b"))
+    assert bus.send("55 55 01 03 15 e6") == "55 55 01 07 15 00 00 e8 03 f7"
+    bus.send("55 55 01 07 14 64 00 84 03 f8")
+    bus.send("55 55 01 07 01 e8 03 00 00 0b")
     bus.wait(2.0)
-    assert bus.servos[1].counts == 900
-    assert bus.send(hexes("55 55 01 03 17 e4")) == hexes("55 55 01 07 17 64 19 e0 2e 55")
-    assert bus.send(hexes("55 55 01 03 19 e2")) == hexes("55 55 01 04 19 55 8c")
+    assert bus.counts() == [900]
+    assert bus.send("55 55 01 03 17 e4") == "55 55 01 07 17 64 19 e0 2e 55"
+    assert bus.send("55 55 01 03 19 e2") == "55 55 01 04 19 55 8c"
 
 
-def test_lx_renames_a_servo() -> None:
+def test_lx_ignores_what_is_not_for_it() -> None:
+    wrong_checksum, another, no_header, wrong_lengths = ASK_POS[:-2] + "de", "55 55 02 03 1c de", "55 54 01 03 1c df", "55 55 01 02 1c e0"
+    for bad in (wrong_checksum, another, no_header, wrong_lengths, "55 55 01 04 1c 00 de", "55 55 fe 03 1c e2"):
+        bus = _Bus(1)
+        assert bus.send(bad) == ""
+        assert bus.send("00 00 00 00 00 00 00" + ASK_POS) == POS_IS_500
+    assert _Bus(1, 2).send("55 55 fe 03 0e f0") == "55 55 00 04 0e 00 e9"  # answers to a broadcast collide
+
+
+def test_lx_frames_come_in_pieces_and_after_noise_but_not_without_power() -> None:
     bus = _Bus(1)
-    bus.send(hexes("55 55 01 04 0d 09 e4"))
-    assert set(bus.servos) == {9}
-
-
-@pytest.mark.parametrize(
-    "bad", ["55 55 01 03 1c de", "55 55 02 03 1c de", "55 54 01 03 1c df", "55 55 01 02 1c e0", "55 55 01 04 1c 00 de", "55 55 fe 03 1c e2"]
-)
-def test_lx_ignores_what_is_not_for_it(bad: str) -> None:
-    bus = _Bus(1)
-    assert bus.send(hexes(bad)) == b""
-    assert bus.send(hexes("00 00 00 00 00 00 00 55 55 01 03 1c df")) == hexes("55 55 01 05 1c f4 01 e8")
-
-
-def test_lx_answers_collide_on_a_broadcast() -> None:
-    heard = _Bus(1, 2).send(hexes("55 55 fe 03 0e f0"))
-    assert heard == hexes("55 55 00 04 0e 00 e9")
-
-
-def test_lx_frames_come_in_pieces_and_after_noise() -> None:
-    bus = _Bus(1)
-    answers = b""
-    for byte in hexes("ff 55 13 55 55 55 01 03 1c df"):
-        answers += bus.send(bytes([byte]))
-    assert answers == hexes("55 55 01 05 1c f4 01 e8")
-
-
-def test_lx_is_dumb_without_power() -> None:
-    bus = _Bus(1)
+    answers = [bus.send(f"{byte:02x}") for byte in bytes.fromhex("ff 55 13 55 55 55 01 03 1c df")]
+    assert "".join(answers) == POS_IS_500
     bus.supply.brown_out(0.5)
-    assert bus.send(hexes("55 55 01 03 1c df")) == b""
+    assert bus.send(ASK_POS) == ""
     bus.supply.advance(0.6)
-    assert bus.send(hexes("55 55 01 03 1c df")) == hexes("55 55 01 05 1c f4 01 e8")
+    assert bus.send(ASK_POS) == POS_IS_500
 
 
 @given(st.binary(max_size=200))
 def test_lx_survives_noise(noise: bytes) -> None:
     bus = _Bus(1)
-    bus.send(noise + b"\x00" * 16)
-    answers = bus.send(hexes("55 55 01 03 1b e0"))
-    assert answers.startswith(b"\x55\x55")
+    bus.send(noise.hex() + "00" * 16)
+    assert bus.send("55 55 01 03 1b e0").startswith("55 55")
 
 
 class _Board(_Bus):
     """Servos behind a controller board."""
 
-    def __init__(self, *numbers: int, start: float = 500.0) -> None:
-        super().__init__(*numbers, start=start)
-        self.adapter = LscAdapter(self.servos, self.supply)
+    adapter_type = LscAdapter
+
+
+MOVE_1_TO_500 = "55 55 08 03 01 e8 03 01 f4 01"
 
 
 def test_lsc_examples() -> None:
     board = _Board(1, 2, start=400.0)
-    assert board.send(hexes("55 55 08 03 01 e8 03 01 f4 01")) == b""
+    assert board.send(MOVE_1_TO_500) == ""
     board.wait(1.0)
-    assert [unit.counts for unit in board.servos.values()] == [500, 400]
-    board.servos[2] = servos(2)[2]
-    assert board.send(hexes("55 55 05 15 02 01 02")) == hexes("55 55 09 15 02 01 f4 01 02 f4 01")
+    assert board.counts() == [500, 400]
+    board.servos[2] = servos(2, start=-2.0)[2]
+    assert board.send("55 55 05 15 02 01 02") == "55 55 09 15 02 01 f4 01 02 fe ff"
+    assert board.send("55 55 05 15 02 01 09") == "55 55 06 15 01 01 f4 01"  # leaves out what is not there
     board.supply._volt = 7.5
-    assert board.send(hexes("55 55 02 0f")) == hexes("55 55 04 0f 4c 1d")
-
-
-def test_lsc_unloads_and_a_move_loads_again() -> None:
-    board = _Board(1, 2, 3, 4, 5, 6)
-    board.send(hexes("55 55 08 03 01 e8 03 01 f4 01"))
-    assert board.servos[1].holds
-    board.send(hexes("55 55 09 14 06 01 02 03 04 05 06"))
-    assert not board.servos[1].holds
-    board.send(hexes("55 55 08 03 01 e8 03 01 f4 01"))
-    assert board.servos[1].holds
-
-
-def test_lsc_leaves_out_servos_that_are_not_there() -> None:
-    assert _Board(1).send(hexes("55 55 05 15 02 01 09")) == hexes("55 55 06 15 01 01 f4 01")
-
-
-def test_lsc_tells_negative_positions_as_two_bytes() -> None:
-    assert _Board(1, start=-2.0).send(hexes("55 55 04 15 01 01")) == hexes("55 55 06 15 01 01 fe ff")
+    assert board.send("55 55 02 0f") == "55 55 04 0f 4c 1d"
+    for sent, holds in ((MOVE_1_TO_500, True), ("55 55 09 14 06 01 02 03 04 05 06", False), (MOVE_1_TO_500, True)):
+        board.send(sent)
+        assert board.servos[1].holds == holds
 
 
 def test_lsc_runs_no_group_but_says_so_and_then_complete() -> None:
-    replies = _Board(1).adapter.receive(hexes("55 55 05 06 08 01 00"), 2.0)
-    assert [reply.data for reply in replies] == [hexes("55 55 05 06 08 01 00"), hexes("55 55 05 08 08 01 00")]
-    assert replies[1].due_s > replies[0].due_s
+    ran, completed = _Board(1).adapter.receive(bytes.fromhex("55 55 05 06 08 01 00"), 2.0)
+    assert (ran.data.hex(" "), completed.data.hex(" ")) == ("55 55 05 06 08 01 00", "55 55 05 08 08 01 00")
+    assert completed.due_s > ran.due_s
 
 
 def test_lsc_ignores_frames_of_another_length() -> None:
     board = _Board(1)
-    assert board.send(hexes("55 55 04 15 06 01")) == b""
-    assert board.send(hexes("55 55 05 03 01 e8 03")) == b""
+    assert board.send("55 55 04 15 06 01") == board.send("55 55 05 03 01 e8 03") == ""
     assert board.servos[1].command == (500, 0)

@@ -1,4 +1,4 @@
-"""A camera whose pictures are numbered, and a client whose waiting is counted."""
+"""A camera whose pictures are numbered, and its client."""
 
 import threading
 from dataclasses import dataclass, field
@@ -10,26 +10,12 @@ from rhizotwin.rig.cameras.server import CameraServer
 from rhizotwin.rig.cameras.settings import CameraSettings
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import RigError
+from tests.rig.fake_time import Time
 
 SETTINGS = CameraSettings(image_wh=(32, 24), bits=12, exposure_s=0.01, gain=2.0)
 
 
 A, B = "a" * 32, "b" * 32
-
-
-@dataclass
-class Waits:
-    """Time that passes only by waiting, with what was waited for."""
-
-    slept: list[float] = field(default_factory=list)
-
-    def now_s(self) -> float:
-        """Return the time."""
-        return sum(self.slept)
-
-    def sleep(self, seconds: float) -> None:
-        """Note a wait."""
-        self.slept.append(seconds)
 
 
 @dataclass
@@ -85,6 +71,6 @@ def number_of(shot: Shot) -> int:
 
 def client(server: CameraServer, settings: CameraSettings = SETTINGS) -> HttpCamera:
     """Return a prepared client."""
-    found = HttpCamera(server.url, settings, clock=Waits())
+    found = HttpCamera(server.url, settings, clock=Time())
     found.prepare()
     return found
