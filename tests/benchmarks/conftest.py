@@ -16,35 +16,20 @@ def record_of() -> Callable[..., dict[str, Any]]:
     def record(
         case: Case, *, volume_error: float = 0.01, length_error: float = -0.02, tips: float = 0.9, holds: bool = True
     ) -> dict[str, Any]:
-        roots = {
-            "length_mm": 98.0,
-            "length_true_mm": 100.0,
-            "length_error": length_error,
-            "recall": 0.99,
-            "precision": 0.98,
-            "distance_median_mm": 0.03,
-            "radius_error_median": 0.01,
-            "tips": 9,
-            "tips_true": 10,
-            "tip_recall": tips,
-            "tip_precision": tips,
-        }
-        score = {
-            "volume_mm3": 100.0 * (1.0 + volume_error),
-            "volume_true_mm3": 100.0,
-            "volume_error": volume_error,
-            "volume_interval_mm3": [95.0, 105.0] if holds else [110.0, 120.0],
-            "interval_holds_truth": holds,
-            "extents_error_max": 0.01,
-            "recall": 0.9,
-            "precision": 0.8,
-            "iou": 0.7,
+        found = {"recall": 0.99, "precision": 0.98, "distance_median_mm": 0.03, "radius_error_median": 0.01}
+        length = {"length_mm": 98.0, "length_true_mm": 100.0, "length_error": length_error}
+        roots = found | length | {"tips": 9, "tips_true": 10, "tip_recall": tips, "tip_precision": tips}
+        volume = {"volume_mm3": 100.0 * (1.0 + volume_error), "volume_true_mm3": 100.0, "volume_error": volume_error}
+        interval = {"volume_interval_mm3": [95.0, 105.0] if holds else [110.0, 120.0], "interval_holds_truth": holds}
+        voxels = {"extents_error_max": 0.01, "recall": 0.9, "precision": 0.8, "iou": 0.7}
+        stages = {
             "surface": {"median_mm": 0.1, "p95_mm": 0.2},
             "poses": {"used": 6, "median_mm": 0.03, "median_deg": 0.004},
             "masks": {"area_error": 0.0, "iou": 0.99},
             "hull": {"recall": 1.0, "volume_error": 0.1},
             "roots": roots if case.pictures.is_plant and case.method == "coverage" else None,
         }
+        score = volume | interval | voxels | stages
         taken = {"wall_s": 30.0, "cpu_s": 50.0, "peak_memory_mib": 2048.0, "load": 1.0, "render_s": None}
         return {"case": described(case), "score": score, **taken}
 

@@ -25,59 +25,35 @@ def pictures_digest(root: Path) -> str:
     return sources.digest(datasets.PICTURES, root=root, without=datasets.TRUTH_ONLY)
 
 
-@pytest.fixture(scope="module")
-def unchanged(our_sources) -> str:
-    return pictures_digest(our_sources)
-
-
-@pytest.fixture
-def appended(our_sources):
-    """Append to a source file for the length of one test."""
-    before: dict[Path, bytes | None] = {}
-
-    def append(name: str, text: str) -> None:
-        path = our_sources / "rhizotwin" / name
-        before[path] = path.read_bytes() if path.is_file() else None
-        path.write_bytes((before[path] or b"") + text.encode())
-
-    yield append
-    for path, content in before.items():
-        path.unlink() if content is None else path.write_bytes(content)
-
-
 CHANGED = 'CHANGED = "otherwise"\n'
 
 
 @pytest.mark.parametrize(
-    "name", ["sim/solids.py", "sim/render.py", "sim/__init__.py", "scenes/model.py", "scenes/plan.py", "sim/table.dat"]
-)
-def test_what_decides_the_pictures_changes_their_key(our_sources, unchanged, appended, name):
-    appended(name, CHANGED)
-    assert pictures_digest(our_sources) != unchanged
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
+    ("name", "text", "decides"),
     [
-        ("scenes/traits.py", CHANGED),
-        ("sim/truth.py", CHANGED),
-        ("sim/board.py", CHANGED),  # pictures of the lens's board
-        ("recon/reconstruct.py", CHANGED),
-        ("scenes/library/sphere_20mm.toml", "# another scene\n"),
-        ("sim/solids.py", "# a comment\n"),
-        ("sim/solids.py", '"""Words."""\n'),
+        ("sim/solids.py", CHANGED, True),
+        ("sim/__init__.py", CHANGED, True),
+        ("scenes/plan.py", CHANGED, True),
+        ("sim/table.dat", CHANGED, True),
+        ("scenes/traits.py", CHANGED, False),
+        ("sim/truth.py", CHANGED, False),
+        ("sim/board.py", CHANGED, False),  # pictures of the lens's board
+        ("recon/reconstruct.py", CHANGED, False),
+        ("scenes/library/sphere_20mm.toml", "# another scene\n", False),
+        ("sim/solids.py", "# a comment\n", False),
+        ("sim/solids.py", '"""Words."""\n', False),
     ],
-    ids=lambda value: value.strip(),
+    ids=lambda value: str(value).strip(),
 )
-def test_what_does_not_decide_the_pictures_keeps_their_key(our_sources, unchanged, appended, name, text):
-    appended(name, text)
-    assert pictures_digest(our_sources) == unchanged
-
-
-def test_traits_are_in_the_digest_of_the_truth(our_sources, appended):
-    before = sources.digest(datasets.TRUTH, root=our_sources)
-    appended("scenes/traits.py", CHANGED)
-    assert sources.digest(datasets.TRUTH, root=our_sources) != before
+def test_pictures_have_another_key_if_and_only_if_what_changes_decides_them(our_sources, name, text, decides):
+    before, truth_before = pictures_digest(our_sources), sources.digest(datasets.TRUTH, root=our_sources)
+    path = our_sources / "rhizotwin" / name
+    content = path.read_bytes() if path.is_file() else None
+    path.write_bytes((content or b"") + text.encode())
+    after, truth_after = pictures_digest(our_sources), sources.digest(datasets.TRUTH, root=our_sources)
+    path.unlink() if content is None else path.write_bytes(content)
+    assert (after != before) is decides
+    assert truth_after != truth_before or name != "scenes/traits.py"
 
 
 def test_the_renderer_and_the_plant_are_in_the_closure_and_the_reconstruction_is_not():

@@ -25,9 +25,7 @@ def test_scans_are_plants_of_their_own_and_one_is_damaged(tmp_path: Path, monkey
 
 
 def test_its_own_seconds_are_those_of_no_scan() -> None:
-    night = many.Night(
-        scans=18, results=17, sentences=("failed: plant_07: damaged",), twice=0, killed=1, code=2, wall_s=200.0, jobs_s=190.0
-    )
+    night = many.Night(scans=18, results=17, sentences=("failed",), twice=0, killed=1, code=2, wall_s=200.0, jobs_s=190.0)
     assert night.own_s == 10.0
     assert night.share(60.0) == pytest.approx(10.0 / 1090.0)
     assert many.lines(night, 60.0)[0] == "17 results of 18 scans, 1 process killed, 0 done twice, exit code 2"

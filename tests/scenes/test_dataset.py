@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,27 +29,12 @@ def dataset(tmp_path: Path) -> Dataset:
     """Two tiny pictures on the disk, with poses."""
     made = []
     for k in range(2):
-        write_image(tmp_path / "images" / f"{k}.png", np.full((16, 20), 1000 * k + 7, np.uint16))
-        made.append(
-            Frame(
-                file=f"images/{k}.png",
-                sha256=sha256_of(tmp_path / "images" / f"{k}.png"),
-                table_deg=9.1 * k,
-                cam_from_canister=nested(POSE),
-            )
-        )
-    made[1] = replace(
-        made[1],
-        kind="shoot",
-        ring=1,
-        table_read_deg=0.1 + 0.2,
-        joints_deg=(1.0, 2.5),
-        exposure_s=1e-3,
-        time_s=2.0,
-    )
-    scene = Scene(
-        camera=Camera(image_wh=(20, 16), principal_px=(9.5, 7.5)), plan=CapturePlan(rings=(Ring(), Ring())), specimen=GrownSpecimen()
-    )
+        path = tmp_path / "images" / f"{k}.png"
+        write_image(path, np.full((16, 20), 1000 * k + 7, np.uint16))
+        made.append(Frame(file=f"images/{k}.png", sha256=sha256_of(path), table_deg=9.1 * k, cam_from_canister=nested(POSE)))
+    made[1] = replace(made[1], kind="shoot", ring=1, table_read_deg=0.1 + 0.2, joints_deg=(1.0, 2.5), exposure_s=1e-3, time_s=2.0)
+    camera, plan = Camera(image_wh=(20, 16), principal_px=(9.5, 7.5)), CapturePlan(rings=(Ring(), Ring()))
+    scene = Scene(camera=camera, plan=plan, specimen=GrownSpecimen())
     return Dataset(folder=tmp_path, scene=scene, frames=tuple(made), seed=0, origin={"profile": "bench", "versions": {"x": "1"}})
 
 
@@ -59,122 +44,106 @@ def edit(folder: Path, change: Callable[[Any], None], file: str = "dataset.json"
     (folder / file).write_text(json.dumps(plain))
 
 
-def test_dataset_survives(dataset: Dataset) -> None:
-    save_dataset(dataset)
-    assert load_dataset(dataset.folder) == dataset
-    assert load_dataset(str(dataset.folder)).frames[1].cam_from_canister == nested(POSE)
-    without = replace(dataset, frames=tuple(replace(frame, cam_from_canister=None) for frame in dataset.frames))
-    save_dataset(without)
-    assert load_dataset(dataset.folder) == without
-
-
-def test_pictures_are_read_as_written(dataset: Dataset) -> None:
-    for k, frame in enumerate(dataset.frames):
-        image = read_image(dataset, frame)
+def test_dataset_and_pictures_survive(dataset: Dataset) -> None:
+    saved = save_dataset(dataset)
+    loaded = load_dataset(str(dataset.folder))
+    assert loaded == dataset
+    assert loaded.frames[1].cam_from_canister == nested(POSE)
+    assert loaded.sha256 == saved.sha256 == sha256_of(dataset.folder / "dataset.json")
+    for k, frame in enumerate(loaded.frames):
+        image = read_image(loaded, frame)
         assert image.dtype == np.uint16
         np.testing.assert_array_equal(image, np.full((16, 20), 1000 * k + 7))
+    without = replace(dataset, frames=tuple(replace(frame, cam_from_canister=None) for frame in dataset.frames))
+    again = save_dataset(without)
+    assert load_dataset(dataset.folder) == without
+    assert again.sha256 == sha256_of(dataset.folder / "dataset.json") != loaded.sha256
 
 
-@dataclass(frozen=True)
-class Damage:
-    """A change of dataset.json, and what the message must say."""
-
-    id: str
-    change: Callable[[Any], Any]
-    says: str
+def of_frame(number: int, **changes: Any) -> Callable[[Any], None]:
+    return lambda plain: plain["frames"][number].update(changes)
 
 
-DAMAGES = [
-    Damage("newer version", lambda d: d.update(schema_version=2), r"dataset\.json has version 2; this program reads 1"),
-    Damage("version as text", lambda d: d.update(schema_version="1"), r"has version 1; this program reads 1"),
-    Damage("no version", lambda d: d.pop("schema_version"), "has no schema_version"),
-    Damage("no scene", lambda d: d.pop("scene"), "scene: is missing"),
-    Damage("unknown key", lambda d: d.update(frams=[]), 'frams: unknown key.*"frames"'),
-    Damage("no frames", lambda d: d.update(frames=[]), "at least one"),
-    Damage("impossible scene", lambda d: d["scene"]["water"].update(n_water=9), r"\[scene\.water\] n_water = 9: must be between 1 and 2"),
-    Damage("misfit scene", lambda d: d["scene"]["canister"].update(wall_mm=50.0, outer_radius_mm=20.0), r"\[canister\] wall_mm"),
-    Damage("frame without a file", lambda d: d["frames"][1].pop("file"), r"\[frames 2\] file: is missing"),
-    Damage("path out of the folder", lambda d: d["frames"][0].update(file="../a.png"), r"\[frames 1\] file = .*inside the dataset"),
-    Damage("absolute path", lambda d: d["frames"][0].update(file="/a.png"), "inside the dataset"),
-    Damage("frame twice", lambda d: d["frames"][1].update(file="images/0.png"), r"\[frames 2\] file = .*twice"),
-    Damage(
-        "same stem", lambda d: d["frames"][1].update(file="more/0.jpg"), r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
-    ),
-    Damage(
-        "pose for some only",
-        lambda d: d["frames"][0].update(cam_from_canister=None),
-        r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one",
-    ),
-    Damage("short hash", lambda d: d["frames"][0].update(sha256="abc"), "64 hexadecimal"),
-    Damage("unknown kind", lambda d: d["frames"][0].update(kind="leaf"), '"root", "shoot"'),
-    Damage("ring that is not in the plan", lambda d: d["frames"][0].update(ring=2), "between 0 and 1"),
-    Damage("pose of three rows", lambda d: d["frames"][1]["cam_from_canister"].pop(), "4 rows of 4"),
-    Damage("pose that is stretched", lambda d: d["frames"][1]["cam_from_canister"][0].__setitem__(0, 3.0), "a rotation and a shift"),
-    Damage("mirrored pose", lambda d: d["frames"][1].update(cam_from_canister=np.diag([1.0, 1, -1, 1]).tolist()), "mirror image"),
-    Damage("angle as text", lambda d: d["frames"][1].update(table_deg="9"), r"\[frames 2\] table_deg = \"9\": must be a number"),
-]
+SHOWN = r"\[frames 1\] file.* must be a name of letters that can be shown"
+SAME_STEM = r"\[frames 2\] file = \"more/0.jpg\": .*images/0\.png.* rename"
+NO_POSE = r"\[frames 1\] cam_from_canister: is missing for images/0\.png, but images/1\.png has one"
+DAMAGES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "newer version": (lambda d: d.update(schema_version=2), r"dataset\.json has version 2; this program reads 1"),
+    "version as text": (lambda d: d.update(schema_version="1"), r"has version 1; this program reads 1"),
+    "no version": (lambda d: d.pop("schema_version"), "has no schema_version"),
+    "no frames": (lambda d: d.update(frames=[]), "at least one"),
+    "unknown key": (lambda d: d.update(frams=[]), 'frams: unknown key.*"frames"'),
+    "impossible scene": (lambda d: d["scene"]["water"].update(n_water=9), r"\[scene\.water\] n_water = 9: must be between 1 and 2"),
+    "misfit scene": (lambda d: d["scene"]["canister"].update(wall_mm=50.0, outer_radius_mm=20.0), r"\[canister\] wall_mm"),
+    "path out of the folder": (of_frame(0, file="../a.png"), r"\[frames 1\] file = .*inside the dataset"),
+    "absolute path": (of_frame(0, file="/a.png"), "inside the dataset"),
+    "name with NUL": (of_frame(0, file="images/a\0.png"), SHOWN),
+    "name of half a letter": (of_frame(0, file="images/\udcff.png"), SHOWN),
+    "name that moves the cursor": (of_frame(0, file="images/\x1b[2J.png"), SHOWN),
+    "frame twice": (of_frame(1, file="images/0.png"), r"\[frames 2\] file = .*twice"),
+    "same stem": (of_frame(1, file="more/0.jpg"), SAME_STEM),
+    "pose for some only": (of_frame(0, cam_from_canister=None), NO_POSE),
+    "short hash": (of_frame(0, sha256="abc"), "64 hexadecimal"),
+    "backslash": (of_frame(0, file="images\\0.png"), "inside the dataset"),
+    "unknown kind": (of_frame(0, kind="leaf"), '"root", "shoot"'),
+    "placement below 0": (of_frame(0, placement=-1), "0 or more"),
+    "ring that is not in the plan": (of_frame(0, ring=2), "between 0 and 1"),
+    "pose of three rows": (lambda d: d["frames"][1]["cam_from_canister"].pop(), "4 rows of 4"),
+    "stretched pose": (lambda d: d["frames"][1]["cam_from_canister"][0].__setitem__(0, 3.0), "a rotation and a shift"),
+    "mirrored pose": (of_frame(1, cam_from_canister=np.diag([1.0, 1, -1, 1]).tolist()), "mirror image"),
+}
+"""Changes of dataset.json, and what the message must say."""
 
 
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda d: d.id)
-def test_damaged_manifest_is_named(dataset: Dataset, damage: Damage) -> None:
+@pytest.mark.parametrize(("change", "says"), DAMAGES.values(), ids=DAMAGES.keys())
+def test_damaged_manifest_is_named(dataset: Dataset, change: Callable[[Any], Any], says: str) -> None:
     save_dataset(dataset)
-    edit(dataset.folder, damage.change)
-    with pytest.raises(UserError, match=damage.says) as caught:
+    edit(dataset.folder, change)
+    with pytest.raises(UserError, match=says) as caught:
         load_dataset(dataset.folder)
     assert "dataset.json" in str(caught.value)
+    assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"schema_version": 1', "[]", "nul", "[" * 100000, "\x00"])
-def test_truncated_manifest(dataset: Dataset, text: str) -> None:
-    (dataset.folder / "dataset.json").write_text(text)
-    with pytest.raises(UserError, match=r"dataset\.json: is damaged"):
-        load_dataset(dataset.folder)
-
-
-def test_folder_without_manifest(tmp_path: Path) -> None:
+def test_manifest_that_is_no_json_or_missing(dataset: Dataset, tmp_path: Path) -> None:
+    for text in ("", '{"schema_version": 1', "[]", "[" * 100000, "\x00"):
+        (dataset.folder / "dataset.json").write_text(text)
+        with pytest.raises(UserError, match=r"dataset\.json: is damaged"):
+            load_dataset(dataset.folder)
     with pytest.raises(UserError, match="no such folder"):
         load_dataset(tmp_path / "nothing")
     with pytest.raises(UserError, match=r"has no dataset\.json"):
-        load_dataset(tmp_path)
+        load_dataset(tmp_path / "images")
 
 
-def test_missing_picture(dataset: Dataset) -> None:
-    (dataset.folder / "images/1.png").unlink()
-    with pytest.raises(UserError, match=r"1\.png: the picture is missing"):
+def folder_for_file(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "missing": (Path.unlink, "the picture is missing"),
+    "truncated": (lambda path: path.write_bytes(path.read_bytes()[:-20]), "the picture is truncated"),
+    "none": (lambda path: path.write_text("not here"), "is not a picture"),
+    "other size": (
+        lambda path: write_image(path, np.zeros((20, 16), np.uint8)),
+        "the picture is 16x20 pixels, but .* image_wh 20x16",
+    ),
+    "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "is not the picture that was recorded"),
+    "folder": (folder_for_file, "the picture cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "says"), SPOILT.values(), ids=SPOILT.keys())
+def test_spoilt_picture_is_named(dataset: Dataset, spoil: Callable[[Path], Any], says: str) -> None:
+    spoil(dataset.folder / "images/1.png")
+    with pytest.raises(UserError, match=rf"1\.png: {says}"):
         read_image(dataset, dataset.frames[1])
 
 
-def test_truncated_picture(dataset: Dataset) -> None:
-    path = dataset.folder / "images/1.png"
-    path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(UserError, match=r"1\.png: the picture is truncated"):
-        read_image(dataset, dataset.frames[1])
-
-
-def test_picture_that_is_none(dataset: Dataset) -> None:
-    (dataset.folder / "images/1.png").write_text("not here")
-    with pytest.raises(UserError, match=r"1\.png: is not a picture"):
-        read_image(dataset, dataset.frames[1])
-
-
-def test_picture_of_another_size(dataset: Dataset) -> None:
-    write_image(dataset.folder / "images/1.png", np.zeros((20, 16), np.uint8))
-    with pytest.raises(UserError, match=r"1\.png: the picture is 16x20 pixels, but .* image_wh 20x16"):
-        read_image(dataset, dataset.frames[1])
-
-
-def test_exchanged_picture(dataset: Dataset) -> None:
+def test_a_picture_without_a_recorded_hash_is_read(dataset: Dataset) -> None:
     write_image(dataset.folder / "images/1.png", np.zeros((16, 20), np.uint8))
-    with pytest.raises(UserError, match=r"1\.png: is not the picture that was recorded"):
-        read_image(dataset, dataset.frames[1])
     assert not read_image(dataset, replace(dataset.frames[1], sha256="")).any()
-
-
-def test_picture_that_is_a_folder(dataset: Dataset) -> None:
-    (dataset.folder / "images/1.png").unlink()
-    (dataset.folder / "images/1.png").mkdir()
-    with pytest.raises(UserError, match=r"1\.png: the picture cannot be read"):
-        read_image(dataset, dataset.frames[1])
 
 
 def test_hash_of_a_known_file(tmp_path: Path) -> None:
@@ -212,20 +181,3 @@ def test_damaged_truth_is_named(tmp_path: Path) -> None:
     edit(tmp_path, lambda d: d.update(schema_version=3), "truth/truth.json")
     with pytest.raises(UserError, match=r"truth\.json has version 3; this program reads 1"):
         load_truth(tmp_path)
-
-
-@pytest.mark.parametrize("name", ["images/a\0.png", "images/\udcff.png", "images/\x1b[2J.png"], ids=ascii)
-def test_names_that_cannot_be_shown_are_refused(dataset: Dataset, name: str) -> None:
-    save_dataset(dataset)
-    edit(dataset.folder, lambda plain: plain["frames"][0].update(file=name))
-    with pytest.raises(UserError, match="must be a name of letters that can be shown") as said:
-        load_dataset(dataset.folder)
-    assert str(said.value).isprintable()
-
-
-def test_the_hash_is_of_the_bytes_that_were_read(dataset: Dataset) -> None:
-    saved = save_dataset(dataset)
-    loaded = load_dataset(dataset.folder)
-    assert loaded.sha256 == saved.sha256 == sha256_of(dataset.folder / "dataset.json")
-    again = save_dataset(replace(loaded, seed=5))
-    assert again.sha256 == sha256_of(dataset.folder / "dataset.json") != loaded.sha256

@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
@@ -14,89 +14,74 @@ from hypothesis import strategies as st
 from rhizotwin.scenes import files, toml_text
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Ring, Scene
-from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen, SphereSpecimen
+from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, RootOrder, RsmlSpecimen
 
-
-@dataclass(frozen=True)
-class Mistake:
-    """A scene file with something wrong, and what the message must name."""
-
-    id: str
-    text: str
-    says: tuple[str, ...]
-
-
-MISTAKES = [
-    Mistake("unknown section", "[camra]\nbits = 12", ("line 1", "camra", "unknown key", '"camera"')),
-    Mistake("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),
-    Mistake("above the limit", "# rig\n[canister]\nwall_mm = 900", ("line 3", "[canister] wall_mm = 900", "between 0.2 and 50")),
-    Mistake("below the limit", "[camera]\nbits = 7", ("line 2", "[camera] bits = 7", "between 8 and 16")),
-    Mistake("number as text", '[water]\nn_water = "1.33"', ("line 2", '[water] n_water = "1.33"', "must be a number")),
-    Mistake("bool is no number", "[water]\nn_water = true", ("[water] n_water = true", "must be a number, not true or false")),
-    Mistake("bool is no whole number", "[camera]\nbits = true", ("[camera] bits = true", "whole number")),
-    Mistake("fraction is no whole number", "[camera]\nbits = 12.0", ("[camera] bits = 12.0", "whole number")),
-    Mistake("not a number", "[water]\nn_water = nan", ("[water] n_water = nan", "finite")),
-    Mistake("infinite", "[water]\nlevel_mm = -inf", ("[water] level_mm", "finite")),
-    Mistake("number as name", "name = 5", ("line 1", "name = 5", "text")),
-    Mistake("tuple too short", "[camera]\nimage_wh = [800]", ("line 2", "[camera] image_wh = [800]", "2 elements, not 1")),
-    Mistake("tuple too long", "[camera]\nfocal_px = [1.0, 2.0, 3.0]", ("[camera] focal_px", "2 elements, not 3")),
-    Mistake("tuple as number", "[camera]\nimage_wh = 800", ("[camera] image_wh = 800", "a list of 2")),
-    Mistake("element beyond its limit", "[camera]\nimage_wh = [800, 15]", ("line 2", "image_wh element 2 = 15", "between 16 and 20000")),
-    Mistake("element of the wrong type", '[camera]\nimage_wh = [800, "600"]', ("image_wh element 2", "whole number")),
-    Mistake("none of the choices", "[turntable]\ndirection = 2", ("[turntable] direction = 2", "one of 1, -1")),
-    Mistake("true is not the choice 1", "[turntable]\ndirection = true", ("[turntable] direction = true", "one of 1, -1")),
-    Mistake("section as a value", "camera = 3", ("line 1", "camera = 3", "table")),
-    Mistake("rings as a table", "[plan.rings]\nviews = 3", ("line 1", "[plan] rings", "list")),
-    Mistake("second ring", "[[plan.rings]]\n[[plan.rings]]\nviews = 0", ("line 3", "[plan.rings 2] views = 0", "between 1")),
-    Mistake("choice of a ring", '[[plan.rings]]\nkind = "rot"', ("line 2", '[plan.rings 1] kind = "rot"', '"root"')),
-    Mistake("no kind", "[specimen]\ndiameter_mm = 2.0", ("line 1", "[specimen] kind", "missing", '"sphere", "mesh", "rsml", "grown"')),
-    Mistake("unknown kind", '[specimen]\nkind = "spher"', ("line 2", '[specimen] kind = "spher"', 'did you mean "sphere"')),
-    Mistake("key of another kind", '[specimen]\nkind = "mesh"\nfile = "a.stl"\nseed = 1', ("line 4", "[specimen] seed", "unknown key")),
-    Mistake("missing without default", '[specimen]\nkind = "mesh"', ("[specimen] file", "missing")),
-    Mistake("order of a plant", '[specimen]\nkind = "grown"\n[[specimen.orders]]\ntaper = 2', ("line 4", "specimen.orders 1] taper = 2")),
-    Mistake("huge number", "[camera]\nfocal_px = [1e400, 1.0]", ("focal_px element 1", "finite")),
-    Mistake("not TOML", "[camera\nbits = 12", ("not valid TOML", "line 1")),
-    Mistake("a key twice", "[camera]\nbits = 12\nbits = 12", ("not valid TOML",)),
+MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
+    ("unknown key", "[canister]\n\nwal_mm = 3.0", ("line 3", "[canister] wal_mm", "unknown key", '"wall_mm"')),
+    ("above the limit", "# rig\n[canister]\nwall_mm = 900", ("line 3", "[canister] wall_mm = 900", "between 0.2 and 50")),
+    ("number as text", '[water]\nn_water = "1.33"', ("line 2", '[water] n_water = "1.33"', "must be a number")),
+    ("bool is no number", "[water]\nn_water = true", ("[water] n_water = true", "must be a number, not true or false")),
+    ("bool is no whole number", "[camera]\nbits = true", ("[camera] bits = true", "whole number")),
+    ("fraction is no whole number", "[camera]\nbits = 12.0", ("[camera] bits = 12.0", "whole number")),
+    ("not a number", "[water]\nn_water = nan", ("[water] n_water = nan", "finite")),
+    ("infinite", "[water]\nlevel_mm = -inf", ("[water] level_mm", "finite")),
+    ("number as name", "name = 5", ("line 1", "name = 5", "text")),
+    ("tuple too short", "[camera]\nimage_wh = [800]", ("line 2", "[camera] image_wh = [800]", "2 elements, not 1")),
+    ("tuple too long", "[camera]\nfocal_px = [1.0, 2.0, 3.0]", ("[camera] focal_px", "2 elements, not 3")),
+    ("tuple as number", "[camera]\nimage_wh = 800", ("[camera] image_wh = 800", "a list of 2")),
+    ("element beyond its limit", "[camera]\nimage_wh = [800, 15]", ("line 2", "image_wh element 2 = 15", "between 16 and 20000")),
+    ("none of the choices", "[turntable]\ndirection = 2", ("[turntable] direction = 2", "one of 1, -1")),
+    ("true is not the choice 1", "[turntable]\ndirection = true", ("[turntable] direction = true", "one of 1, -1")),
+    ("section as a value", "camera = 3", ("line 1", "camera = 3", "table")),
+    ("rings as a table", "[plan.rings]\nviews = 3", ("line 1", "[plan] rings", "list")),
+    ("second ring", "[[plan.rings]]\n[[plan.rings]]\nviews = 0", ("line 3", "[plan.rings 2] views = 0", "between 1")),
+    ("no kind", "[specimen]\ndiameter_mm = 2.0", ("line 1", "[specimen] kind", "missing", '"sphere", "mesh", "rsml", "grown"')),
+    ("unknown kind", '[specimen]\nkind = "spher"', ("line 2", '[specimen] kind = "spher"', 'did you mean "sphere"')),
+    ("key of another kind", '[specimen]\nkind = "mesh"\nfile = "a.stl"\nseed = 1', ("line 4", "[specimen] seed", "unknown key")),
+    ("missing without default", '[specimen]\nkind = "mesh"', ("[specimen] file", "missing")),
+    ("order of a plant", '[specimen]\nkind = "grown"\n[[specimen.orders]]\ntaper = 2', ("line 4", "specimen.orders 1] taper = 2")),
+    ("not TOML", "[camera\nbits = 12", ("not valid TOML", "line 1")),
 ]
+"""Scene files with something wrong, and what the message must name."""
 
 
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda m: m.id)
-def test_mistake_is_named(tmp_path: Path, mistake: Mistake) -> None:
+@pytest.mark.parametrize(("text", "says"), [mistake[1:] for mistake in MISTAKES], ids=[mistake[0] for mistake in MISTAKES])
+def test_mistake_is_named(tmp_path: Path, text: str, says: tuple[str, ...]) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(mistake.text)
+    path.write_text(text)
     with pytest.raises(UserError) as caught:
         files.load_scene(path)
-    message = str(caught.value)
-    assert "mine.toml" in message
+    message = str(caught.value).replace(str(tmp_path), "")  # whose name has the case's words in it
     assert "\n" not in message
-    for words in mistake.says:
-        assert words in message
+    assert [words for words in ("mine.toml", *says) if words not in message] == []
 
 
-def test_empty_file_is_the_default_rig(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text("")
-    assert files.load_scene(tmp_path / "mine.toml") == Scene(name="mine")
-
-
-def test_whole_numbers_serve_as_floats_and_windows_files_are_read(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_bytes(b"\xef\xbb\xbf[water]\r\nn_water = 1\r\n[canister]\r\nn_wall=1\r\n")
-    scene = files.load_scene(str(tmp_path / "mine.toml"))
+def test_files_of_any_editor_are_read_and_whole_numbers_serve_as_floats(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("")
+    assert files.load_scene(path) == Scene(name="mine")
+    path.write_bytes(b"\xef\xbb\xbf[water]\r\nn_water = 1\r\n[canister]\r\nn_wall=1\r\n")
+    scene = files.load_scene(str(path))
     assert type(scene.water.n_water) is float
     assert scene.water.n_water == scene.canister.n_wall == 1.0
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"name = '\xe4'"])
-def test_other_encodings_are_refused(tmp_path: Path, content: bytes) -> None:
+UNREADABLE = {
+    "UTF-16": (b"\xff\xfe\x00", "UTF-8"),
+    "Latin-1": (b"name = '\xe4'", "UTF-8"),
+    "5000 digits": (b"views = " + b"9" * 5000, "is not valid TOML"),
+    "deep": (b"a = " + b"[" * 100_000, "is not valid TOML"),
+    "NUL": (b"\x00", "is not valid TOML"),
+}
+
+
+@pytest.mark.parametrize(("content", "says"), UNREADABLE.values(), ids=UNREADABLE.keys())
+def test_what_cannot_be_read_is_refused_in_a_sentence(tmp_path: Path, content: bytes, says: str) -> None:
     (tmp_path / "mine.toml").write_bytes(content)
-    with pytest.raises(UserError, match="UTF-8"):
+    with pytest.raises(UserError, match=rf"mine\.toml.*{says}") as caught:
         files.load_scene(tmp_path / "mine.toml")
-
-
-def test_missing_file_and_folder_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"nothing\.toml: there is no such file"):
-        files.load_scene(tmp_path / "nothing.toml")
-    with pytest.raises(UserError, match="is a folder"):
-        files.load_scene(tmp_path)
+    assert "sys." not in str(caught.value)
+    assert "recursion" not in str(caught.value)
 
 
 def test_specimen_file_is_found_beside_the_scene(tmp_path: Path) -> None:
@@ -168,39 +153,28 @@ def test_json_scene_names_its_origin() -> None:
         files.scene_from_dict(plain, where="run 7")
 
 
-def test_unknown_scene_and_profile_suggest_the_nearest() -> None:
-    with pytest.raises(UserError, match=r'"sphere_20m".*did you mean "sphere_20mm"'):
-        files.load_scene("sphere_20m")
-    with pytest.raises(UserError, match=r'"bensch".*did you mean "bench".*clean, bench, camera, harsh, real'):
-        files.load_profile("bensch")
-    with pytest.raises(UserError, match="no scene"):
-        files.load_scene("")
+def test_unknown_scene_and_profile_suggest_the_nearest(tmp_path: Path) -> None:
+    for load, name, says in (
+        (files.load_scene, "sphere_20m", r'"sphere_20m".*did you mean "sphere_20mm"'),
+        (files.load_scene, "radish_day5", 'did you mean "radish_day05a"'),
+        (files.load_scene, "", "no scene"),
+        (files.load_scene, tmp_path / "nothing.toml", r"nothing\.toml: there is no such file"),
+        (files.load_scene, tmp_path, "is a folder"),
+        (files.load_profile, "bensch", r'"bensch".*did you mean "bench".*clean, bench, camera, harsh, real'),
+    ):
+        with pytest.raises(UserError, match=says):
+            load(name)
 
 
 def test_own_profile_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("[disturbances]\nbubbles = 3\n")
     assert files.load_profile(str(path)) == Disturbances(bubbles=3)
-    path.write_text("[disturbances]\nbubles = 3\n")
-    with pytest.raises(UserError, match=r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'):
-        files.load_profile(str(path))
-    path.write_text("bubbles = 3\n")
-    with pytest.raises(UserError, match="line 1: bubbles: unknown key"):
-        files.load_profile(str(path))
-    path.write_text("disturbances = 3\n")
-    with pytest.raises(UserError, match="must be a table"):
-        files.load_profile(str(path))
-
-
-def test_saving_replaces_whole_files_only(tmp_path: Path) -> None:
-    files.save_scene(Scene(specimen=SphereSpecimen(diameter_mm=5.0)), tmp_path / "a.toml")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.toml"]
-
-
-@pytest.mark.parametrize("text", ["views = " + "9" * 5000, "a = " + "[" * 100_000, "\x00"], ids=["5000 digits", "deep", "NUL"])
-def test_monstrous_toml_is_refused_in_a_sentence(tmp_path: Path, text: str) -> None:
-    (tmp_path / "scene.toml").write_text(text)
-    with pytest.raises(UserError, match=r"scene\.toml: is not valid TOML") as caught:
-        files.load_scene(tmp_path / "scene.toml")
-    assert "sys." not in str(caught.value)
-    assert "recursion" not in str(caught.value)
+    for text, says in (
+        ("[disturbances]\nbubles = 3\n", r'line 2: \[disturbances\] bubles: unknown key \(did you mean "bubbles"'),
+        ("bubbles = 3\n", "line 1: bubbles: unknown key"),
+        ("disturbances = 3\n", "must be a table"),
+    ):
+        path.write_text(text)
+        with pytest.raises(UserError, match=says):
+            files.load_profile(str(path))

@@ -30,21 +30,16 @@ def test_cancelling_stops_at_the_next_step_and_leaves_the_rest_undone() -> None:
         pytest.fail("a cancelled monitor lets no stage begin")
 
 
-def test_stages_are_timed_and_add_up() -> None:
-    monitor = Monitor()
-    for _ in range(2):
-        with monitor.stage("sleep"):
-            time.sleep(0.02)
-    assert list(monitor.timings_s) == ["sleep"]
-    assert 0.04 <= monitor.timings_s["sleep"] < 1.0
-
-
-def test_the_end_of_a_stage_is_told() -> None:
+def test_stages_are_timed_and_add_up_and_their_end_is_reported() -> None:
     monitor, told = Monitor(), list[str]()
     monitor.after_stage = lambda: told.append("end")
-    with monitor.stage("one"):
-        assert not told
-    assert told == ["end"]
+    for count in range(2):
+        with monitor.stage("sleep"):
+            time.sleep(0.02)
+            assert len(told) == count
+    assert told == ["end", "end"]
+    assert list(monitor.timings_s) == ["sleep"]
+    assert 0.04 <= monitor.timings_s["sleep"] < 1.0
 
 
 def test_a_bar_counts_what_is_done(capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,10 +50,5 @@ def test_a_bar_counts_what_is_done(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_an_error_in_the_work_is_handed_on() -> None:
     with pytest.raises(ZeroDivisionError):
-        Monitor().each(lambda n: 1 // n, "divide", [1, 0, 1])
-
-
-def test_a_monitor_stays_itself() -> None:
-    monitor = Monitor()
-    assert Monitor.of(monitor) is monitor
-    assert isinstance(Monitor.of(None), Monitor)
+        Monitor.of(None).each(lambda n: 1 // n, "divide", [1, 0, 1])
+    assert Monitor.of(monitor := Monitor()) is monitor

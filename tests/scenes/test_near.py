@@ -2,8 +2,6 @@
 
 import pytest
 
-from rhizotwin.scenes import files
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.near import nearest
 
 
@@ -22,8 +20,3 @@ from rhizotwin.scenes.near import nearest
 )
 def test_the_name_that_was_meant(word: str, known: list[str], meant: str | None):
     assert nearest(word, known) == meant
-
-
-def test_a_scene_that_is_not_there_names_the_plant_of_that_day():
-    with pytest.raises(UserError, match='did you mean "radish_day05a"'):
-        files.load_scene("radish_day5")

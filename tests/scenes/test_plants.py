@@ -45,10 +45,7 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
         ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be 2 mm or more from A"),
         ({"plants": [{"plant": "A"}], "specimen": {"kind": "sphere"}}, r"must be left out where \[\[plants\]\]"),
         ({"plants": [{"plant": "A"}], "subject": {"plant": "C"}}, r"must be left out where \[\[plants\]\]"),
-        (
-            {"plants": [{"plant": "A", "at_mm": [60, 0], "specimen": {"kind": "sphere", "diameter_mm": 40}}]},
-            "must stay in the water",
-        ),
+        ({"plants": [{"plant": "A", "at_mm": [60, 0], "specimen": {"kind": "sphere", "diameter_mm": 40}}]}, "must stay in the water"),
     ],
 )
 def test_plants_that_cannot_be_told_apart_are_refused(changes, sentence) -> None:

@@ -1,9 +1,7 @@
 """RSML files as they are in the wild, by the traps of the format, and the round trip of our own."""
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -39,27 +37,32 @@ def one(path: Path, unit: str | None = None, diameter_mm: float | None = None) -
     return root
 
 
-def test_schema_form(write: Write) -> None:
-    root = one(write(f'<root ID="1" label="tap">{LINE}{THICK}</root>'))
-    np.testing.assert_array_equal(root.points_mm, [[0, 0, -1], [0, 0, -2], [0, 0, -4]])
-    np.testing.assert_array_equal(root.diameters_mm, [0.5, 0.4, 0.1])
-    assert (root.order, root.parent, root.label) == (0, -1, "tap")
+def test_schema_form_with_and_without_prefixes_and_capitals(write: Write) -> None:
+    path = write(f'<root ID="1" label="tap" po:accession="PO:0020127">{LINE}{THICK}</root>')
+    declared = '<rsml xmlns="http://x" xmlns:po="http://www.plantontology.org/xml-dtd/po.dtd">'
+    for old, new in (("", ""), ("<rsml>", declared), ("<point x=", "<Point X="), (" y=", " Y=")):
+        path.write_text(path.read_text().replace(old, new))
+        root = one(path)
+        np.testing.assert_array_equal(root.points_mm, [[0, 0, -1], [0, 0, -2], [0, 0, -4]])
+        np.testing.assert_array_equal(root.diameters_mm, [0.5, 0.4, 0.1])
+        assert (root.order, root.parent, root.label) == (0, -1, "tap")
 
 
+def scaled(of: str, *values: str) -> str:
+    return of.replace("0.5", values[0]).replace("0.4", values[1]).replace("0.1", values[2])
+
+
+AS_TEXT = "<functions><function name='{}'><sample>0.5</sample><sample>0.4</sample><sample>0.1</sample></function></functions>"
 THICKNESS = {
     "numbered function": THICK.replace("function ", "function1 ").replace("/function>", "/function1>"),
     "function in another order of attributes": THICK.replace('name="diameter" domain="polyline"', 'domain="polyline" name="diameter"'),
     "plural functions nested": THICK.replace("<function ", "<functions ").replace("</function>", "</functions>"),
-    "samples as text": "<functions><function name='diameter'>"
-    + "".join(f"<sample>{v}</sample>" for v in (0.5, 0.4, 0.1))
-    + "</function></functions>",
-    "radius": THICK.replace("diameter", "radius").replace("0.5", "0.25").replace("0.4", "0.2").replace("0.1", "0.05"),
+    "samples as text": AS_TEXT.format("diameter"),
+    "radius": scaled(THICK.replace("diameter", "radius"), "0.25", "0.2", "0.05"),
+    "radius with its unit": scaled(AS_TEXT.format("radius [m]"), "0.00025", "0.0002", "5e-5"),
     "capitals": THICK.replace('"diameter"', '"Diameter"').replace("sample", "Sample"),
     "other functions before": "<functions><function name='age'><sample value='9'/></function></functions>" + THICK,
     "diameter before radius": THICK.replace("diameter", "radius").replace("0.5", "7") + THICK,
-    "radius with its unit": (
-        "<functions><function name='radius [m]'><sample>0.00025</sample><sample>0.0002</sample><sample>5e-5</sample></function></functions>"
-    ),
 }
 
 
@@ -82,13 +85,10 @@ def test_one_diameter_for_the_whole_root(write: Write, properties: str) -> None:
 
 
 def test_property_with_a_defined_unit(write: Write) -> None:
-    definitions = (
-        "<property-definitions><property-definition><label>diameter</label><unit>cm</unit></property-definition></property-definitions>"
-    )
-    metadata = MM.replace("</metadata>", definitions + "</metadata>")
-    assert one(write(f'<root><properties><diameter value="0.03"/></properties>{LINE}</root>', metadata)).diameters_mm[0] == pytest.approx(
-        0.3
-    )
+    definition = "<property-definition><label>diameter</label><unit>cm</unit></property-definition>"
+    metadata = MM.replace("</metadata>", f"<property-definitions>{definition}</property-definitions></metadata>")
+    root = one(write(f'<root><properties><diameter value="0.03"/></properties>{LINE}</root>', metadata))
+    assert root.diameters_mm[0] == pytest.approx(0.3)
     assert one(write(f"<root>{LINE}{THICK}</root>", metadata)).diameters_mm[0] == 0.5  # functions follow the points
 
 
@@ -119,11 +119,6 @@ def test_empty_and_single_point_roots_are_left_out(write: Write) -> None:
     assert tap.order == 0
     with pytest.raises(UserError, match="no root with two or more points"):
         read_rsml(write(f"<root/><root>{single}</root>"))
-
-
-def test_point_with_a_capital(write: Write) -> None:
-    capital = LINE.replace("<point x=", "<Point X=").replace(" y=", " Y=")
-    np.testing.assert_array_equal(one(write(f"<root>{capital}{THICK}</root>")).points_mm[:, 2], [-1, -2, -4])
 
 
 def test_several_plants_and_ids_of_any_case(write: Write) -> None:
@@ -180,10 +175,11 @@ def test_unknown_unit_is_refused_unless_given(write: Write, metadata: str) -> No
     assert one(path, unit="0.5mm").diameters_mm[0] == 0.25
 
 
-@pytest.mark.parametrize("unit", ["furlong", "", "0 mm", "-1 mm", "nan mm", "mm mm"])
-def test_nonsense_unit_option(write: Write, unit: str) -> None:
-    with pytest.raises(UserError, match="--specimen-unit"):
-        read_rsml(write(f"<root>{LINE}{THICK}</root>"), unit=unit)
+def test_nonsense_unit_option(write: Write) -> None:
+    path = write(f"<root>{LINE}{THICK}</root>")
+    for unit in ("furlong", "", "0 mm", "-1 mm", "nan mm", "mm mm"):
+        with pytest.raises(UserError, match="--specimen-unit"):
+            read_rsml(path, unit=unit)
 
 
 def test_unit_in_the_functions_name_serves_the_points(write: Write) -> None:
@@ -204,61 +200,50 @@ def test_two_dimensions_hang_down_at_depth_0(write: Write) -> None:
         read_rsml(write(f"<root>{mixed}{THICK}</root>"))
 
 
-def test_samples_that_do_not_match_the_points(write: Write) -> None:
+def test_samples_are_one_a_point_or_spread_by_domain_and_position(write: Write) -> None:
     two = '<functions><function name="diameter" domain="{}"><sample {} value="1"/><sample {} value="0.4"/></function></functions>'
     with pytest.raises(UserError, match="2 samples for 3 points"):
         read_rsml(write(f"<root>{LINE}{two.format('polyline', '', '')}</root>"))
     np.testing.assert_allclose(one(write(f"<root>{LINE}{two.format('uniform', '', '')}</root>")).diameters_mm, [1.0, 0.8, 0.4])
     at = two.format("length", "position='1'", "position='3'")
     np.testing.assert_allclose(one(write(f"<root>{LINE}{at}</root>")).diameters_mm, [1.0, 1.0, 0.4])
+    three = at.replace("<sample", "<sample position='0' value='2'/><sample", 1)  # as many as the points, but elsewhere
+    np.testing.assert_allclose(one(write(f"<root>{LINE}{three}</root>")).diameters_mm, [2.0, 1.0, 0.4])
+    halfway = three.replace("position='1'", "position='1.5'")
+    np.testing.assert_allclose(one(write(f"<root>{LINE}{halfway}</root>")).diameters_mm, [2.0, 2.0 - 1.0 / 1.5, 0.4])
 
 
-def test_samples_with_positions_are_spread_by_them_though_they_are_as_many_as_the_points(write: Write) -> None:
-    samples = "<sample position='0' value='2'/><sample position='1.5' value='1'/><sample position='3' value='0.4'/>"
-    root = one(write(f'<root>{LINE}<functions><function name="diameter" domain="length">{samples}</function></functions></root>'))
-    np.testing.assert_allclose(root.diameters_mm, [2.0, 2.0 - 1.0 / 1.5, 0.4])
+def test_a_tip_was_seen_unless_the_file_says_no(write: Write) -> None:
+    for value, seen in (("false", False), ("False", False), ("0", False), ("true", True), ("1", True), ("", True)):
+        properties = f'<properties><tip-seen value="{value}"/></properties>' if value else "<properties><tip-seen/></properties>"
+        assert one(write(f"<root>{LINE}{THICK}{properties}</root>")).tip_seen is seen, value
+    assert one(write(f"<root>{LINE}{THICK}</root>")).tip_seen
 
 
-@pytest.mark.parametrize(("value", "seen"), [("false", False), ("False", False), ("0", False), ("true", True), ("1", True)])
-def test_a_tip_that_nobody_saw(write: Write, value: str, seen: bool) -> None:
-    assert one(write(f'<root>{LINE}{THICK}<properties><tip-seen value="{value}"/></properties></root>')).tip_seen is seen
+def test_impossible_diameters_and_points(write: Write) -> None:
+    for bad, says in (("-0.5", "diameters must be above 0"), ("thick", "no finite number"), ("nan", "no finite number")):
+        with pytest.raises(UserError, match=says):
+            read_rsml(write(f"<root>{LINE}{THICK.replace('0.4', bad)}</root>"))
+    for bad in ('x="one"', 'x="inf"', 'x=""', ""):
+        with pytest.raises(UserError, match=r"x of a point of root 1 is"):
+            read_rsml(write("<root>" + LINE.replace('x="0"', bad, 1) + THICK + "</root>"))
 
 
-@pytest.mark.parametrize(
-    ("bad", "says"), [("-0.5", "diameters must be above 0"), ("thick", "no finite number"), ("nan", "no finite number")]
-)
-def test_impossible_diameters(write: Write, bad: str, says: str) -> None:
-    with pytest.raises(UserError, match=says):
-        read_rsml(write(f"<root>{LINE}{THICK.replace('0.4', bad)}</root>"))
-
-
-@pytest.mark.parametrize("bad", ['x="one"', 'x="inf"', 'x=""', ""])
-def test_impossible_points(write: Write, bad: str) -> None:
-    with pytest.raises(UserError, match=r"x of a point of root 1 is"):
-        read_rsml(write("<root>" + LINE.replace('x="0"', bad, 1) + THICK + "</root>"))
-
-
-NOT_RSML = {
-    "empty": b"",
-    "binary": bytes(range(256)),
-    "html": b"<html><body/></html>",
-    "json": b'{"roots": []}',
-    "truncated": f"<rsml><scene><plant><root>{LINE}".encode(),
-    "wrong encoding": b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
-    "unknown encoding": b"<?xml version='1.0' encoding='martian'?><rsml/>",
-}
-
-
-@pytest.mark.parametrize("content", NOT_RSML.values(), ids=NOT_RSML.keys())
-def test_what_is_no_rsml(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "wild.rsml").write_bytes(content)
-    with pytest.raises(UserError, match=r"wild\.rsml: is no RSML file"):
-        read_rsml(tmp_path / "wild.rsml")
-
-
-def test_missing_file(tmp_path: Path) -> None:
+def test_what_is_no_rsml(tmp_path: Path) -> None:
+    path = tmp_path / "wild.rsml"
     with pytest.raises(UserError, match="no such file"):
-        read_rsml(tmp_path / "nothing.rsml")
+        read_rsml(path)
+    for content in (
+        b"",
+        bytes(range(256)),
+        b"<html><body/></html>",
+        f"<rsml><scene><plant><root>{LINE}".encode(),  # cut off
+        b"<?xml version='1.0' encoding='utf-8'?><rsml a='\xff'/>",
+        b"<?xml version='1.0' encoding='martian'?><rsml/>",
+    ):
+        path.write_bytes(content)
+        with pytest.raises(UserError, match=r"wild\.rsml: is no RSML file"):
+            read_rsml(path)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
@@ -268,14 +253,6 @@ def test_entities_are_refused(tmp_path: Path, encoding: str) -> None:
     (tmp_path / "wild.rsml").write_bytes(text.encode(encoding))
     with pytest.raises(UserError, match="document type"):
         read_rsml(tmp_path / "wild.rsml")
-
-
-def test_prefixes_declared_or_not(write: Write) -> None:
-    body = f'<root po:accession="PO:0020127">{LINE}{THICK}</root>'
-    assert len(read_rsml(write(body))) == 1
-    path = write(body)
-    path.write_text(path.read_text().replace("<rsml>", '<rsml xmlns="http://x" xmlns:po="http://www.plantontology.org/xml-dtd/po.dtd">'))
-    assert len(read_rsml(path)) == 1
 
 
 def test_deep_nesting_is_read(write: Write) -> None:
@@ -314,38 +291,11 @@ def test_roots_survive_exactly(tmp_path_factory: pytest.TempPathFactory, data: s
         assert (found[other.parent].label if other.parent >= 0 else None) == (roots[root.parent].label if root.parent >= 0 else None)
 
 
-def test_written_file_has_the_schemas_form(tmp_path: Path) -> None:
+def test_impossible_parents_are_refused(tmp_path: Path) -> None:
     points, diameters = np.array([[0.0, 0, -1], [0, 0, -2]]), np.array([0.5, 0.4])
-    tap = Root(points_mm=points, diameters_mm=diameters, order=0, parent=-1, label="tap")
-    lateral = Root(points_mm=points, diameters_mm=diameters, order=1, parent=0)
-    path = tmp_path / "ours.rsml"
-    write_rsml(path, (tap, lateral), modified=datetime(2024, 1, 2, tzinfo=UTC))
-    document = ET.parse(path).getroot()
-    metadata = document.find("metadata")
-    assert metadata is not None
-    order = ["version", "unit", "resolution", "last-modified", "software", "user", "file-key", "property-definitions"]
-    assert [child.tag for child in metadata] == order
-    assert [metadata.findtext(tag) for tag in order[:5]] == ["1", "mm", "1", "2024-01-02T00:00:00+00:00", "rhizotwin"]
-    outer = document.find("scene/plant/root")
-    assert outer is not None
-    assert [child.tag for child in outer] == ["properties", "geometry", "functions", "root"]
-    assert len(outer.findall("geometry/polyline/point")) == 2
-    function = outer.find("functions/function")
-    assert function is not None
-    assert function.attrib == {"name": "diameter", "domain": "polyline"}
-    assert [sample.attrib for sample in function] == [{"value": "0.5"}, {"value": "0.4"}]
-
-
-def test_the_tips_of_other_peoples_roots_are_tips(write: Write) -> None:
-    told = ('<properties><tip-seen value="true"/></properties>', "<properties><tip-seen/></properties>", "")
-    assert all(read_rsml(write(f"<root>{how}{LINE}{THICK}</root>"))[0].tip_seen for how in told)
-
-
-@pytest.mark.parametrize("parents", [(0,), (1, 0), (5,), (-2,)])
-def test_impossible_parents_are_refused(tmp_path: Path, parents: tuple[int, ...]) -> None:
-    points, diameters = np.array([[0.0, 0, -1], [0, 0, -2]]), np.array([0.5, 0.4])
-    with pytest.raises(ValueError):
-        write_rsml(tmp_path / "a.rsml", [Root(points_mm=points, diameters_mm=diameters, order=0, parent=p) for p in parents])
+    for parents in ((0,), (1, 0), (5,), (-2,)):
+        with pytest.raises(ValueError):
+            write_rsml(tmp_path / "a.rsml", [Root(points_mm=points, diameters_mm=diameters, order=0, parent=p) for p in parents])
     assert not list(tmp_path.iterdir())
 
 

@@ -4,23 +4,23 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhizotwin.scenes import files, subject
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Scene, Water
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.sim.simulate import _scene_hash
+from rhizotwin.sim.specimen import SpecimenSolid
 
 WHOLE = Subject(plant="P7", species="Raphanus sativus", treatment="low N", day=15.0, date="2022-10-16", replicate=2, notes="fell over")
 
 
-def test_a_scene_file_keeps_it(tmp_path: Path) -> None:
+def test_scene_files_and_datasets_keep_it_and_one_without_is_read(tmp_path: Path) -> None:
     files.save_scene(Scene(subject=WHOLE), tmp_path / "scene.toml")
     assert files.load_scene(tmp_path / "scene.toml").subject == WHOLE
-
-
-def test_a_dataset_keeps_it_and_one_without_is_read(tmp_path: Path) -> None:
     save_dataset(Dataset(folder=tmp_path, scene=Scene(subject=WHOLE), frames=(Frame(file="a.png", sha256=""),)))
     assert load_dataset(tmp_path).scene.subject == WHOLE
     path = tmp_path / "dataset.json"
@@ -28,12 +28,6 @@ def test_a_dataset_keeps_it_and_one_without_is_read(tmp_path: Path) -> None:
     del plain["scene"]["subject"]  # as earlier versions wrote it
     path.write_text(json.dumps(plain), encoding="utf-8")
     assert load_dataset(tmp_path).scene.subject == Subject()
-
-
-def test_the_thesis_plants_have_names_and_days() -> None:
-    told = [files.load_scene(name).subject for name, _ in files.library() if name.startswith("radish_day")]
-    assert sorted(int(one.plant.removeprefix("radish ")) for one in told) == list(range(1, 19))
-    assert {one.day for one in told} == {5.0, 10.0, 15.0, 20.0, 25.0, 30.0}
 
 
 def test_cells_of_a_table_give_it_back() -> None:
@@ -67,9 +61,7 @@ def test_a_cell_that_is_no_number_is_named() -> None:
 
 
 def test_it_is_no_part_of_what_the_pictures_are_made_with() -> None:
-    from rhizotwin.sim.simulate import _scene_hash
-    from rhizotwin.sim.specimen import build_specimen
-
-    scene = files.load_scene("sphere_20mm")
-    solid = build_specimen(scene)
+    scene = files.load_scene("printed_8ml")
+    solid = SpecimenSolid(vertices=np.zeros((3, 3)), faces=np.array([[0, 1, 2]], np.int32), volume_mm3=1.0)
     assert _scene_hash(scene, solid) == _scene_hash(replace(scene, subject=WHOLE), solid)
+    assert _scene_hash(scene, solid) != _scene_hash(replace(scene, water=Water(n_water=1.34)), solid)

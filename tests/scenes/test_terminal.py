@@ -34,20 +34,10 @@ def test_a_pipe_gets_a_line_a_stage_and_nothing_that_moves():
 
 def test_a_terminal_gets_one_bar_with_the_stage_and_the_share_done(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("NO_COLOR", raising=False)
-    stream = Terminal()
-    work(OneBar({"carve": 3.0, "surface": 1.0}, stream=stream))
-    shown = stream.getvalue()
-    assert "carve" in shown
-    assert "surface" in shown
-    assert " 75 %" in shown
-    assert "100 %" in shown
-    assert "\x1b[38" in shown
-
-
-def test_no_colour_where_none_is_wanted(monkeypatch: pytest.MonkeyPatch):
+    work(OneBar({"carve": 3.0, "surface": 1.0}, stream=(stream := Terminal())))
+    assert [text for text in ("carve", "surface", " 75 %", "100 %", "\x1b[38") if text not in stream.getvalue()] == []
     monkeypatch.setenv("NO_COLOR", "1")
-    stream = Terminal()
-    work(OneBar({"carve": 1.0}, stream=stream))
+    work(OneBar({"carve": 1.0}, stream=(stream := Terminal())))
     assert "\x1b[38" not in stream.getvalue()
 
 

@@ -25,7 +25,7 @@ def test_noise_is_that_of_counted_photons(level: float) -> None:
     assert noisy.std() * 5000.0 == pytest.approx(np.sqrt(level * 5000.0 + 16.0), rel=0.03)
 
 
-@pytest.mark.parametrize("mean", [0.0, 0.3, 4.0, 24.0, 25.0, 200.0, 8000.0])
+@pytest.mark.parametrize("mean", [0.0, 0.3, 24.0, 25.0, 8000.0])
 def test_photons_are_poisson_quantiles(mean: float) -> None:
     chance = np.linspace(-5.0, 5.0, 2001)
     found = photons(np.full(len(chance), mean), chance)

@@ -33,26 +33,24 @@ def centre_light(wrong: Disturbances, solid: SpecimenSolid | None = None, **chan
     return float(image[CENTRE].mean()), coverage
 
 
-def test_turbid_water_weakens_light_by_beer_and_lambert() -> None:
-    clear, _ = centre_light(Disturbances())
-    turbid, _ = centre_light(Disturbances(turbidity_per_mm=0.004))
+@pytest.fixture(scope="module")
+def clear() -> float:
+    """Return the light through clean water."""
+    return centre_light(Disturbances())[0]
+
+
+def test_turbid_water_and_a_root_in_it_weaken_light_by_beer_and_lambert(clear: float) -> None:
+    turbid = centre_light(Disturbances(turbidity_per_mm=0.004))[0]
     assert turbid / clear == pytest.approx(np.exp(-0.004 * 2.0 * (76.2 - 3.175)), rel=2e-3)
+    for free, wrong in ((clear, Disturbances(root_mu_per_mm=0.3)), (turbid, Disturbances(root_mu_per_mm=0.3, turbidity_per_mm=0.004))):
+        behind, coverage = centre_light(wrong, box(4.0))
+        assert behind / free == pytest.approx(np.exp(-(0.3 - wrong.turbidity_per_mm) * 4.0), rel=3e-3)
+        np.testing.assert_array_equal(coverage[CENTRE], 1.0)
 
 
-@pytest.mark.parametrize("turbidity_per_mm", [0.0, 0.003])
-def test_a_translucent_root_weakens_light_by_its_chord(turbidity_per_mm: float) -> None:
-    wrong = Disturbances(root_mu_per_mm=0.3, turbidity_per_mm=turbidity_per_mm)
-    free, _ = centre_light(wrong)
-    behind, coverage = centre_light(wrong, box(4.0))
-    assert behind / free == pytest.approx(np.exp(-(0.3 - turbidity_per_mm) * 4.0), rel=3e-3)
-    np.testing.assert_array_equal(coverage[CENTRE], 1.0)
-
-
-def test_algae_cover_the_light_by_their_opacity() -> None:
+def test_algae_cover_the_light_by_their_opacity(clear: float) -> None:
     patch = Patch(azimuth_rad=0.0, z_mm=-60.0, radius_mm=25.0, opacity=0.4, lobes_rad=())
-    clear, _ = centre_light(Disturbances())
-    behind, _ = centre_light(Disturbances(), algae=(patch,))
-    assert behind / clear == pytest.approx(0.6, rel=2e-3)
+    assert centre_light(Disturbances(), algae=(patch,))[0] / clear == pytest.approx(0.6, rel=2e-3)
 
 
 def test_algae_and_bubbles_keep_clear_of_a_wall_that_is_nearer_than_drawn() -> None:
@@ -69,18 +67,13 @@ def test_algae_and_bubbles_keep_clear_of_a_wall_that_is_nearer_than_drawn() -> N
     np.testing.assert_allclose(behind, clear, atol=1e-3 * clear.max())
 
 
-def test_a_bubble_lets_through_what_fresnel_says() -> None:
+def test_a_bubble_lets_through_what_fresnel_says_and_a_fibre_shades_but_neither_is_root(clear: float) -> None:
     bubble = Bubble(x_mm=0.0, y_mm=0.0, z_mm=-60.0, radius_mm=40.0)
-    clear, _ = centre_light(Disturbances())
     behind, coverage = centre_light(Disturbances(), bubbles=(bubble,))
     through_one_face = 1.0 - (0.333 / 2.333) ** 2
     assert behind / clear == pytest.approx(through_one_face**2, rel=2e-3)
     assert not coverage.any()
-
-
-def test_felt_fibres_shade_but_are_no_root() -> None:
     fibre = Fibre(points_mm=np.array([[0.0, 0.0, -50.0], [0.0, 0.0, -60.0], [0.0, 0.0, -70.0]]), radius_mm=1.0)
-    clear, _ = centre_light(Disturbances())
     behind, coverage = centre_light(Disturbances(), fibres=(fibre,))
     assert behind < 0.9 * clear
     assert not coverage.any()

@@ -148,15 +148,16 @@ def transmitted(n_from: float, n_to: float) -> float:
     return 1.0 - ((n_from - n_to) / (n_from + n_to)) ** 2
 
 
-def test_light_through_the_middle_is_what_fresnel_lets_pass() -> None:
-    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=1),))), 40, 30)
+def test_an_empty_canister_is_its_own_mirror_image_and_passes_what_fresnel_says() -> None:
+    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=1),))), 80, 60)
     image, coverage = Renderer(scene, draw_world(scene, seed=0), None).view(0)
     can, level = scene.canister, scene.lights.backlight_level
-    row = 15
     expected = level * (transmitted(1.0, can.n_wall) * transmitted(can.n_wall, scene.water.n_water)) ** 2
-    np.testing.assert_allclose(image[row, 19:21], expected, rtol=2e-3)
-    np.testing.assert_allclose(image[row, 1], level, rtol=1e-5)
+    np.testing.assert_allclose(image[30, 39:41], expected, rtol=2e-3)
+    np.testing.assert_allclose(image[30, 1], level, rtol=1e-5)
     assert not coverage.any()
+    below_the_strip = image[24:]
+    np.testing.assert_allclose(below_the_strip, below_the_strip[:, ::-1], atol=2e-3)
 
 
 def test_both_fidelities_agree_on_light_and_mask() -> None:
@@ -164,7 +165,7 @@ def test_both_fidelities_agree_on_light_and_mask() -> None:
     world = draw_world(scene, seed=3)
     solid = ball((5.0, 10.0, -55.0), 12.0)
     fast, mask = Renderer(scene, world, solid).view(1)
-    full, same_mask = Renderer(scene, world, solid, fidelity="path", samples=256).view(1)
+    full, same_mask = Renderer(scene, world, solid, fidelity="path", samples=64).view(1)
     np.testing.assert_array_equal(mask, same_mask)
     through = np.s_[25:55, 30:50]
     free = mask[through] == 0.0
@@ -172,13 +173,6 @@ def test_both_fidelities_agree_on_light_and_mask() -> None:
     assert np.mean(full[mask == 1.0]) < 0.1 * scene.lights.backlight_level
     assert np.mean(fast[mask == 1.0]) < 0.1 * scene.lights.backlight_level
     np.testing.assert_allclose(full[:, 2], fast[:, 2], rtol=1e-3)
-
-
-def test_an_empty_canister_is_its_own_mirror_image() -> None:
-    scene = small(Scene(plan=CapturePlan(rings=(Ring(views=1),))), 80, 60)
-    image, _ = Renderer(scene, draw_world(scene, seed=0), None).view(0)
-    below_the_strip = image[24:]
-    np.testing.assert_allclose(below_the_strip, below_the_strip[:, ::-1], atol=2e-3)
 
 
 def test_the_strip_reads_from_outside_and_lies_where_the_plan_says() -> None:
@@ -199,7 +193,6 @@ def test_the_strip_reads_from_outside_and_lies_where_the_plan_says() -> None:
         expected = np.array(camera.focal_px) * in_cam[:, :2] / in_cam[:, 2:] + np.array(camera.principal_px)
         errors.append(np.linalg.norm(pixels - expected, axis=1))
     assert np.median(errors) < 1.5
-    assert np.median(np.mean(errors, axis=0)) < 1.5
 
 
 def test_a_printed_corner_is_where_the_plan_says_to_a_fiftieth_of_a_pixel() -> None:
@@ -220,8 +213,8 @@ def test_a_printed_corner_is_where_the_plan_says_to_a_fiftieth_of_a_pixel() -> N
 
 def test_white_paper_facing_the_camera_reaches_its_level() -> None:
     scene = Scene(plan=CapturePlan(rings=(Ring(views=1),)))
-    scene = small(replace(scene, net_pot=replace(NetPot(), skirt_bottom_mm=-5.0)), 200, 150)
+    scene = small(replace(scene, net_pot=replace(NetPot(), skirt_bottom_mm=-5.0)), 100, 75)
     for fidelity, samples in (("backlit", 4), ("path", 64)):
         image, _ = Renderer(scene, draw_world(scene, seed=0), None, fidelity=fidelity, samples=samples).view(0)
-        paper = np.quantile(image[5:38, 85:115], 0.9)
+        paper = np.quantile(image[3:19, 43:57], 0.9)
         assert paper == pytest.approx(scene.lights.front_level, rel=0.15)

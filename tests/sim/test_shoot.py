@@ -22,12 +22,11 @@ def build(**changes: object) -> ShootSolid:
     return solid
 
 
-def test_a_scene_without_a_shoot_has_none() -> None:
+def test_it_is_closed_stands_on_the_pot_and_has_its_seeds_leaves() -> None:
     assert build_shoot(Scene()) is None
-
-
-def test_it_is_closed_and_stands_on_the_pot() -> None:
     solid = build(seed=3)
+    np.testing.assert_array_equal(build(seed=3).vertices, solid.vertices)
+    assert build(seed=4).leaf_area_mm2 != solid.leaf_area_mm2
     mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(solid.volume_mm3, rel=1e-9)
@@ -52,12 +51,6 @@ def test_its_area_does_not_hang_on_its_cells(monkeypatch: pytest.MonkeyPatch) ->
     assert build(seed=1).leaf_area_mm2 == pytest.approx(coarse, rel=0.005)
 
 
-def test_same_seed_same_shoot() -> None:
-    one, again, other = build(seed=5), build(seed=5), build(seed=6)
-    np.testing.assert_array_equal(one.vertices, again.vertices)
-    assert one.leaf_area_mm2 != other.leaf_area_mm2
-
-
 def test_leaves_in_the_pot_are_refused() -> None:
     with pytest.raises(UserError, match=r"below the net pot's top .* raise shoot\.elevation_deg"):
         build(elevation_deg=-40.0)
@@ -68,13 +61,10 @@ HABITS = re.findall(r"```toml\n# ([^,\n]+), ([\d.]+) g\n(\[shoot\]\n.*?)```", PA
 """Name, grams at 1 g/ml, and keys. The first two have the least and the largest shoot mass of the thesis's table A.1."""
 
 
-@pytest.mark.parametrize(("grams", "keys"), [habit[1:] for habit in HABITS], ids=[habit[0] for habit in HABITS])
-def test_shoots_of_the_page_have_their_mass(grams: str, keys: str) -> None:
-    changes = tomllib.loads(keys)["shoot"]
-    solid = build(**changes)
-    assert solid.volume_mm3 / 1000.0 == pytest.approx(float(grams), rel=0.06)
-    assert solid.leaves == changes["leaves"]
-
-
-def test_the_page_has_seedling_radish_lettuce_and_bean() -> None:
+def test_shoots_of_the_page_have_their_mass() -> None:
     assert [habit[0] for habit in HABITS] == ["seedling", "radish of 30 days", "lettuce", "bean"]
+    for name, grams, keys in HABITS:
+        changes = tomllib.loads(keys)["shoot"]
+        solid = build(**changes)
+        assert solid.volume_mm3 / 1000.0 == pytest.approx(float(grams), rel=0.06), name
+        assert solid.leaves == changes["leaves"], name

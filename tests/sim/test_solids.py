@@ -12,9 +12,12 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.sim import growth, solids
 
 
-def straight(a: tuple[float, float, float], b: tuple[float, float, float], diameter_mm: float, *, points: int = 11) -> Root:
-    line = np.linspace(a, b, points)
-    return Root(points_mm=line, diameters_mm=np.full(points, diameter_mm), order=0, parent=-1, label="")
+def tube(line: np.ndarray, diameters_mm: np.ndarray | float) -> Root:
+    return Root(points_mm=line, diameters_mm=np.broadcast_to(diameters_mm, len(line)).astype(float), order=0, parent=-1, label="")
+
+
+def straight(a: tuple[float, float, float], b: tuple[float, float, float], diameter_mm: float) -> Root:
+    return tube(np.linspace(a, b, 11), diameter_mm)
 
 
 def mesh_of(roots: list[Root]) -> trimesh.Trimesh:
@@ -22,7 +25,7 @@ def mesh_of(roots: list[Root]) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-@pytest.mark.parametrize("diameter_mm", [0.4, 1.5, 4.0, 12.0])
+@pytest.mark.parametrize("diameter_mm", [0.4, 12.0])
 def test_a_straight_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm: float) -> None:
     """Two lengths: the difference is a cylinder without caps, exact because the polygon's area is the circle's."""
     short = solids.union_of_roots([straight((1, 2, -20), (4, 6, -20), diameter_mm)]).volume()
@@ -35,7 +38,7 @@ def test_a_straight_tube_has_the_cylinder_s_volume_between_its_caps(diameter_mm:
 
 def test_a_tapering_tube_has_the_frustum_s_volume() -> None:
     line = np.linspace((0, 0, -20), (0, 0, -80), 7)
-    root = Root(points_mm=line, diameters_mm=np.linspace(4.0, 1.0, 7), order=0, parent=-1, label="")
+    root = tube(line, np.linspace(4.0, 1.0, 7))
     frustum_mm3 = np.pi * 60.0 / 3.0 * (2.0**2 + 2.0 * 0.5 + 0.5**2)
     caps_mm3 = 2.0 / 3.0 * np.pi * (2.0**3 + 0.5**3)
     assert solids.union_of_roots([root]).volume() == pytest.approx(frustum_mm3 + caps_mm3, abs=0.1 * caps_mm3)
@@ -46,8 +49,7 @@ def test_a_bent_tube_has_pappus_volume() -> None:
     line = np.stack([20.0 * np.cos(turn), 20.0 * np.sin(turn), np.full(80, -50.0)], axis=1)
     volumes = []
     for end in (40, 80):
-        root = Root(points_mm=line[:end], diameters_mm=np.full(end, 3.0), order=0, parent=-1, label="")
-        volumes.append(solids.union_of_roots([root]).volume())
+        volumes.append(solids.union_of_roots([tube(line[:end], 3.0)]).volume())
     arc_mm = 20.0 * (turn[79] - turn[39])
     assert volumes[1] - volumes[0] == pytest.approx(arc_mm * np.pi * 1.5**2, rel=1e-3)
 
@@ -68,7 +70,7 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
     radius = np.linspace(10.0, 6.0, 200)
     line = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(200, -50.0)], axis=1)
     line[150:, 1] += np.linspace(0.0, 12.0, 50)  # swing across the first turn
-    root = Root(points_mm=line, diameters_mm=np.full(200, 1.0), order=0, parent=-1, label="")
+    root = tube(line, 1.0)
     whole = solids.union_of_roots([root])
     naive = solids.manifold_of(*solids.tube(line, np.full(200, 0.5), sides=12))
     mesh = mesh_of([root])
@@ -85,24 +87,21 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
 
 def test_a_kink_is_filled() -> None:
     line = np.array([[0, 0, -20], [0, 0, -40], [15, 0, -25]], float)  # turns back by 135 degrees
-    root = Root(points_mm=line, diameters_mm=np.full(3, 4.0), order=0, parent=-1, label="")
-    mesh = mesh_of([root])
+    mesh = mesh_of([tube(line, 4.0)])
     assert mesh.is_watertight
     assert mesh.bounds[0, 2] == pytest.approx(-42.0, abs=0.1)  # the round end goes round the outside of the kink
 
 
 def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> None:
     line = np.array([[0, 0, -20], [0, 0, -20], [0, 0, -30], [0, 0, -40]], float)
-    root = Root(points_mm=line, diameters_mm=np.array([2.0, 2.0, 1.0, 0.0]), order=0, parent=-1, label="")
-    mesh = mesh_of([root])
+    mesh = mesh_of([tube(line, np.array([2.0, 2.0, 1.0, 0.0]))])
     assert mesh.is_watertight
     assert mesh.volume > np.pi / 3.0 * 20.0
 
 
 def test_nothing_to_unite_is_refused() -> None:
-    point = Root(points_mm=np.zeros((1, 3)), diameters_mm=np.ones(1), order=0, parent=-1, label="")
     with pytest.raises(UserError, match="no root with a length"):
-        solids.union_of_roots([point])
+        solids.union_of_roots([tube(np.zeros((1, 3)), 1.0)])
 
 
 def test_a_plant_is_scaled_to_its_volume_and_closed() -> None:

@@ -1,13 +1,17 @@
 """The twin's tank: Mitsuba's own dielectrics and the reconstruction's closed form see a ball in the same place."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.rig_parts import parts_of, thesis_rig
 from rhizotwin.recon.optics.cameras import View, project_through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_from_dict
 from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene, Tank
@@ -75,34 +79,25 @@ def test_the_empty_tank_lets_the_panel_through_and_keeps_the_strip_dry() -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("scene", "words"),
     [
-        ({"front_mm": 70.0}, "room to turn"),
-        ({"level_mm": -2.0}, "below the net pot's skirt_bottom_mm"),
-        ({"front_mm": 300.0}, "below lights.backlight_distance_mm"),
-        ({"colour": "blue"}, "unknown"),
+        ({"tank": {"front_mm": 70.0}}, "room to turn"),
+        ({"tank": {"level_mm": -2.0}}, "below the net pot's skirt_bottom_mm"),
+        ({"tank": {"front_mm": 300.0}}, "below lights.backlight_distance_mm"),
+        ({"tank": {"colour": "blue"}}, "unknown"),
+        ({"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}}, "strip's lower edge is seen through the tank's liquid"),
+        ({"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}, "strip": {"rows": 0}}, None),
     ],
+    ids=["too near", "too low", "beyond the backlight", "unknown key", "strip seen through it", "no strip"],
 )
-def test_a_tank_that_cannot_be_is_refused(change: dict[str, object], words: str) -> None:
-    with pytest.raises(UserError, match=words):
-        scene_from_dict({"tank": change}, where="a scene")
+def test_a_tank_that_cannot_be_is_refused(scene: dict[str, object], words: str | None) -> None:
+    with pytest.raises(UserError, match=words) if words else nullcontext():
+        scene_from_dict(scene, where="a scene")
 
 
 def test_what_cannot_see_through_a_tank_says_so() -> None:
-    from rhizotwin.building.measures import Measures
-    from rhizotwin.building.rig_parts import parts_of, thesis_rig
-    from rhizotwin.scenes.board import CharucoBoard
-
-    scene = Scene(tank=Tank())
     with pytest.raises(UserError, match="parts knows no tank"):
-        parts_of(scene, rig=thesis_rig(), measures=Measures(), board=CharucoBoard())
-
-
-def test_a_camera_that_sees_the_strip_through_the_liquid_is_refused() -> None:
-    low = {"tank": {}, "plan": {"rings": [{"height_mm": -100.0}]}}
-    with pytest.raises(UserError, match="strip's lower edge is seen through the tank's liquid"):
-        scene_from_dict(low, where="a scene")
-    scene_from_dict(low | {"strip": {"rows": 0}}, where="a scene")
+        parts_of(Scene(tank=Tank()), rig=thesis_rig(), measures=Measures(), board=CharucoBoard())
 
 
 def test_both_fidelities_agree_in_the_water_and_not_at_the_wall() -> None:

@@ -6,25 +6,12 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes import frames, plan
+from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
 from rhizotwin.sim import dirt
 from rhizotwin.sim.world import World, draw_world
 
-WRONG = Disturbances(
-    arm_deg=0.3,
-    arm_mm=0.5,
-    table_deg=0.05,
-    canister_offset_mm=1.0,
-    canister_tilt_deg=0.5,
-    strip_offset_mm=0.2,
-    strip_tilt_deg=0.1,
-    backlight_unevenness=0.3,
-    n_water_error=0.001,
-    algae_patches=20,
-    algae_opacity=0.5,
-    felt_fibres=30,
-    bubbles=30,
-)
+WRONG = replace(load_profile("harsh"), algae_patches=20, algae_opacity=0.5, felt_fibres=30, bubbles=30, backlight_unevenness=0.3)
 
 
 def world_of(seed: int, *, rings: tuple[Ring, ...] = (Ring(views=6), Ring(views=4, height_mm=90.0)), wrong: Disturbances = WRONG) -> World:
@@ -69,8 +56,8 @@ def test_the_arm_errs_once_a_ring_and_the_table_in_every_view() -> None:
 
 
 def test_errors_have_the_size_that_the_profile_names() -> None:
-    arms = np.array([frames.to_rotvec(world_of(s).cameras[0].cam_from_rig @ frames.invert(frames.level_camera(
-        distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0))) for s in range(150)])  # fmt: skip
+    nominal = frames.invert(frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0))
+    arms = np.array([frames.to_rotvec(world_of(seed).cameras[0].cam_from_rig @ nominal) for seed in range(150)])
     assert np.rad2deg(arms).std() == pytest.approx(0.3, rel=0.12)
     seat = world_of(9).table_from_canister
     assert np.linalg.norm(seat[:3, 3]) == pytest.approx(1.0)
