@@ -84,6 +84,8 @@ class Budget:
     @property
     def objections(self) -> tuple[str, ...]:
         """Return why the scan cannot give a volume; empty where it can."""
+        if not self.terms:
+            return ("this method states no cause of uncertainty, so that its volume is not assessed",)
         (low, high), trust, found = self.interval_mm3, self.trust, []
         if self.views < trust.least_views:
             found.append(f"only {self.views} views were used, and false roots cannot be ruled out with fewer than {trust.least_views}")

@@ -33,13 +33,14 @@ class Comparison:
     """By how much corrections changed the agreement with the pictures, as shares."""
 
     missed: float
-    """Share of what the pictures show that the corrections left unexplained."""
+    """Share of what a picture shows that the corrections left unexplained, in the view where it is largest: what was
+    taken away stands before or behind the rest in the others."""
     surplus: float
     """Share of the shape that the corrections put before pictures which show nothing there."""
 
     def check(self, trust: TrustSettings = TrustSettings()) -> Check:
         """Check that the pictures agree with the corrections as well as views must agree with each other."""
-        lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what the pictures show unexplained"
+        lacking = f"the corrections leave {100.0 * self.missed:.1f} % of what a picture shows unexplained"
         beyond = f"the corrections put {100.0 * self.surplus:.1f} % of the shape where the pictures show nothing"
         advice = "look at the corrected shape over the pictures with 'rhizotwin view', and undo what is wrong"
         return foremost(
@@ -90,20 +91,20 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     bank = ViewBank.of([cameras.views[k] for k in some], cameras.optics)
     silhouettes = [kept[cameras.files[k]] for k in some]
 
-    def agree(low: NDArray[np.integer], size: NDArray[np.integer], volume_mm3: Array) -> tuple[float, float]:
+    def agree(low: NDArray[np.integer], size: NDArray[np.integer], volume_mm3: Array) -> tuple[Array, float]:
         there = volume_mm3 > 0.0
         if not there.any():
-            return 1.0, 0.0
+            return np.ones(len(some)), 0.0
         leaves = session.leaves
         middles = leaves.origin_mm + leaves.voxel_mm * (low[there] + 0.5 * size[there, None])
         found = agreement.compare(bank, silhouettes, middles, leaves.voxel_mm * size[there].astype(np.float64))
-        return found.share, _surplus(found, volume_mm3[there])
+        return found.missed_share, _surplus(found, volume_mm3[there])
 
     measured, leaves = session.measure(), session.leaves
     as_found = leaves.occupancy.astype(np.float64) * leaves.size.astype(np.float64) ** 3
     missed, surplus = agree(leaves.low, leaves.size, as_found)
     missed_now, surplus_now = agree(measured.solid.low, measured.solid.size, measured.volumes_mm3)
-    return Comparison(missed=max(0.0, missed_now - missed), surplus=max(0.0, surplus_now - surplus))
+    return Comparison(missed=max(0.0, float((missed_now - missed).max())), surplus=max(0.0, surplus_now - surplus))
 
 
 def _surplus(found: Agreement, volume: Array) -> float:
