@@ -13,6 +13,7 @@ from rhizotwin.scenes import atomic, frames, plan
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import TrueView, Truth, save_truth
+from tests.recon.hull.exact_pictures import rows
 
 RADIUS_MM = 6.0
 CENTRE_MM = np.array([4.0, -3.0, -50.0])
@@ -71,20 +72,11 @@ def scan(tmp_path: Path) -> Callable[..., Scan]:
         save_dataset(Dataset(folder=dataset, scene=scene, frames=listed, seed=0))
         true = ball(RADIUS_MM, CENTRE_MM)
         atomic.write_bytes(dataset / "truth" / "specimen.ply", bytes(true.export(file_type="ply")))
-        save_truth(
-            dataset,
-            Truth(
-                volume_mm3=float(true.volume),
-                extents_min_mm=tuple(true.bounds[0].tolist()),
-                extents_max_mm=tuple(true.bounds[1].tolist()),
-                n_water=1.333,
-                canister_from_strip=_rows(np.eye(4)),
-                views=tuple(
-                    TrueView(file=f, cam_from_canister=_rows(pose), table_deg=60.0 * k)
-                    for k, (f, pose) in enumerate(zip(files, poses, strict=True))
-                ),
-            ),
-        )
+        low, high = rows(true.bounds)
+        extents = {"extents_min_mm": low, "extents_max_mm": high}
+        seen_from = [TrueView(file=files[k], cam_from_canister=rows(pose), table_deg=60.0 * k) for k, pose in enumerate(poses)]
+        still = {"n_water": 1.333, "canister_from_strip": rows(np.eye(4))}
+        save_truth(dataset, Truth(volume_mm3=float(true.volume), **extents, **still, views=tuple(seen_from)))
         _write_result(
             result, dataset, files, poses, radius_mm, CENTRE_MM + shift_mm, voxel_mm, found_from_true, disk(camera.image_wh, disk_px), lost
         )
@@ -97,44 +89,25 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
     origin = np.array([-80.0, -80.0, -150.0])
     low = np.floor((centre_mm - radius_mm - origin) / voxel_mm).astype(int) - 1
     high = np.ceil((centre_mm + radius_mm - origin) / voxel_mm).astype(int) + 1
-    grid = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.argwhere(np.ones(high - low, bool)) + low
     away = np.linalg.norm(origin + voxel_mm * (grid + 0.5) - centre_mm, axis=1)
     occupancy = np.clip(0.5 + (radius_mm - away) / voxel_mm, 0.0, 1.0).astype(np.float32)
     kept = occupancy > 0.0
     result.mkdir()
-    np.savez_compressed(
-        result / "shape.npz",
-        leaves=grid[kept].astype(np.int32),
-        size=np.ones(kept.sum(), np.int32),
-        occupancy=occupancy[kept],
-        hull_leaves=grid[kept].astype(np.int32),
-        hull_size=np.ones(kept.sum(), np.int32),
-        hull_occupancy=occupancy[kept],
-        origin_mm=origin,
-        voxel_mm=np.float64(voxel_mm),
-    )
+    shape = {"leaves": grid[kept].astype(np.int32), "size": np.ones(kept.sum(), np.int32), "occupancy": occupancy[kept]}
+    hull = {f"hull_{name}": value for name, value in shape.items()}
+    np.savez_compressed(result / "shape.npz", **shape, **hull, origin_mm=origin, voxel_mm=np.float64(voxel_mm))
     mesh = ball(radius_mm, centre_mm)
     atomic.write_bytes(result / "shape.ply", bytes(mesh.export(file_type="ply")))
+    seen = np.zeros(cover.shape, np.uint8)
+    seen[20:-20, 20:-20] = 255
     views = []
     for k, (file, pose) in enumerate(zip(files, poses, strict=True)):
-        used = k not in lost
-        found = pose if found_from_true is None else pose @ frames.invert(found_from_true)
-        views.append(
-            {
-                "file": file,
-                "ring": 0,
-                "used": used,
-                "reason": None if used else "2 markers found, 4 are needed",
-                "cam_from_canister": _rows(found) if used else None,
-                "reprojection_px": 0.08 if used else None,
-                "markers": 20 if used else 2,
-                "table_deg": 60.0 * k,
-                "fill": 0.02 if used else None,
-            }
-        )
-        if used:
-            seen = np.zeros(cover.shape, np.uint8)
-            seen[20:-20, 20:-20] = 255
+        found = rows(pose if found_from_true is None else pose @ frames.invert(found_from_true))
+        used = {"used": True, "reason": None, "cam_from_canister": found, "reprojection_px": 0.08, "markers": 20, "fill": 0.02}
+        unused = dict.fromkeys(used) | {"used": False, "reason": "2 markers found, 4 are needed", "markers": 2}
+        views.append({"file": file, "ring": 0, "table_deg": 60.0 * k} | (unused if k in lost else used))
+        if k not in lost:
             atomic.write_image(result / "silhouettes" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
             atomic.write_image(result / "seen" / Path(file).name, seen)
     volume = float(mesh.volume)
@@ -163,7 +136,3 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
         "versions": {"numpy": "2"},
     }
     atomic.write_json(result / "result.json", summary)
-
-
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in matrix)

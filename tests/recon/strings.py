@@ -1,21 +1,38 @@
 """Tubes strung on polylines, and the pictures they cast, for tests."""
 
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.cameras import View
+from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from tests.recon.lines import line
+from rhizotwin.scenes.rsml import Root
+from tests.recon.hull.exact_pictures import views_of
+
+
+def line(*corners: tuple[float, float, float], step: float = 0.1) -> np.ndarray:
+    """Return points along straight pieces."""
+    pieces = []
+    for a, b in pairwise(corners):
+        count = max(2, round(float(np.linalg.norm(np.subtract(b, a))) / step) + 1)
+        pieces.append(np.linspace(a, b, count))
+    return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
+
+
+def root(*corners, diameters=(0.3, 0.3), parent=-1, order=0) -> Root:
+    """Return a root along corners, a point every half millimetre or so, with diameters from base to tip."""
+    points = line(*corners, step=0.5)
+    return Root(points_mm=points, diameters_mm=np.linspace(*diameters, len(points)), order=order, parent=parent)
+
 
 TRUNK = line((0.0, 0.0, -20.0), (0.0, 0.0, -50.0))
 TWIG = line((0.0, 0.0, -30.0), (9.0, 0.0, -42.0))
@@ -25,29 +42,43 @@ def strung(*paths: np.ndarray, radius_mm: float = 0.2) -> tubes.Tubes:
     return tubes.string(paths, [np.full(len(path), radius_mm) for path in paths])
 
 
-@cache
-def standing(views: int = 12) -> Cameras:
-    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views),)))
-    planned = plan.views(scene)
-    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
-    return Cameras.given(found, Optics.of(scene))
+def blank(views: list[View], optics: Optics) -> Evidence:
+    """Return pictures without roots, that show everything and whose opacity is known."""
+    width, height = views[0].camera.image_wh
+    dark = Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool), np.zeros((height, width), np.float32))
+    return Evidence.of(ViewBank.of(views, optics), [dark] * len(views))
+
+
+def blank_of(scene: Scene) -> Evidence:
+    return blank(views_of(scene), Optics.of(scene))
+
+
+def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: bool = False) -> Evidence:
+    """Return the coverage that tubes cast into empty pictures, or their opacity; noise with a standard deviation."""
+    depth = tube_picture.optical_depth(empty, system, empty.project(system.centre_mm), 0.0)
+    pictures = 1.0 - np.exp(-np.array(depth)).reshape(empty.bank.count, *empty.silhouettes[0].seen.shape)
+    pictures = (pictures + np.random.default_rng(0).normal(0.0, noise, pictures.shape)).astype(np.float32)
+    everywhere = np.ones(pictures.shape[1:], bool)
+    shown = [Silhouette(np.clip(one, 0.0, 1.0), everywhere, one) if opacity else Silhouette(one, everywhere) for one in pictures]
+    return Evidence.of(empty.bank, shown)
+
+
+SCENE = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=12),)))
 
 
 @cache
-def cameras(views: int = 12) -> tuple[projection.ViewBank, tuple[int, int]]:
-    found = standing(views)
-    return projection.ViewBank.of(found.views, found.optics), (400, 300)
+def standing() -> Cameras:
+    return Cameras.given(views_of(SCENE), Optics.of(SCENE))
+
+
+@cache
+def nothing() -> Evidence:
+    return blank_of(SCENE)
 
 
 def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
-    """Return the coverage that tubes cast, as evidence; noise with a standard deviation."""
-    bank, (width, height) = cameras()
-    blank = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in range(bank.count)]
-    seen = Evidence.of(bank, blank)
-    depth = tube_picture.optical_depth(seen, system, seen.project(system.centre_mm), 0.0)
-    coverage = 1.0 - np.exp(-np.array(depth)).reshape(bank.count, height, width)
-    coverage += np.random.default_rng(0).normal(0.0, noise, coverage.shape)
-    return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(picture.shape, bool)) for picture in coverage])
+    """Return the coverage that tubes cast in twelve views."""
+    return drawn(system, nothing(), noise=noise)
 
 
 def at_rest(found: tubes.Tubes, *, px_a_mm: float, core_mm: np.ndarray | None = None, blur_px: float = 0.0) -> RootSystem:

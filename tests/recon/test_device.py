@@ -31,16 +31,10 @@ def test_what_is_used_no_more_is_given_back() -> None:
     assert held_mib() - before < 30
 
 
-def test_pictures_become_halves_one_after_the_other() -> None:
+def test_halves_and_parts_of_arrays() -> None:
     pictures = np.random.default_rng(0).random((3, 4, 5)).astype(np.float32)
     np.testing.assert_allclose(np.array(mi.Float(device.halves(list(pictures)))), pictures.ravel(), atol=2.0**-12)
-
-
-def test_some_parts_come_in_the_order_that_is_asked_for() -> None:
-    whole = np.arange(12.0, dtype=np.float32)
-    np.testing.assert_array_equal(np.array(device.some_parts(mi.Float(whole), [2, 0], 4)), [8, 9, 10, 11, 0, 1, 2, 3])
-
-
-def test_halves_above_zero_down_to_the_smallest() -> None:
+    parts = device.some_parts(mi.Float(np.arange(12.0, dtype=np.float32)), [2, 0], 4)
+    np.testing.assert_array_equal(np.array(parts), [8, 9, 10, 11, 0, 1, 2, 3])
     halves = mi.Float16(np.array([0.0, 2.0**-24, 0.5, -0.0, -1.0], np.float16))
     np.testing.assert_array_equal(np.array(dr.select(device.is_positive(halves), mi.Int32(1), mi.Int32(0))), [0, 1, 1, 0, 0])

@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -15,32 +15,20 @@ RECON = Path(__file__).resolve().parents[2] / "recon"
 PAGE = RECON.parent / "docs" / "settings.md"
 
 
-def written(tmp_path: Path, text: str) -> Path:
+def test_what_a_file_leaves_out_has_its_default_and_a_result_records_the_same(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def test_what_a_file_leaves_out_has_its_default(tmp_path: Path) -> None:
-    found = load_settings(written(tmp_path, "voxel_mm = 0.2\n[hull]\nfinest_mm = 0.1\n"))
-    assert found.voxel_mm == 0.2
-    assert found.hull.finest_mm == 0.1
-    assert found.hull.slack_px == Settings().hull.slack_px
-
-
-def test_what_a_result_records_gives_the_same_settings() -> None:
-    chosen = Settings(voxel_mm=0.5)
-    assert from_plain(Settings, to_plain(chosen), Place("result.json")) == chosen
+    path.write_text("voxel_mm = 0.2\n[hull]\nfinest_mm = 0.1\n", encoding="utf-8")
+    found = load_settings(path)
+    assert found == replace(Settings(), voxel_mm=0.2, hull=replace(Settings().hull, finest_mm=0.1))
+    assert from_plain(Settings, to_plain(found), Place("result.json")) == found
 
 
 def limits_of(group: object, before: str = "") -> dict[str, tuple[object, tuple[float, float]]]:
     """Return default and limits of every number, by its key."""
     found: dict[str, tuple[object, tuple[float, float]]] = {}
     for each in fields(group):
-        value = getattr(group, each.name)
-        found |= (
-            limits_of(value, f"{before}{each.name}.") if is_dataclass(value) else {before + each.name: (value, each.metadata["limits"])}
-        )
+        key, value = before + each.name, getattr(group, each.name)
+        found |= limits_of(value, f"{key}.") if is_dataclass(value) else {key: (value, each.metadata["limits"])}
     return found
 
 
@@ -61,19 +49,16 @@ def test_every_number_changes_what_a_stage_is_given() -> None:
     [
         ("voxel_mn = 0.2", 'did you mean "voxel_mm"'),
         ("[hull]\nfinest_mm = 0", r"line 2: \[hull\] finest_mm = 0"),
-        ("[hull]\nslack_px = true", "must be a number"),
-        ("[trust]\nsway_mm = [0.2, 0.1, 0.3]", "must have 2 elements"),
         ("[trust]\nleast_views = 8.5", "must be a whole number"),
         ("[trust]\nsway_mm = [0.2, 0.1]", r"sway_mm = \[0.2, 0.1\]: the second limit must not be below the first"),
         ("[trust]\ndim = [0.1, 0.2]", r"dim = \[0.1, 0.2\]: the second limit must not be above the first"),
         ("voxel_mm = ", "not readable TOML"),
+        (None, "no such file"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_sentence(tmp_path: Path, text: str, named: str) -> None:
+def test_what_cannot_be_is_refused_in_one_sentence(tmp_path: Path, text: str | None, named: str) -> None:
+    path = tmp_path / "settings.toml"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=named):
-        load_settings(written(tmp_path, text))
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="no such file"):
-        load_settings(tmp_path / "none.toml")
+        load_settings(path)

@@ -31,15 +31,11 @@ class Made:
     seen: object
 
 
-def kept(folder: Path, stage: str) -> tuple[Any, Any]:
-    return json.loads((folder / f"{stage}.json").read_text()), np.load(folder / f"{stage}.npz", allow_pickle=False)
-
-
 def test_fields_and_arrays_come_back(tmp_path: Path) -> None:
     values = np.array([[1.0, np.nan], [-0.1, 1e-300]])
     made = Made("hull", float("inf"), (0.1, 2.0), {7: Part(0.5, values), 3: Part(1.0, numbers(np.arange(3.0)))}, seen=object())
     StageFolder.begin(tmp_path).keep("hull", made, leave=("seen",))
-    plain, arrays = kept(tmp_path, "hull")
+    plain, arrays = json.loads((tmp_path / "hull.json").read_text()), np.load(tmp_path / "hull.npz", allow_pickle=False)
     assert plain["name"] == "hull"
     assert plain["found"] is None
     assert plain["pair"] == [0.1, 2.0]
@@ -53,6 +49,7 @@ def test_fields_and_arrays_come_back(tmp_path: Path) -> None:
 def test_what_has_no_open_format_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="solid/seen: object"):
         StageFolder.begin(tmp_path).keep("solid", Made("", None, (0.0, 0.0), {}, seen=object()))
+    StageFolder.begin(None).keep("cameras", Part(1.0, ()))  # nobody asked for anything
     assert not any(tmp_path.iterdir())
 
 
@@ -61,7 +58,3 @@ def test_an_earlier_reconstruction_leaves_nothing(tmp_path: Path) -> None:
         StageFolder(tmp_path).keep(stage, Part(1.0, ()))
     StageFolder.begin(tmp_path).keep("cameras", Part(1.0, ()))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cameras.json", "cameras.npz"]
-
-
-def test_nothing_is_kept_where_nobody_asked() -> None:
-    StageFolder.begin(None).keep("cameras", Part(1.0, ()))

@@ -24,7 +24,7 @@ def test_silhouettes_made_in_air_show_what_lies_under_the_rim(tmp_path: Path, n_
     scene = replace(scene, plan=CapturePlan(rings=(Ring(views=5, height_mm=150.0, tilt_deg=25.0),)))
     scene = replace(scene, canister=replace(scene.canister, n_wall=n_water), water=replace(scene.water, n_water=n_water))
     poses = [view.cam_from_canister for view in exact_pictures.views_of(scene)]
-    listed = tuple(Frame(file="", sha256="", cam_from_canister=tuple(tuple(map(float, line)) for line in pose)) for pose in poses)
+    listed = tuple(Frame(file="", sha256="", cam_from_canister=exact_pictures.rows(pose)) for pose in poses)
     dataset = Dataset(folder=tmp_path, scene=scene, frames=listed, masks=masks)
     cameras = find_cameras(Pictures(dataset=dataset, frames=listed, images=()), monitor=Monitor())
     top = np.array([0.0, 0.0, scene.net_pot.grid_z_mm - 1.0])

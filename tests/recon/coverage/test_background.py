@@ -1,14 +1,13 @@
 """The empty backlight, estimated from pictures in which something always stands before part of the panel."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import background
 from rhizotwin.recon.optics import cameras, refraction
-from rhizotwin.scenes import plan
-from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull.exact_pictures import views_of
 
 
 def panel(height: int = 120, width: int = 160) -> np.ndarray:
@@ -17,33 +16,32 @@ def panel(height: int = 120, width: int = 160) -> np.ndarray:
     return (40000 * (1 - 0.25 * x**2 - 0.1 * y + 0.05 * x * y)).astype(np.float32)
 
 
-def turned(always_px: int, noise: float, views: int = 20) -> tuple[np.ndarray, np.ndarray]:
+def turned(always_px: int, noise: float, *, views: int = 20, light: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
     """Pictures with a dark band that never leaves the middle, a lateral that wanders, and noise."""
     rng = np.random.default_rng(0)
     empty = panel()
     stack = np.repeat(empty[None], views, axis=0)
-    middle = empty.shape[1] // 2
-    stack[:, :, middle - always_px // 2 : middle + always_px // 2] *= 0.05
+    stack[:, :, 80 - always_px // 2 : 80 + always_px // 2] *= light
     for k in range(views):
         column = int(rng.integers(20, 130))
         stack[k, :, column : column + 12] *= 0.05
     return (stack + rng.normal(0, noise * 40000, stack.shape)).astype(np.float32), empty
 
 
-@pytest.mark.parametrize(("always_px", "noise"), [(0, 0.0), (16, 0.0), (16, 0.01)])
-def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px: int, noise: float) -> None:
-    stack, empty = turned(always_px, noise)
-    found = background.estimate(stack, np.ones(empty.shape, bool)).light
-    assert np.abs(found / empty - 1).mean() < 0.003 + 0.6 * noise
-    assert abs(float((found / empty).mean()) - 1) < 0.002 + 0.5 * noise
-
-
-def test_a_band_that_is_always_pitch_black_is_bridged_too() -> None:
-    stack, empty = turned(16, 0.0)
-    middle = empty.shape[1] // 2
-    stack[:, :, middle - 8 : middle + 8] = 0.0
-    found = background.estimate(stack, np.ones(empty.shape, bool)).light
-    assert np.abs(found / empty - 1)[:, middle - 8 : middle + 8].max() < 0.05
+@pytest.mark.parametrize(
+    ("always_px", "noise", "light"), [(0, 0.0, 0.05), (16, 0.01, 0.05), (16, 0.0, 0.0)], ids=["none", "noise", "pitch black"]
+)
+def test_estimate_finds_the_panel_behind_what_always_stands_before_it(always_px: int, noise: float, light: float) -> None:
+    stack, empty = turned(always_px, noise, light=light)
+    inside = np.ones(empty.shape, bool)
+    inside[:5] = False
+    found, _, glare = background.estimate(stack, inside)
+    off = (found / empty - 1)[5:]
+    assert np.abs(off).mean() < 0.003 + 0.6 * noise
+    assert abs(float(off.mean())) < 0.002 + 0.5 * noise
+    assert np.abs(off[:, 72:88]).max() < 0.05
+    assert not glare.any()
+    assert (found[:5] == 0).all()
 
 
 def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> None:
@@ -55,35 +53,23 @@ def test_reflections_are_found_and_do_not_brighten_what_is_behind_a_root() -> No
     assert glare[spot].all()
     assert glare.mean() < 0.05
     assert np.abs(found / empty - 1)[~glare].max() < 0.05
-    calm = background.estimate(turned(16, 0.01)[0], np.ones(empty.shape, bool)).glare
-    assert not calm.any()
 
 
-def streaked(before_roots: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pictures with a soft streak a tenth as bright as the panel: reflected by the wall, or the panel's own and hidden by roots."""
+def test_a_reflection_is_taken_off_and_a_bright_part_of_the_panel_is_not() -> None:
+    """A soft streak a tenth as bright as the panel: reflected by the wall, nothing is hidden by it; the panel's own, roots hide it."""
     stack, empty = turned(0, 0.003, views=30)
     v, u = np.mgrid[0 : empty.shape[0], 0 : empty.shape[1]]
     streak = (5000.0 * np.exp(-0.5 * (((u - 70) / 2.0) ** 2 + ((v - 60) / 25.0) ** 4))).astype(np.float32)
-    return stack + streak * (1.0 if before_roots else stack / empty), empty, streak
-
-
-def test_a_reflection_is_taken_off_and_nothing_is_hidden_by_it() -> None:
-    stack, empty, streak = streaked(before_roots=True)
-    found = background.estimate(stack, np.ones(empty.shape, bool))
+    strong, inside = streak > 0.07 * empty, np.ones(empty.shape, bool)
+    found = background.estimate(stack + streak, inside)
     assert not found.glare.any()
-    strong = streak > 0.07 * empty
     assert np.abs(found.added - streak)[strong].max() < 0.02 * empty.mean()
     assert np.abs(found.light / empty - 1)[strong].max() < 0.02
-    opacity = 1.0 - (stack - found.added) / found.light
-    roots = np.abs(stack - streak) < 0.1 * empty
-    assert np.abs(opacity - 0.95)[roots & strong].mean() < 0.02
-
-
-def test_a_bright_part_of_the_panel_is_not_taken_off() -> None:
-    stack, empty, streak = streaked(before_roots=False)
-    found = background.estimate(stack, np.ones(empty.shape, bool))
+    opacity = 1.0 - (stack + streak - found.added) / found.light
+    assert np.abs(opacity - 0.95)[(np.abs(stack) < 0.1 * empty) & strong].mean() < 0.02
+    found = background.estimate(stack + streak * stack / empty, inside)
     assert not found.added.any()
-    assert found.glare[streak > 0.07 * empty].all()
+    assert found.glare[strong].all()
 
 
 def test_a_crowd_that_hides_most_of_the_panel_most_of_the_time_bends_nothing() -> None:
@@ -99,54 +85,6 @@ def test_a_crowd_that_hides_most_of_the_panel_most_of_the_time_bends_nothing() -
     assert np.abs(found / empty - 1).max() < 0.04
 
 
-def test_estimate_of_one_picture_bridges_roots() -> None:
-    stack, empty = turned(10, 0.0)
-    found = background.estimate_single(stack[3], np.ones(empty.shape, bool))
-    assert np.abs(found / empty - 1)[:, 10:-10].max() < 0.06
-
-
-def test_outside_the_mask_there_is_no_background() -> None:
-    stack, empty = turned(0, 0.0)
-    inside = np.zeros(empty.shape, bool)
-    inside[30:90, 20:140] = True
-    found = background.estimate(stack, inside).light
-    assert (found[~inside] == 0).all()
-    assert (found[inside] > 0).all()
-
-
-def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
-    scene = Scene(camera=Camera().resized((400, 300)))
-    optics = refraction.Optics.of(scene)
-    view = cameras.View(camera=scene.camera, cam_from_canister=plan.views(scene)[0].cam_from_rig)
-    mask = background.water_mask(view, optics, scene)
-    skirt = np.array([[scene.net_pot.outer_radius_mm, 0.0, scene.net_pot.skirt_bottom_mm, 1.0]])
-    cam = (view.cam_from_canister @ skirt.T)[:3, 0]
-    row = scene.camera.focal_px[1] * cam[1] / cam[2] + scene.camera.principal_px[1]
-    top = np.flatnonzero(mask[:, 200])[0]
-    assert row < top, "hidden by the skirt"
-    lines, _ = cameras.water_lines(view, optics, np.array([[200.0, top], [200.0, top - 5.0]]))
-    highest = np.maximum(lines.entry_z_mm, lines.entry_z_mm + 2 * lines.slope * optics.inner_radius_mm)
-    assert highest[0] < scene.net_pot.grid_z_mm < highest[1] + 1.0, "hidden by the grid before the far wall"
-    columns = np.flatnonzero(mask[200])
-    edge = 400.0 * np.tan(np.arcsin(76.2 / 400.0)) * scene.camera.focal_px[0] / 400.0
-    assert columns[-1] - 199.5 == pytest.approx(0.98 * edge, abs=6)
-    np.testing.assert_array_equal(mask[:, ::-1], mask)
-
-
-def test_a_camera_that_looks_down_does_not_see_the_backlight_through_the_base() -> None:
-    """The wall stands on the base, which is opaque out to the outer wall: below its line there is no backlight to be covered."""
-    scene = Scene(camera=Camera().resized((400, 300)))
-    optics = refraction.Optics.of(scene)
-    ring = scene.plan.rings[0]
-    scene = replace(scene, plan=replace(scene.plan, rings=(replace(ring, height_mm=10.0, tilt_deg=8.0),)))
-    view = cameras.View(camera=scene.camera, cam_from_canister=plan.views(scene)[0].cam_from_rig)
-    bottom = np.flatnonzero(background.water_mask(view, optics, scene)[:, 200])[-1]
-    line, _ = cameras.water_lines(view, optics, np.array([[200.0, bottom], [200.0, bottom + 2.0]]))
-    far_z = line.entry_z_mm + 2.0 * line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
-    assert far_z[0] + line.slope[0] * (optics.outer_radius_mm - optics.inner_radius_mm) * 0.8 > optics.floor_z_mm
-    assert far_z[1] + line.slope[1] * (optics.outer_radius_mm - optics.inner_radius_mm) < optics.floor_z_mm + 0.5, "and no more is lost"
-
-
 def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_past_it() -> None:
     stack, empty = turned(0, 0.0)
     inside = np.ones(stack.shape, bool)
@@ -156,3 +94,41 @@ def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_p
     found = background.estimate(stack, inside).light
     assert (found[:4] == 0).all()
     assert np.abs(found / empty - 1)[4:].max() < 1e-3
+
+
+def test_estimate_of_one_picture_bridges_roots() -> None:
+    stack, empty = turned(10, 0.0)
+    found = background.estimate_single(stack[3], np.ones(empty.shape, bool))
+    assert np.abs(found / empty - 1)[:, 10:-10].max() < 0.06
+
+
+def masked(ring: Ring) -> tuple[Scene, cameras.View, refraction.Optics, np.ndarray]:
+    """Return a scene of one ring, its first view, its optics, and where that view sees water."""
+    scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(ring,)))
+    view, optics = views_of(scene)[0], refraction.Optics.of(scene)
+    return scene, view, optics, background.water_mask(view, optics, scene)
+
+
+def test_water_mask_ends_below_the_skirt_and_inside_the_walls() -> None:
+    scene, view, optics, mask = masked(Ring())
+    skirt = np.array([[scene.net_pot.outer_radius_mm, 0.0, scene.net_pot.skirt_bottom_mm]])
+    cam = frames.apply(view.cam_from_canister, skirt)[0]
+    top = np.flatnonzero(mask[:, 200])[0]
+    assert scene.camera.focal_px[1] * cam[1] / cam[2] + scene.camera.principal_px[1] < top, "hidden by the skirt"
+    lines, _ = cameras.water_lines(view, optics, np.array([[200.0, top], [200.0, top - 5.0]]))
+    highest = np.maximum(lines.entry_z_mm, lines.entry_z_mm + 2 * lines.slope * optics.inner_radius_mm)
+    assert highest[0] < scene.net_pot.grid_z_mm < highest[1] + 1.0, "hidden by the grid before the far wall"
+    edge = 400.0 * np.tan(np.arcsin(76.2 / 400.0)) * scene.camera.focal_px[0] / 400.0
+    assert np.flatnonzero(mask[200])[-1] - 199.5 == pytest.approx(0.98 * edge, abs=6)
+    np.testing.assert_array_equal(mask[:, ::-1], mask)
+
+
+def test_a_camera_that_looks_down_does_not_see_the_backlight_through_the_base() -> None:
+    """The wall stands on the base, which is opaque out to the outer wall: below its line there is no backlight to be covered."""
+    _, view, optics, mask = masked(Ring(height_mm=10.0, tilt_deg=8.0))
+    bottom = np.flatnonzero(mask[:, 200])[-1]
+    line, _ = cameras.water_lines(view, optics, np.array([[200.0, bottom], [200.0, bottom + 2.0]]))
+    far_z = line.entry_z_mm + 2.0 * line.slope * np.sqrt(optics.inner_radius_mm**2 - line.b_mm**2)
+    down = line.slope * (optics.outer_radius_mm - optics.inner_radius_mm)
+    assert far_z[0] + 0.8 * down[0] > optics.floor_z_mm
+    assert far_z[1] + down[1] < optics.floor_z_mm + 0.5, "and no more is lost"

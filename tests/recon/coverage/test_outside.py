@@ -9,14 +9,9 @@ from rhizotwin.recon.coverage import outside, wall
 from rhizotwin.recon.coverage.wall import Face
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
-from tests.recon.coverage.turns import Turn, turned
+from tests.recon.coverage.conftest import Turn
 
-VIEWS, PX_A_MM = 24, 1.8
-
-
-@pytest.fixture(scope="module")
-def turn() -> Turn:
-    return turned(VIEWS)
+PX_A_MM = 1.8
 
 
 def pictured(turn: Turn, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]:
@@ -33,10 +28,8 @@ def pictured(turn: Turn, face: Face, paint: np.ndarray) -> dict[int, np.ndarray]
 
 def with_dust_and_scratch(face: Face, optics: Optics) -> np.ndarray:
     paint = np.zeros(face.shape(optics), np.float32)
-    middle = paint.shape[0] // 2
-    paint[middle : middle + 2, 100:102] = 1.5
-    paint[np.arange(middle - 20, middle + 20), np.arange(300, 340)] = 1.5
-    paint[np.arange(middle - 20, middle + 20), np.arange(301, 341)] = 1.5
+    middle, along = paint.shape[0] // 2, np.arange(40)
+    paint[middle : middle + 2, 100:102] = paint[middle - 20 + along, 300 + along] = paint[middle - 20 + along, 301 + along] = 1.5
     return paint
 
 
@@ -55,21 +48,14 @@ def test_what_is_on_the_outside_is_found_in_its_place_and_hidden(turn: Turn) -> 
     assert after < 0.15 * before
 
 
-def test_what_is_on_the_inside_stays(turn: Turn) -> None:
-    """A root that grows along the wall looks as a scratch does, but for the way of light through the wall."""
+def test_what_grows_on_the_inside_noise_and_passing_roots_are_no_dirt(turn: Turn) -> None:
+    """A root along the wall looks as a scratch does, but for light's way through the wall; others pass in a third of a place's views."""
     views, optics, seen = turn
-    face = outside.face_of(optics, PX_A_MM)
+    face, rng = outside.face_of(optics, PX_A_MM), np.random.default_rng(2)
     inside = replace(face, outside=False)
-    opacity = pictured(turn, inside, with_dust_and_scratch(inside, optics))
-    assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
-
-
-def test_noise_and_passing_roots_are_no_dirt(turn: Turn) -> None:
-    """Roots that darken a third of each place's views, elsewhere in each, are not on the wall."""
-    views, optics, seen = turn
-    rng = np.random.default_rng(2)
-    opacity = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
-    assert not outside.find(opacity, seen, views, optics, outside.face_of(optics, PX_A_MM), Monitor()).any()
+    passing = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
+    for opacity in (pictured(turn, inside, with_dust_and_scratch(inside, optics)), passing):
+        assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
 
 
 def test_the_way_out_is_where_points_of_the_outside_are_seen(turn: Turn) -> None:

@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from rhizotwin.recon.coverage import evidence, silhouettes
+from rhizotwin.recon.coverage import evidence, level_distance, silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 
 
@@ -28,40 +29,27 @@ def test_outline_keeps_the_width_of_strips(width_px: float) -> None:
     assert np.mean(widths) == pytest.approx(width_px, rel=0.05 if width_px < 2 else 0.02)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.2])
-def test_a_binary_silhouette_is_told_from_a_measured_one(angle: float) -> None:
-    coverage, seen = strip(40.0, angle, 0.3), np.ones((96, 128), bool)
+def test_a_binary_silhouette_is_told_from_a_measured_one() -> None:
+    coverage, seen = strip(40.0, 0.2, 0.3), np.ones((96, 128), bool)
     assert not Silhouette(coverage, seen).binary
     assert Silhouette((coverage > 0.5).astype(np.float32), seen).binary
     assert not Silhouette(np.zeros_like(coverage), seen).binary
 
 
 def test_outline_level_matches_the_blurred_strip() -> None:
-    """The level at the edge of a strip of half-width a under a Gaussian, from its peak: by numerical convolution."""
-    x = np.linspace(-20, 20, 40001)
-    for a in (0.2, 0.5, 1.0, 3.0):
-        kernel = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
-        profile = np.convolve((np.abs(x) < a).astype(float), kernel, mode="same") * (x[1] - x[0])
-        peak, edge = profile[20000], profile[20000 + round(a / (x[1] - x[0]))]
-        assert silhouettes.outline_level(np.array([peak]))[0] == pytest.approx(edge, abs=2e-3)
+    """A strip of half-width a under a Gaussian is erf(a / sqrt 2) high in its middle, and half of erf(2 a / sqrt 2) at its edge."""
+    half = np.array([0.2, 0.5, 1.0, 3.0]) / np.sqrt(2.0)
+    np.testing.assert_allclose(silhouettes.outline_level(erf(half)), 0.5 * erf(2.0 * half), atol=2e-3)
 
 
 def test_level_distance_of_a_disc_is_the_distance_to_its_circle() -> None:
-    y, x = np.mgrid[0:200, 0:200].astype(np.float32)
-    true = 40.3 - np.hypot(x - 99.4, y - 101.2)
-    found = silhouettes.level_distance(np.clip(true, -1.5, 1.5).astype(np.float32))
-    assert np.abs(found - true)[np.abs(true) < 0.3].max() < 0.1
-    assert (np.abs(found - true)[np.abs(true) < 40] < 0.9).all()
-    assert (np.abs(found / true - 1)[np.abs(true) > 40] < 0.03).all()
-    assert (np.sign(found) == np.sign(true)).all()
-
-
-def test_the_middle_of_a_large_disc_is_as_deep_as_its_radius() -> None:
-    """A chamfer distance would be 1.7 % short there, and with it the largest sphere in a silhouette."""
+    """Its middle too is as deep as its radius; a chamfer distance would be 1.7 % short there, and with it the largest sphere."""
     row, column = np.mgrid[:200, :200]
     true = 80.0 - np.hypot(column - 99.3, row - 100.6)
     found = silhouettes.level_distance(np.clip(true, -1.5, 1.5).astype(np.float32))
-    np.testing.assert_allclose(found[true > 60.0], true[true > 60.0], atol=0.35)
+    assert (np.sign(found) == np.sign(true)).all()
+    for near, most in ((np.abs(true) < 0.3, 0.1), (true < 60.0, 0.9), (true > 60.0, 0.35)):
+        assert np.abs(found - true)[near].max() < most
     assert abs(float(np.mean((found - true)[true > 60.0]))) < 0.05
 
 
@@ -109,3 +97,27 @@ def test_thesis_silhouette_joins_thick_and_thin() -> None:
     assert found[truth > 0.9].mean() > 0.99, "the inside of the thick root is filled"
     assert found[48, 70:110].any(), "the thin, bright root is kept"
     assert found[:, :10].mean() < 0.02
+
+
+def blobs() -> np.ndarray:
+    """Smooth noise: islands, holes, necks, and insides that touch the border."""
+    noise = np.random.default_rng(0).normal(size=(70, 90)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 4.0))
+
+
+@pytest.mark.parametrize("is_narrow", [True, False])
+def test_inside_the_nearest_sample_outside_counts(is_narrow: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(level_distance, "_LOOKS", 1e9 if is_narrow else 0.0)
+    value = blobs()
+    found, inside = level_distance.level_distance(value), value > 0
+    near = np.abs(np.where(level_distance._near(value, inside).reshape(value.shape) > 0, found, 0.0))
+    outside = np.argwhere(~inside)
+    deep = np.argwhere(inside & (near == 0))
+    away = np.linalg.norm(deep[:, None] - outside, axis=2)
+    nearest = away <= away.min(axis=1, keepdims=True) + 1e-9
+    beyond = near[tuple(outside.T)]
+    least = away.min(axis=1) - np.where(nearest, beyond, 0.0).max(axis=1)
+    most = away.min(axis=1) - np.where(nearest, beyond, 9.0).min(axis=1)
+    at = found[tuple(deep.T)]
+    assert (at > np.maximum(least, 0.5) - 1e-3).all()
+    assert (at < np.maximum(most, 0.5) + 1e-3).all()

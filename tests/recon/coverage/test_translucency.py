@@ -13,6 +13,7 @@ from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
 
 PX_A_MM = 4.0
+WIDE = (1.2, 1.5, 1.8, 2.2, 2.5)
 
 
 def picture(mu_per_mm: float, diameters_mm: tuple[float, ...], *, own: float = 0.0, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -28,23 +29,22 @@ def picture(mu_per_mm: float, diameters_mm: tuple[float, ...], *, own: float = 0
     return rows[0], rows[1]
 
 
-@pytest.mark.parametrize("mu", [1.0, 2.0])
-def test_the_attenuation_comes_from_resolved_roots(mu: float) -> None:
-    opacity, _ = picture(mu, (1.2, 1.5, 1.8, 2.2, 2.5), noise=0.01)
-    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
-    assert attenuation.mu_per_mm == pytest.approx(mu, rel=0.1)
+def learned(opacity: np.ndarray) -> translucency.Attenuation:
+    return translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+
+
+def test_the_attenuation_comes_from_resolved_roots() -> None:
+    assert learned(picture(2.0, WIDE, noise=0.01)[0]).mu_per_mm == pytest.approx(2.0, rel=0.1)
 
 
 def test_opaque_roots_stay_opaque_and_show_their_own_brightness() -> None:
-    opacity, _ = picture(1e4, (1.2, 1.5, 1.8, 2.2, 2.5), own=0.05)
-    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+    attenuation = learned(picture(1e4, WIDE, own=0.05)[0])
     assert attenuation.mu_per_mm is None
     assert attenuation.own == pytest.approx(0.05, abs=1e-3)
 
 
 def test_nothing_is_learnt_from_an_empty_picture() -> None:
-    empty = np.zeros((60, 80), np.float32)
-    attenuation = translucency.learn([empty], [np.ones(empty.shape, bool)], PX_A_MM)
+    attenuation = learned(np.zeros((60, 80), np.float32))
     assert (attenuation.mu_per_mm, attenuation.own, attenuation.profiles) == (None, 0.0, 0)
 
 
@@ -58,24 +58,18 @@ def test_translucent_roots_get_the_width_they_have() -> None:
 
 
 def test_profiles_that_fit_badly_tell_where_good_ones_are_too_few() -> None:
-    opacity, _ = picture(1.0, (1.2, 1.5, 1.8, 2.2, 2.5), noise=0.06)
+    opacity, _ = picture(1.0, WIDE, noise=0.06)
     profiles, _ = translucency._profiles(opacity, np.ones(opacity.shape, bool))
-    attenuation = translucency.learn([opacity], [np.ones(opacity.shape, bool)], PX_A_MM)
+    attenuation = learned(opacity)
     assert 30 <= attenuation.profiles < len(profiles)
     assert attenuation.mu_per_mm == pytest.approx(1.0, rel=0.2)
 
 
-def one_camera() -> tuple[Cameras, float]:
-    """Return one camera, and its scale, px/mm."""
+def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
     scene = Scene(camera=Camera().resized((400, 300)))
     cameras = Cameras.given([View(camera=scene.camera, cam_from_canister=next(iter(plan.views(scene))).cam_from_rig)], Optics.of(scene))
-    return cameras, measure._px_a_mm(cameras)
-
-
-def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:
-    cameras, px_a_mm = one_camera()
     opacity, coverage = picture(2.0, (0.3, 0.45, 0.8, 1.5))
-    mu_per_mm = 2.0 * px_a_mm / PX_A_MM  # the same picture at the camera's scale
+    mu_per_mm = 2.0 * measure._px_a_mm(cameras) / PX_A_MM  # the same picture at the camera's scale
     seen = np.ones(opacity.shape, bool)
     drawn = silhouettes.measure(opacity, seen)
     drawn = silhouettes.Silhouette(drawn.coverage, seen, opacity.astype(np.float16))

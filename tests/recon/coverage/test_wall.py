@@ -6,14 +6,7 @@ import pytest
 from rhizotwin.recon.coverage import wall
 from rhizotwin.recon.optics import cameras
 from rhizotwin.scenes.monitor import Monitor
-from tests.recon.coverage.turns import Turn, turned
-
-VIEWS = 16
-
-
-@pytest.fixture(scope="module")
-def turn() -> Turn:
-    return turned(VIEWS)
+from tests.recon.coverage.conftest import Turn
 
 
 def painted(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

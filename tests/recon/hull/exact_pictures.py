@@ -1,11 +1,14 @@
 """Exact silhouettes of round-ended tubes, drawn with the reference projection."""
 
+from pathlib import Path
+
 import numpy as np
 from scipy import ndimage
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, refraction
-from rhizotwin.scenes import plan
+from rhizotwin.scenes import atomic, plan
+from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.model import Scene
 
 Segment = tuple[tuple[float, float, float], tuple[float, float, float], float]
@@ -20,6 +23,22 @@ def views_of(scene: Scene) -> list[cameras.View]:
         cameras.View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg))
         for v in plan.views(scene)
     ]
+
+
+def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Return a matrix as files and plans hold it."""
+    return tuple(tuple(float(value) for value in row) for row in matrix)
+
+
+def masks(folder: Path, scene: Scene, pictures: dict[int, np.ndarray], **origin: object) -> Dataset:
+    """Write silhouettes (H, W) of some views with their exact cameras, as a dataset."""
+    listed, every = [], views_of(scene)
+    for k, picture in pictures.items():
+        atomic.write_image(folder / f"{k}.png", np.round(255.0 * picture).astype(np.uint8))
+        listed.append(Frame(file=f"{k}.png", sha256=sha256_of(folder / f"{k}.png"), cam_from_canister=rows(every[k].cam_from_canister)))
+    dataset = Dataset(folder=folder, scene=scene, frames=tuple(listed), masks=True, origin=origin)
+    save_dataset(dataset)
+    return dataset
 
 
 def drawn(view: cameras.View, optics: refraction.Optics, segments: tuple[Segment, ...], samples: int = 3) -> Silhouette:

@@ -13,10 +13,6 @@ def test_numbers_are_those_of_numpy_and_give_the_cells_back() -> None:
     np.testing.assert_array_equal(box.number(index + np.array([0, 0, 1])) - box.number(index), 1)
 
 
-def test_no_cells_lie_in_a_box_of_one() -> None:
-    assert len(Box.around(np.zeros((0, 3), np.int32)).number(np.zeros((0, 3), np.int32))) == 0
-
-
 def test_scattered_cells_know_their_neighbours() -> None:
     rng = np.random.default_rng(1)
     index = rng.permutation(np.unique(rng.integers(-5, 4, (300, 3)), axis=0)).astype(np.int32)
@@ -37,8 +33,10 @@ def test_scattered_cells_know_their_neighbours() -> None:
     np.testing.assert_array_equal(cells.holds(asked), (asked[:, None] == index).all(axis=2).any(axis=1))
 
 
-def test_no_cells_have_no_neighbours() -> None:
-    none = Scattered.of(np.zeros((0, 3), np.int32))
+def test_no_cells_lie_in_a_box_of_one_and_have_no_neighbours() -> None:
+    index = np.zeros((0, 3), np.int32)
+    assert len(Box.around(index).number(index)) == 0
+    none = Scattered.of(index)
     assert not none.holds(np.zeros((2, 3), np.int32)).any()
     assert all(len(here) == len(there) == 0 for _, here, there in none.neighbours())
 

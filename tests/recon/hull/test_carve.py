@@ -34,20 +34,13 @@ def carved(centre_mm: tuple[float, float, float], *, ignore_blindness: bool = Fa
     bank, maps = seen_ball(centre_mm)
     r = bank.optics.inner_radius_mm
     grid = Grid.over(np.array([-r, -r, -110.0]), np.array([r, r, -8.0]), 0.4)
-    return carve.carve(
-        bank,
-        maps,
-        grid,
-        Water(r, -8.0, -110.0),
-        min_votes=5,
-        ignore_blindness=ignore_blindness,
-    )
+    return carve.carve(bank, maps, grid, Water(r, -8.0, -110.0), min_votes=5, ignore_blindness=ignore_blindness)
 
 
 BALL_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
 
 
-@pytest.mark.parametrize("centre_mm", [(0.0, 0.0, -50.0), (20.0, -10.0, -50.0), (40.0, 5.0, -50.0)])
+@pytest.mark.parametrize("centre_mm", [(0.0, 0.0, -50.0), (40.0, 5.0, -50.0)])
 def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
     hull = carved(centre_mm)
     leaves = hull.leaves
@@ -56,19 +49,6 @@ def test_volume_of_a_ball(centre_mm: tuple[float, float, float]) -> None:
     middle = leaves.grid.origin_mm + (leaves.index + leaves.size[:, None] / 2) * leaves.grid.size_mm
     weight = leaves.occupancy * leaves.size.astype(float) ** 3
     np.testing.assert_allclose((middle * weight[:, None]).sum(axis=0) / weight.sum(), centre_mm, atol=0.12)
-
-
-def test_nodes_placed_by_their_parents_give_the_hull_of_those_followed_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    by_parent = carved((40.0, 5.0, -50.0))
-    monkeypatch.setattr(carve, "BY_PARENT_MM", 0.0)
-    one_by_one = carved.__wrapped__((40.0, 5.0, -50.0))
-    for ours, theirs in (
-        (by_parent.leaves.volume_mm3(), one_by_one.leaves.volume_mm3()),
-        (by_parent.moved_in_mm3, one_by_one.moved_in_mm3),
-        (by_parent.moved_out_mm3, one_by_one.moved_out_mm3),
-        (by_parent.blind_mm3, one_by_one.blind_mm3),
-    ):
-        assert ours == pytest.approx(theirs, rel=3e-4)
 
 
 def test_a_ball_at_the_wall_survives_blind_directions() -> None:
@@ -98,7 +78,7 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
 
 
 def test_leaves_do_not_overlap_and_gather_without_loss() -> None:
-    leaves = carved((20.0, -10.0, -50.0)).leaves
+    leaves = carved((40.0, 5.0, -50.0)).leaves
     index, size, occupancy = surface.to_voxels(leaves, 2)
     cubes = (size * 2.0 * leaves.grid.size_mm) ** 3
     assert float(cubes @ occupancy) == pytest.approx(leaves.volume_mm3(), rel=1e-5)
@@ -108,9 +88,8 @@ def test_leaves_do_not_overlap_and_gather_without_loss() -> None:
 
 def test_surface_is_closed_and_holds_the_volume() -> None:
     leaves = carved((0.0, 0.0, -50.0)).leaves
-    mesh = surface.surface(
-        leaves.index, leaves.size, leaves.occupancy, origin_mm=np.asarray(leaves.grid.origin_mm), voxel_mm=leaves.grid.size_mm
-    )
+    grid = leaves.grid
+    mesh = surface.surface(leaves.index, leaves.size, leaves.occupancy, origin_mm=np.asarray(grid.origin_mm), voxel_mm=grid.size_mm)
     assert mesh.is_watertight
     assert abs(mesh.volume) == pytest.approx(leaves.volume_mm3(), rel=0.01)
     np.testing.assert_allclose(mesh.bounds[1] - mesh.bounds[0], 2 * RADIUS_MM, atol=0.35)

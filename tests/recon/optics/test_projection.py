@@ -1,6 +1,7 @@
 """The Dr.Jit kernel against the float64 reference."""
 
 from dataclasses import replace
+from functools import cache
 
 import drjit as dr
 import mitsuba as mi
@@ -14,26 +15,18 @@ from rhizotwin.scenes.model import Camera, Canister, Scene, Water
 LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
 
 
-def bank_and_view(n_wall: float, n_water: float) -> tuple[projection.ViewBank, cameras.View, refraction.Optics]:
-    scene = Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water))
+@cache
+def bank_and_view(n_wall: float = 1.49, n_water: float = 1.333, *, sways: bool = False):
+    """Return two views, the second of which is turned, shifted and may sway, that second view, and its optics."""
     level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=2.0)
-    turn = frames.rotation_z(0.7)
-    view = cameras.View(
-        camera=LENS, cam_from_canister=frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ turn
-    )
-    other = cameras.View(camera=LENS, cam_from_canister=level)
-    optics = refraction.Optics.of(scene)
-    return projection.ViewBank.of([other, view], optics), view, optics
-
-
-def swaying() -> tuple[projection.ViewBank, cameras.View, refraction.Optics]:
-    _, view, optics = bank_and_view(1.49, 1.333)
-    view = replace(view, sway=(0.004, -0.003, 2e-4))
-    return projection.ViewBank.of([view, view], optics), view, optics
+    aside = frames.from_rotvec(np.array([0.01, 0.02, -0.01]), np.array([1.0, 2.0, 3.0])) @ level @ frames.rotation_z(0.7)
+    view = cameras.View(camera=LENS, cam_from_canister=aside, sway=(0.004, -0.003, 2e-4) if sways else cameras.STILL)
+    optics = refraction.Optics.of(Scene(camera=LENS, canister=Canister(n_wall=n_wall), water=Water(n_water=n_water)))
+    return projection.ViewBank.of([cameras.View(camera=LENS, cam_from_canister=level), view], optics), view, optics
 
 
 def test_what_sways_is_seen_where_it_is() -> None:
-    bank, view, optics = swaying()
+    bank, view, optics = bank_and_view(sways=True)
     points = random_points(optics, 1000) * [0.8, 0.8, 1.0]
     found = in_kernel(bank, points)
     seen = found["seen"]
@@ -74,7 +67,7 @@ def test_kernel_agrees_with_the_reference(n_wall: float, n_water: float) -> None
 
 @pytest.mark.parametrize("sways", [False, True])
 def test_gradients_agree_with_finite_differences(sways: bool) -> None:
-    bank, view, optics = swaying() if sways else bank_and_view(1.49, 1.333)
+    bank, view, optics = bank_and_view(sways=sways)
     points = random_points(optics, 300)
     found = in_kernel(bank, points)
     step = 1e-3
@@ -88,15 +81,10 @@ def test_gradients_agree_with_finite_differences(sways: bool) -> None:
 
 
 def test_clear_distance_reaches_no_blind_point() -> None:
-    bank, view, optics = bank_and_view(1.49, 1.333)
-    points = random_points(optics, 400)
+    bank, view, optics = bank_and_view()
+    points, rng = random_points(optics, 400), np.random.default_rng(2)
     clear = in_kernel(bank, points)["clear_mm"]
-    rng = np.random.default_rng(2)
-    angle = rng.uniform(-np.pi, np.pi, len(points))
-    near = points.copy()
-    near[:, :2] += ((clear - start_tables.CELL_MM) * np.clip(rng.uniform(0, 1, len(points)), 0, 1))[:, None] * np.stack(
-        [np.cos(angle), np.sin(angle)], 1
-    )
+    angle, away = rng.uniform(-np.pi, np.pi, len(points)), (clear - start_tables.CELL_MM) * rng.uniform(0, 1, len(points))
+    near = points + np.stack([away * np.cos(angle), away * np.sin(angle), np.zeros(len(points))], axis=1)
     inside = (np.hypot(near[:, 0], near[:, 1]) < optics.inner_radius_mm) & (clear > 2 * start_tables.CELL_MM)
-    _, count = cameras.project(view, optics, near[inside])
-    assert (count == 1).all()
+    assert (cameras.project(view, optics, near[inside])[1] == 1).all()

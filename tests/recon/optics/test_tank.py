@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.projection import meet, snell
 from benchmarks.tank import images_at_height
 from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View, camera_directions
@@ -18,7 +19,6 @@ from rhizotwin.scenes.model import Camera, Canister, Scene, Tank
 Array = NDArray[np.float64]
 SCENE = Scene(tank=Tank())
 LENS = Camera(distortion=(-0.05, 0.02, 0.001, -0.002, 0.001))
-
 
 Seen = tuple[View, Optics]
 
@@ -36,45 +36,31 @@ def seen_from(rng: np.random.Generator, scene: Scene = SCENE) -> Seen:
 
 def lines_in_canister(at: Seen, px: Array) -> tuple[WaterLine, Array]:
     """Return the lines of sight of pixels in the canister's frame, and which enter the water."""
-    view, optics = at
-    line, enters = cameras.water_lines(view, optics, px)
-    x, y, _ = view.centre_mm
-    return replace(line, heading_rad=line.heading_rad + np.arctan2(y, x)), enters
-
-
-def snell(direction: Array, normal: Array, n_from: float, n_to: float) -> Array:
-    """Refract unit directions (N, 3) at unit normals that face the incoming rays."""
-    ratio = n_from / n_to
-    cosine = -np.sum(direction * normal, axis=1, keepdims=True)
-    return np.asarray(ratio * direction + (ratio * cosine - np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))) * normal)
+    line, enters = cameras.water_lines(*at, px)
+    return replace(line, heading_rad=line.heading_rad + np.arctan2(at[0].centre_mm[1], at[0].centre_mm[0])), enters
 
 
 def brute(at: Seen, px: Array) -> tuple[Array, Array]:
     """Follow pixels surface by surface: where each enters the water (N, 3) and its unit direction there, canister frame."""
     view, o = at
-    rig_from_cam = np.linalg.inv(np.asarray(view.cam_from_tank))
+    rig_from_cam, box = np.linalg.inv(np.asarray(view.cam_from_tank)), o.tank
     canister_from_rig = np.linalg.inv(view.cam_from_canister) @ view.cam_from_tank
     d = camera_directions(view.camera, px) @ rig_from_cam[:3, :3].T
     p = np.broadcast_to(rig_from_cam[:3, 3], d.shape)
-    box = o.tank
-    assert box is not None
-    facing = np.broadcast_to([1.0, 0.0, 0.0], d.shape)
-    for x, n_from, n_to in ((box.front_mm, 1.0, box.n_wall), (box.front_mm - box.wall_mm, box.n_wall, box.n_liquid)):
+    for x, ratio in ((box.front_mm, 1.0 / box.n_wall), (box.front_mm - box.wall_mm, box.n_wall / box.n_liquid)):
         p = p + ((x - p[:, 0]) / d[:, 0])[:, None] * d
-        d = snell(d, facing, n_from, n_to)
+        d = snell(d, np.broadcast_to([1.0, 0.0, 0.0], d.shape), ratio)
     p, d = frames.apply(canister_from_rig, p), d @ canister_from_rig[:3, :3].T
-    for radius, n_from, n_to in ((o.outer_radius_mm, box.n_liquid, o.n_wall), (o.inner_radius_mm, o.n_wall, o.n_water)):
-        a, b, c = np.sum(d[:, :2] ** 2, axis=1), np.sum(p[:, :2] * d[:, :2], axis=1), np.sum(p[:, :2] ** 2, axis=1) - radius**2
+    for radius, ratio in ((o.outer_radius_mm, box.n_liquid / o.n_wall), (o.inner_radius_mm, o.n_wall / o.n_water)):
+        p = meet(p, d, radius)
         with np.errstate(invalid="ignore"):
-            p = p + ((-b - np.sqrt(b * b - a * c)) / a)[:, None] * d
-            d = snell(d, p * [1, 1, 0] / radius, n_from, n_to)
+            d = snell(d, p * [1, 1, 0] / radius, ratio)
     return p, d
 
 
-def points_on_rays(at: Seen, rng: np.random.Generator, count: int, *, most: float = 0.99) -> tuple[Array, Array]:
+def points_on_rays(at: Seen, rng: np.random.Generator, count: int, *, most: float) -> tuple[Array, Array]:
     """Return pixels that see water, and on each one's brute-force ray a random point of it."""
-    width, height = at[0].camera.image_wh
-    px = rng.uniform([0, 0], [width, height], (count, 2))
+    px = rng.uniform([0, 0], at[0].camera.image_wh, (count, 2))
     px = px[lines_in_canister(at, px)[1]]
     entry, d = brute(at, px)
     leave = -2.0 * np.sum(entry[:, :2] * d[:, :2], axis=1) / np.sum(d[:, :2] ** 2, axis=1)
@@ -83,7 +69,7 @@ def points_on_rays(at: Seen, rng: np.random.Generator, count: int, *, most: floa
     return px[inside], points[inside]
 
 
-@pytest.mark.parametrize("liquid", [1.333, 1.36, 1.49])
+@pytest.mark.parametrize("liquid", [1.333, 1.49])
 def test_lines_are_those_of_brute_force(liquid: float) -> None:
     rng = np.random.default_rng(1)
     for _ in range(3):
@@ -91,49 +77,34 @@ def test_lines_are_those_of_brute_force(liquid: float) -> None:
         px = rng.uniform([0, 0], at[0].camera.image_wh, (2000, 2))
         line, enters = lines_in_canister(at, px)
         entry, d = brute(at, px)
+        level = np.linalg.norm(d[:, :2], axis=1, keepdims=True)
         assert enters.sum() > 200
-        assert np.abs(entry[enters, 2] - line.entry_z_mm[enters]).max() < 1e-9
-        beside = np.sum(entry[:, :2] * line.nu, axis=1) - line.b_mm
-        assert np.abs(beside[enters]).max() < 1e-9
-        along = d[:, :2] / np.linalg.norm(d[:, :2], axis=1, keepdims=True)
-        assert np.abs(along - line.t)[enters].max() < 1e-11
-        assert np.abs(d[:, 2] / np.linalg.norm(d[:, :2], axis=1) - line.slope)[enters].max() < 1e-11
+        assert np.abs(entry[:, 2] - line.entry_z_mm)[enters].max() < 1e-9
+        assert np.abs(np.sum(entry[:, :2] * line.nu, axis=1) - line.b_mm)[enters].max() < 1e-9
+        assert np.abs(d[:, :2] / level - line.t)[enters].max() < 1e-11
+        assert np.abs(d[:, 2] / level[:, 0] - line.slope)[enters].max() < 1e-11
 
 
-def test_points_come_back_to_their_pixels() -> None:
-    rng = np.random.default_rng(2)
-    for _ in range(4):
+def test_points_come_back_to_their_pixels_and_the_jacobian_is_that_of_differences() -> None:
+    rng, step = np.random.default_rng(2), 1e-3
+    for _ in range(3):
         at = seen_from(rng)
-        px, points = points_on_rays(at, rng, 3000)
-        found, seen, _ = cameras.project_through_tank(*at, points)
-        radius = np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm
-        assert seen[radius < 0.95].all()
+        px, points = points_on_rays(at, rng, 1500, most=0.99)
+        found, seen, jacobian = cameras.project_through_tank(*at, points)
+        inner = np.hypot(points[:, 0], points[:, 1]) / at[1].inner_radius_mm < 0.9
+        assert seen[inner].all()
         assert seen.mean() > 0.99
-        assert np.abs(found - px)[seen & (radius < 0.95)].max() < 1e-5
-
-
-def test_jacobian_is_that_of_differences() -> None:
-    rng = np.random.default_rng(3)
-    at = seen_from(rng)
-    _, points = points_on_rays(at, rng, 600, most=0.9)
-    _, seen, jacobian = cameras.project_through_tank(*at, points)
-    step = 1e-3
-    for axis in range(3):
-        shift = step * np.eye(3)[axis]
-        up, down = cameras.project_through_tank(*at, points + shift), cameras.project_through_tank(*at, points - shift)
-        both = seen & up[1] & down[1]
-        slope = (up[0] - down[0]) / (2.0 * step)
-        assert both.sum() > 100
-        assert np.abs(slope - jacobian[:, :, axis])[both].max() < 1e-4
+        assert np.abs(found - px)[inner].max() < 1e-5
+        for axis, shift in enumerate(step * np.eye(3)):
+            up, down = cameras.project_through_tank(*at, points + shift), cameras.project_through_tank(*at, points - shift)
+            both = inner & up[1] & down[1]
+            assert both.sum() > 100
+            assert np.abs((up[0] - down[0]) / (2.0 * step) - jacobian[:, :, axis])[both].max() < 1e-4
 
 
 def test_without_any_bending_it_is_the_plain_camera() -> None:
-    air = replace(
-        SCENE,
-        tank=Tank(n_wall=1.0, n_liquid=1.0),
-        canister=Canister(n_wall=1.0),
-        water=replace(SCENE.water, n_water=1.0),
-    )
+    water = replace(SCENE.water, n_water=1.0)
+    air = replace(SCENE, tank=Tank(n_wall=1.0, n_liquid=1.0), canister=Canister(n_wall=1.0), water=water)
     at = seen_from(np.random.default_rng(4), air)
     points = np.random.default_rng(5).uniform([-40, -40, -120], [40, 40, -20], (200, 3))
     found, seen, _ = cameras.project_through_tank(*at, points)
@@ -141,24 +112,6 @@ def test_without_any_bending_it_is_the_plain_camera() -> None:
     directions = camera_directions(at[0].camera, found[seen])
     assert seen.sum() > 100
     assert np.abs(directions - in_cam[seen] / np.linalg.norm(in_cam[seen], axis=1, keepdims=True)).max() < 1e-8
-
-
-def test_a_view_through_the_tank_sees_what_the_round_canister_hides() -> None:
-    """T5.3: through the round wall nothing beyond R_o / n_water is seen from the side; through the tank nearly all is."""
-    level = frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0)
-    at = cameras.through_tank(View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), Optics.of(SCENE))
-    inner = at.optics.inner_radius_mm
-    beside = np.array([[0.0, y, -60.0] for y in np.linspace(-0.97, 0.97, 41) * inner])
-    assert (images_at_height(at, beside) == 1).all()
-
-
-def test_what_is_above_the_liquid_is_not_seen() -> None:
-    level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
-    at = View(camera=Camera(), cam_from_canister=level, cam_from_tank=level), Optics.of(SCENE)
-    low = at[0], replace(at[1], tank=Tank(level_mm=-60.0))
-    points = np.array([[0.0, 0.0, -20.0], [0.0, 0.0, -100.0]])
-    assert cameras.project_through_tank(*at, points)[1].tolist() == [True, True]
-    assert cameras.project_through_tank(*low, points)[1].tolist() == [False, True]
 
 
 def in_kernel(at: Seen, points: Array) -> projection.Projected:
@@ -169,10 +122,10 @@ def in_kernel(at: Seen, points: Array) -> projection.Projected:
     return projection.project(bank, view, mi.Point3f(points.T.astype(np.float32)), dr.full(mi.Bool, True, len(points)))
 
 
-@pytest.mark.parametrize("liquid", [1.333, 1.3, 1.38])
+@pytest.mark.parametrize("liquid", [1.3, 1.38])
 def test_the_kernel_agrees_with_the_reference(liquid: float) -> None:
     rng = np.random.default_rng(6)
-    for _ in range(3):
+    for _ in range(2):
         at = seen_from(rng, replace(SCENE, tank=replace(Tank(), n_liquid=liquid)))
         _, points = points_on_rays(at, rng, 6000, most=1.0)
         points = points.astype(np.float32).astype(np.float64)
@@ -200,7 +153,15 @@ def test_the_kernel_sees_none_that_cannot_be_seen() -> None:
     assert (seen & ~kernel).mean() < 0.02, "only what is next to the wall beside the line of sight is given away"
 
 
-def test_a_view_of_which_nobody_knows_the_tank_is_no_view() -> None:
-    view, optics = seen_from(np.random.default_rng(8))
+def test_a_view_through_the_tank_sees_what_the_round_canister_hides_up_to_the_liquid_s_surface() -> None:
+    """T5.3: through the round wall nothing beyond R_o / n_water is seen from the side; through the tank nearly all is."""
+    level = frames.level_camera(distance_mm=400.0, height_mm=-60.0, tilt_deg=0.0)
+    view = View(camera=Camera(), cam_from_canister=level, cam_from_tank=level)
+    at = cameras.through_tank(view, Optics.of(SCENE))
+    beside = np.array([[0.0, y, -60.0] for y in np.linspace(-0.97, 0.97, 41) * at.optics.inner_radius_mm])
+    assert (images_at_height(at, beside) == 1).all()
+    points = np.array([[0.0, 0.0, -20.0], [0.0, 0.0, -100.0]])
+    for level_mm, seen in ((Tank().level_mm, [True, True]), (-60.0, [False, True])):
+        assert cameras.project_through_tank(view, replace(Optics.of(SCENE), tank=Tank(level_mm=level_mm)), points)[1].tolist() == seen
     with pytest.raises(ValueError, match="expected a pose"):
-        cameras.approach(replace(view, cam_from_tank=None), optics, np.zeros((1, 3)))
+        cameras.approach(replace(view, cam_from_tank=None), Optics.of(SCENE), np.zeros((1, 3)))

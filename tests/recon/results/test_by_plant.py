@@ -29,27 +29,18 @@ def root(x: float, long_mm: float, plant: str) -> Root:
     return Root(points_mm=points, diameters_mm=np.full(40, 1.0), order=0, parent=-1, plant=plant)
 
 
+ROOTS = root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")
+
+
 def divided(*, is_open: bool = False) -> tuple[by_plant.OfPlant, ...]:
     """Divide a shape of two cuboids, 20 and 40 mm long, whose volumes are as 1 to 2."""
-    low = [[ix, 0, -k] for ix, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)]
-    leaves = Leaves(
-        low=np.array(low, np.int32),
-        size=np.ones(60, np.int32),
-        occupancy=np.full(60, 0.5, np.float32),
-        origin_mm=np.array([-0.5, -0.5, 0.0]),
-        voxel_mm=1.0,
-    )
+    low = np.array([[x, 0, -k] for x, count in ((-10, 20), (10, 40)) for k in range(11, 11 + count)], np.int32)
+    ones, half = np.ones(60, np.int32), np.full(60, 0.5, np.float32)
+    leaves = Leaves(low=low, size=ones, occupancy=half, origin_mm=np.array([-0.5, -0.5, 0.0]), voxel_mm=1.0)
     boxes = [trimesh.creation.box((1.0, 1.0, h)).apply_translation((x, 0.0, -10.0 - h / 2)) for x, h in ((-10, 20), (10, 40))]
-    mesh = trimesh.util.concatenate(boxes)
-    shape = dividing.Shape(
-        leaves=leaves,
-        surface=Mesh.of(mesh),
-        finest_mm=1.0,
-        volume_mm3=60.0,
-        interval_mm3=(54.0, 66.0),
-    )
-    planted = Planted((root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")), (False, is_open), ())
-    return dividing.measure(shape, planted, (A, B), WHOLE)
+    surface = Mesh.of(trimesh.util.concatenate(boxes))
+    shape = dividing.Shape(leaves=leaves, surface=surface, finest_mm=1.0, volume_mm3=60.0, interval_mm3=(54.0, 66.0))
+    return dividing.measure(shape, Planted(ROOTS, (False, is_open), ()), (A, B), WHOLE)
 
 
 def test_every_part_is_of_the_plant_whose_root_is_nearest() -> None:
@@ -67,7 +58,7 @@ def test_what_may_be_anothers_is_in_the_intervals_of_both() -> None:
     assert a.volume_interval_mm3 == pytest.approx((18.0, 1.1 * 60.0))
     assert b.volume_interval_mm3 == pytest.approx((0.0, 44.0))
     assert b.open_mm == pytest.approx(40.0)
-    said = dividing.warnings(Planted((root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")), (False, True), ("C",)), (a, b))
+    said = dividing.warnings(Planted(ROOTS, (False, True), ("C",)), (a, b))
     assert "plant C" in said[0]
     assert "67 %" in said[1]
 
@@ -91,9 +82,8 @@ def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
 
 
 def test_each_plant_is_scored_against_its_own_truth() -> None:
-    true = [root(-10.0, 20.0, "A"), root(10.0, 40.0, "B")]
     truth = {"A": {"volume_mm3": 25.0}, "B": {"volume_mm3": 40.0}}
-    a, b = compare_plants(divided(), [true[0], replace(true[1], plant="A")], truth, true)
+    a, b = compare_plants(divided(), [ROOTS[0], replace(ROOTS[1], plant="A")], truth, ROOTS)
     assert a.volume_error == pytest.approx(-0.2)
     assert not a.interval_holds_truth
     assert a.rightly_given == pytest.approx(1.0 / 3.0, abs=0.02)  # two thirds of what was given to A lie on B

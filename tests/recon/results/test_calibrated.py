@@ -1,5 +1,7 @@
 """The table of what was calibrated from the pictures, and its errors against the truth."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from rhizotwin.recon.scoring.score_rig import compare_rig
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.truth import TrueView, Truth
+from tests.recon.hull.exact_pictures import rows
 
 SEAT = frames.from_rotvec(np.deg2rad([0.1, -0.05, 0.0]), np.array([0.2, 0.3, 0.0]))
 RIG = {
@@ -31,62 +34,32 @@ RIG = {
 
 
 def truth(**drawn: object) -> Truth:
-    shifted = SEAT.copy()
-    shifted[0, 3] += 0.004
-    rows = tuple(tuple(row) for row in shifted.tolist())
-    views = tuple(TrueView(file=f"v{k}.png", cam_from_canister=rows, table_deg=90.0 * k) for k in range(4))
-    return Truth(
-        volume_mm3=1.0,
-        extents_min_mm=(0.0, 0.0, 0.0),
-        extents_max_mm=(1.0, 1.0, 1.0),
-        n_water=1.334,
-        canister_from_strip=rows,
-        views=views,
-        drawn=dict(drawn),
-    )
+    pose = rows(frames.translation(0.004, 0.0, 0.0) @ SEAT)
+    views = tuple(TrueView(file=f"v{k}.png", cam_from_canister=pose, table_deg=90.0 * k) for k in range(4))
+    extents = {"extents_min_mm": (0.0, 0.0, 0.0), "extents_max_mm": (1.0, 1.0, 1.0)}
+    return Truth(volume_mm3=1.0, **extents, n_water=1.334, canister_from_strip=pose, views=views, drawn=dict(drawn))
 
 
 def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
-    rows = {row.quantity: row for row in calibrated.rows(RIG)}
-    assert rows["index of the water"].taken
-    assert not rows["focal length over the given"].taken
-    assert rows["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
-    assert rows["canister relative to the marker strip: offset y"].sigma == 0.002
+    by_name = {row.quantity: row for row in calibrated.rows(RIG)}
+    assert by_name["index of the water"].taken
+    assert not by_name["focal length over the given"].taken
+    assert by_name["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
+    assert by_name["canister relative to the marker strip: offset y"].sigma == 0.002
     text = "\n".join(calibrated.table(RIG))
     assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
     assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (not sure enough: as given)" in text
     assert "roots, sideways: 0.090 px off before, 0.050 px after" in text
-
-
-def test_a_result_of_an_older_version_has_a_table_too() -> None:
     older = {key: value for key, value in RIG.items() if key not in ("focal_scale_found", "n_water_found", "roots")}
     assert next(row.quantity for row in calibrated.rows(older)) == "canister relative to the marker strip: tilt x"
-
-
-def test_cameras_that_were_given_leave_no_table() -> None:
-    assert calibrated.table({}) == []
-
-
-def markers_alone() -> Cameras:
-    found = MarkerCalibration(
-        rings=(),
-        table_from_canister=None,
-        table_sigma=None,
-        inset_px=0.0,
-        focal_scale=1.0,
-        focal_found=None,
-        focal_sigma=None,
-        before_px=None,
-        after_px=None,
-        table_correction_deg=None,
-        canister=None,
-    )
-    return Cameras(lens=Scene().camera, optics=Optics.of(Scene()), all=(), order=(), markers=found)
+    assert calibrated.table({}) == [], "cameras that were given leave none"
 
 
 def test_without_roots_the_index_is_said_to_be_as_given() -> None:
-    table = calibrated.table(calibrated.of_cameras(markers_alone()))
-    assert table[1:] == ["  index of the water: 1.333 as given: no thin roots tell it"]
+    unknown = dict.fromkeys(field.name for field in fields(MarkerCalibration))
+    found = MarkerCalibration(**(unknown | {"rings": (), "inset_px": 0.0, "focal_scale": 1.0}))
+    cameras = Cameras(lens=Scene().camera, optics=Optics.of(Scene()), all=(), order=(), markers=found)
+    assert calibrated.table(calibrated.of_cameras(cameras))[1:] == ["  index of the water: 1.333 as given: no thin roots tell it"]
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
@@ -99,7 +72,4 @@ def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:
     assert errors["focal length over the given"].true == 1.0
     assert errors["table angles, rms"].found == pytest.approx(0.01)
     assert "canister relative to the turntable: tilt x" not in errors
-
-
-def test_what_the_truth_does_not_know_is_not_judged() -> None:
-    assert "focal length over the given" not in {error.quantity for error in compare_rig(RIG, [], truth())}
+    assert "focal length over the given" not in {error.quantity for error in compare_rig(RIG, [], truth())}, "the truth does not know it"

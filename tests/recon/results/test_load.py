@@ -17,12 +17,8 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
     first = load_result(made.result)
     first.save(tmp_path / "again")
     second = load_result(tmp_path / "again")
-    assert (second.volume_mm3, second.interval_mm3, second.trusted, second.verdict) == (
-        first.volume_mm3,
-        first.interval_mm3,
-        first.trusted,
-        first.verdict,
-    )
+    for name in ("volume_mm3", "interval_mm3", "trusted", "verdict"):
+        assert getattr(second, name) == getattr(first, name)
     assert second.solid.volume == first.solid.volume
     np.testing.assert_array_equal(second.solid.voxels.low, first.solid.voxels.low)
     np.testing.assert_array_equal(second.solid.hull.occupancy, first.solid.hull.occupancy)
@@ -33,9 +29,7 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
         np.testing.assert_array_equal(second.silhouettes[file].seen, silhouette.seen)
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert (a.file, a.used, a.reason, a.markers) == (b.file, b.used, b.reason, b.markers)
-        assert (a.cam_from_canister is None) == (b.cam_from_canister is None)
-        if a.cam_from_canister is not None:
-            np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
+        np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
 
 
 def test_values_and_folders_score_the_same(scan) -> None:
@@ -44,16 +38,10 @@ def test_values_and_folders_score_the_same(scan) -> None:
     assert by_value.to_dict() == score(made.result, made.dataset).to_dict()
 
 
-def test_a_result_of_another_dataset_is_refused(scan) -> None:
-    made = scan()
-    made.edit_summary(dataset_sha256="0" * 64)
-    with pytest.raises(UserError, match="was not reconstructed from"):
-        score(load_result(made.result), made.dataset)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
+def test_a_value_of_another_kind_is_named(scan) -> None:
+    made = scan(voxel_mm=1.0)
+    good = load_result(made.result).summary()
+    for key, value in (
         ("rig", {"focal_scale": None}),
         ("rig", {"canister_from_strip": [[1.0]]}),
         ("rig", {"rings": [{"ring": 0}]}),
@@ -62,14 +50,10 @@ def test_a_result_of_another_dataset_is_refused(scan) -> None:
         ("checks", [{"name": "focus"}]),
         ("estimates", [{"name": "tips", "value": 1.0, "interval": [1.0]}]),
         ("volume_interval_mm3", [1.0]),
-    ],
-)
-def test_a_value_of_another_kind_is_named(key: str, value: object, scan) -> None:
-    made = scan()
-    load_result(made.result)
-    made.edit_summary(**{key: value})
-    with pytest.raises(UserError, match=f"result.json has a value of the wrong kind for '{key}'"):
-        load_result(made.result)
+    ):
+        made.edit_summary(**(good | {key: value}))
+        with pytest.raises(UserError, match=f"result.json has a value of the wrong kind for '{key}'"):
+            load_result(made.result)
 
 
 def test_a_missing_silhouette_is_named_when_it_is_looked_at(scan) -> None:

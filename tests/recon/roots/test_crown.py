@@ -14,8 +14,7 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import length_mm, of_plant
-from tests.recon.lines import line
-from tests.recon.strings import pictured, standing, strung
+from tests.recon.strings import line, pictured, standing, strung
 
 A, B = Plant(plant="A", at_mm=(-12.0, 0.0)), Plant(plant="B", at_mm=(12.0, 0.0))
 GRID_MM = -8.0
@@ -37,7 +36,10 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
         coverage = np.maximum.reduce([part.coverage for part in parts])
         seen = np.broadcast_to(np.arange(len(coverage))[:, None] > row, coverage.shape)
         drawn.append(Silhouette(np.where(seen, coverage, 0.0).astype(np.float32), seen.copy()))
-    tops = crown.tops(replace(Scene(), plants=(A, B)))
+    scene = replace(Scene(), plants=(A, B))
+    tops = crown.tops(scene)
+    assert all(scene.net_pot.grid_z_mm < z < scene.net_pot.top_mm for _, _, z in tops)
+    assert crown.tops(replace(scene, plants=(A,))) == ()
     evidence = replace(Evidence.of(pictures[0].bank, drawn), tops_mm=tops)
     spheres = Spheres(*(np.concatenate([getattr(one, name) for one in true.values()]) for name in ("centre_mm", "radius_mm")))
     tree = rooting.find(evidence, standing(), spheres, Water(35.0, GRID_MM, -60.0), None, monitor=Monitor())
@@ -51,22 +53,3 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
         np.testing.assert_allclose(own[0].points_mm[0], [*plant.at_mm, -11.0], atol=0.7)  # the crown is no root
         assert length_mm(own) == pytest.approx(true[plant.plant].length_mm, rel=0.02)
         assert np.median(own[1].diameters_mm) == pytest.approx(0.6, rel=0.05)
-
-
-def test_plants_hang_on_a_crown_behind_the_net_pot() -> None:
-    scene = replace(Scene(), plants=(A, B))
-    tops = crown.tops(scene)
-    assert len(tops) == 2
-    assert all(scene.net_pot.grid_z_mm < z < scene.net_pot.top_mm for _, _, z in tops)
-    assert crown.tops(replace(scene, plants=(A,))) == ()
-    taproots = [paths(plant)[0] for plant in (A, B)]
-    cells = np.concatenate(taproots)
-    members = crown.members(cells, np.ones(len(cells), bool), tops)
-    starts = {plant: int(chosen[cells[chosen, 2].argmax()]) for plant, chosen in members.items()}
-    traced = [(starts[k], taproot, np.ones(len(taproot))) for k, taproot in enumerate(taproots)]
-    hung = crown.hang(traced, {starts[k]: tops[k] for k in starts}, 0.2)
-    assert len(hung) == 3
-    assert (hung[0][0][:, 2] == tops[0][2]).all()
-    for (points, shadow), top in zip(hung[1:], tops, strict=True):
-        np.testing.assert_allclose(points[0], top)
-        assert len(points) == len(shadow)

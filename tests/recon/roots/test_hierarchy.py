@@ -1,44 +1,33 @@
 """Small trees whose roots were joined wrongly, and what they should be."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from rhizotwin.recon.roots.hierarchy import arrange
 from rhizotwin.scenes.rsml import Root
-
-
-def line(*corners, diameter_mm=0.3, parent=-1, order=0) -> Root:
-    """Return a root along corners, a point every half millimetre or so."""
-    points = [np.array([corners[0]], float)]
-    for a, b in pairwise(corners):
-        share = np.linspace(0.0, 1.0, max(2, round(2.0 * float(np.linalg.norm(np.subtract(b, a)))) + 1))[1:, None]
-        points.append(np.asarray(a) * (1.0 - share) + np.asarray(b) * share)
-    xyz = np.concatenate(points)
-    return Root(points_mm=xyz, diameters_mm=np.full(len(xyz), diameter_mm), order=order, parent=parent)
+from tests.recon.strings import root
 
 
 def length(roots) -> float:
     return sum(float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum()) for root in roots)
 
 
-TAP = line([0, 0, 0], [0, 0, -40], diameter_mm=1.5)
-LATERAL = line([0, 0, -15], [15, 0, -25], order=1, parent=0)
+TAP = root([0, 0, 0], [0, 0, -40], diameters=(1.5, 1.5))
+LATERAL = root([0, 0, -15], [15, 0, -25], order=1, parent=0)
 
 
 def test_a_right_tree_stays_as_it_is():
-    branch = line([7.5, 0, -20], [7.5, 8, -24], diameter_mm=0.2, order=2, parent=1)
+    branch = root([7.5, 0, -20], [7.5, 8, -24], diameters=(0.2, 0.2), order=2, parent=1)
     kept = arrange([TAP, LATERAL, branch])
-    assert [(root.order, root.parent) for root in kept] == [(0, -1), (1, 0), (2, 1)]
-    for root, original in zip(kept, (TAP, LATERAL, branch), strict=True):
-        np.testing.assert_array_equal(root.points_mm, original.points_mm)
-        np.testing.assert_array_equal(root.diameters_mm, original.diameters_mm)
+    assert [(one.order, one.parent) for one in kept] == [(0, -1), (1, 0), (2, 1)]
+    for one, original in zip(kept, (TAP, LATERAL, branch), strict=True):
+        np.testing.assert_array_equal(one.points_mm, original.points_mm)
+        np.testing.assert_array_equal(one.diameters_mm, original.diameters_mm)
 
 
 def bent_aside(*, tip_seen: bool = True) -> list[Root]:
     """Return a taproot that was traced on into a lateral, and what is left of it."""
-    aside = line([0, 0, -20], [10, 0, -26])
+    aside = root([0, 0, -20], [10, 0, -26])
     wrong = Root(
         points_mm=np.concatenate([TAP.points_mm[:41], aside.points_mm[1:]]),
         diameters_mm=np.concatenate([TAP.diameters_mm[:41], aside.diameters_mm[1:]]),
@@ -46,7 +35,7 @@ def bent_aside(*, tip_seen: bool = True) -> list[Root]:
         parent=-1,
         tip_seen=tip_seen,
     )
-    return [wrong, line([0, 0, -20], [0, 0, -40], diameter_mm=1.5, order=1, parent=0)]
+    return [wrong, root([0, 0, -20], [0, 0, -40], diameters=(1.5, 1.5), order=1, parent=0)]
 
 
 def test_the_thick_line_is_the_taproot():
@@ -61,28 +50,23 @@ def test_the_thick_line_is_the_taproot():
 
 def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():
     """The main root goes on in a thick lateral; what hangs on its lateral is nearest to that one's base, which both have in common."""
-    main = line([0, 0, 0], [0, 0, -40])
-    thick = line([0, 0, -15], [15, 0, -15], diameter_mm=2.4, order=1, parent=0)
-    round_it = line([4, 0, -15], [4, 4, -15], [-2.5, 4, -15], [-2.5, -4, -15], order=2, parent=1)
-    last = line([-2.5, 0, -15], [-9, 0, -18], order=3, parent=2)
+    main = root([0, 0, 0], [0, 0, -40])
+    thick = root([0, 0, -15], [15, 0, -15], diameters=(2.4, 2.4), order=1, parent=0)
+    round_it = root([4, 0, -15], [4, 4, -15], [-2.5, 4, -15], [-2.5, -4, -15], order=2, parent=1)
+    last = root([-2.5, 0, -15], [-9, 0, -18], order=3, parent=2)
     traced = [main, thick, round_it, last]
     assert sorted(tuple(root.points_mm[-1]) for root in arrange(traced)) == sorted(tuple(root.points_mm[-1]) for root in traced)
 
 
-def test_a_root_that_grows_up_far_from_others_is_left():
-    upward = line([7.5, 0, -20], [12, 5, -10], order=2, parent=1)
-    assert arrange([TAP, LATERAL, upward])[2].parent == 1
-
-
 def test_a_lateral_in_the_basal_zone_is_the_grandparents():
-    beside = line([0.8, 0, -15.5], [6, 9, -24], diameter_mm=0.25, order=2, parent=1)
-    further = line([0.9, 0.2, -15.7], [3, -9, -24], diameter_mm=0.2, order=3, parent=2)
-    assert [(root.order, root.parent) for root in arrange([TAP, LATERAL, beside, further])] == [(0, -1), (1, 0), (1, 0), (1, 0)]
+    beside = root([0.8, 0, -15.5], [6, 9, -24], diameters=(0.25, 0.25), order=2, parent=1)
+    further = root([0.9, 0.2, -15.7], [3, -9, -24], diameters=(0.2, 0.2), order=3, parent=2)
+    assert [(one.order, one.parent) for one in arrange([TAP, LATERAL, beside, further])] == [(0, -1), (1, 0), (1, 0), (1, 0)]
 
 
 def test_several_plants_and_order_of_parents():
-    other = line([30, 0, 0], [30, 0, -20], diameter_mm=1.0)
-    found = arrange([TAP, LATERAL, other, line([30, 0, -10], [40, 0, -15], order=1, parent=2)])
+    other = root([30, 0, 0], [30, 0, -20], diameters=(1.0, 1.0))
+    found = arrange([TAP, LATERAL, other, root([30, 0, -10], [40, 0, -15], order=1, parent=2)])
     assert all(root.parent < index for index, root in enumerate(found))
     assert sorted(root.order for root in found) == [0, 0, 1, 1]
 

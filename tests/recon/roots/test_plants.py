@@ -1,38 +1,27 @@
 """Roots of two plants in one canister are given to the plant at whose base they hang."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from rhizotwin.recon.roots import plants
 from rhizotwin.recon.roots.rerooting import Tree
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, length_mm, of_plant
+from tests.recon.strings import root
 
 GRID_MM = -8.0
 A, B = Plant(plant="A", at_mm=(-12.0, 0.0)), Plant(plant="B", at_mm=(12.0, 0.0))
 
 
-def line(*corners, diameters=(0.3, 0.3), parent=-1, order=0) -> Root:
-    """Return a root along corners, a point every half millimetre, with diameters from base to tip."""
-    points = [np.array([corners[0]], float)]
-    for a, b in pairwise(corners):
-        share = np.linspace(0.0, 1.0, round(2.0 * float(np.linalg.norm(np.subtract(b, a)))) + 1)[1:, None]
-        points.append(np.asarray(a) * (1.0 - share) + np.asarray(b) * share)
-    xyz = np.concatenate(points)
-    return Root(points_mm=xyz, diameters_mm=np.linspace(*diameters, len(xyz)), order=order, parent=parent)
-
-
 def tap(plant: Plant) -> Root:
     x, y = plant.at_mm
-    return line([x, y, -11], [x, y, -50], diameters=(1.2, 0.4))
+    return root([x, y, -11], [x, y, -50], diameters=(1.2, 0.4))
 
 
 def test_two_trees_are_two_plants_and_their_laterals_go_with_them():
-    roots = [tap(B), line([12, 0, -20], [25, 0, -30], parent=0, order=1), tap(A), line([-12, 0, -20], [-2, 0, -30], parent=2, order=1)]
+    roots = [tap(B), root([12, 0, -20], [25, 0, -30], parent=0, order=1), tap(A), root([-12, 0, -20], [-2, 0, -30], parent=2, order=1)]
     given = plants.give(roots, (A, B), grid_z_mm=GRID_MM)
-    assert [root.plant for root in given.roots] == ["B", "B", "A", "A"]
-    assert [root.parent for root in given.roots] == [-1, 0, -1, 2]
+    assert [one.plant for one in given.roots] == ["B", "B", "A", "A"]
+    assert [one.parent for one in given.roots] == [-1, 0, -1, 2]
     assert not given.missing
     assert not any(given.open)
     np.testing.assert_array_equal(of_plant(given.roots, "A")[1].points_mm, roots[3].points_mm)
@@ -41,10 +30,10 @@ def test_two_trees_are_two_plants_and_their_laterals_go_with_them():
 
 def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
     touch = [0.5, 0, -30]
-    of_a = line([-12, 0, -20], touch, [3, 0, -33], diameters=(0.4, 0.2), parent=0, order=1)
-    up = line([0.5, 0, -30], [12, 0, -20], diameters=(0.25, 0.4), parent=1, order=2)  # B's lateral, traced from its tip
-    tap_b = line([12, 0, -20], [12, 0, -11], diameters=(1.1, 1.2), parent=2, order=3)  # the upper half of B's taproot, upside down
-    below = line([12, 0, -20], [12, 0, -50], diameters=(1.1, 0.4), parent=2, order=3)
+    of_a = root([-12, 0, -20], touch, [3, 0, -33], diameters=(0.4, 0.2), parent=0, order=1)
+    up = root([0.5, 0, -30], [12, 0, -20], diameters=(0.25, 0.4), parent=1, order=2)  # B's lateral, traced from its tip
+    tap_b = root([12, 0, -20], [12, 0, -11], diameters=(1.1, 1.2), parent=2, order=3)  # the upper half of B's taproot, upside down
+    below = root([12, 0, -20], [12, 0, -50], diameters=(1.1, 0.4), parent=2, order=3)
     roots = [tap(A), of_a, up, tap_b, below]
     given = plants.give(roots, (A, B), grid_z_mm=GRID_MM)
     assert not given.missing
@@ -60,23 +49,19 @@ def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
 
 
 def test_a_torn_piece_goes_to_the_nearest_plant_and_is_open_between_two():
-    near_a, between = line([-8, 0, -30], [-5, 0, -33]), line([0.2, 0, -30], [0.2, 0, -40])
+    near_a, between = root([-8, 0, -30], [-5, 0, -33]), root([0.2, 0, -30], [0.2, 0, -40])
     given = plants.give([tap(A), tap(B), near_a, between], (A, B), grid_z_mm=GRID_MM)
-    assert [root.plant for root in given.roots][2] == "A"
+    assert [one.plant for one in given.roots] == ["A", "B", "A", given.roots[3].plant]
     assert given.open == (False, False, False, True)
 
 
-def test_a_plant_without_a_base_is_told():
+def test_one_named_plant_has_all_and_a_plant_without_a_base_is_missing():
+    assert {one.plant for one in plants.give([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM).roots} == {"A"}
     assert plants.give([tap(A)], (A, B), grid_z_mm=GRID_MM).missing == ("B",)
 
 
-def test_one_named_plant_has_all():
-    given = plants.give([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM)
-    assert {root.plant for root in given.roots} == {"A"}
-
-
 def test_a_tree_turned_to_a_tip_and_back_is_the_same_line():
-    tree = Tree((tap(A), line([-12, 0, -20], [-2, 0, -30], parent=0, order=1)))
+    tree = Tree((tap(A), root([-12, 0, -20], [-2, 0, -30], parent=0, order=1)))
     turned = tree.turned(1, len(tree.roots[1].points_mm) - 1)
     assert abs(length_mm(turned.roots) - length_mm(tree.roots)) < 1e-9
     np.testing.assert_array_equal(turned.roots[0].points_mm[0], [-2, 0, -30])

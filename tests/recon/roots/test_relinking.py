@@ -1,6 +1,7 @@
 """True root systems, cut and swapped where roots touch as tracing does, come back from linking."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ APART_NODES = 8
 """Nodes between a damage and the ends of its roots, and the next damage: 5 mm."""
 
 
+@cache
 def grown(name: str) -> Tubes:
     """Return a plant of the library as tubes, branch by root."""
     scene = load_scene(name)
@@ -58,32 +60,23 @@ def hanging(true: Tubes, branches: list[Index]) -> Tubes | None:
     return Tubes(true.centre_mm, true.radius_mm, tuple(branches[k] for k in order)) if len(order) == len(branches) else None
 
 
-def cut(true: Tubes, seed: int, *, swapped: bool = False) -> tuple[Tubes, int]:
-    """Return the tree with damage where roots touch, and in how many places.
-
-    What is left of a root hangs on the one that it touches or, ``swapped``, both go on in each other.
-    """
-    draw, of = np.random.default_rng(seed), true.owner
+def cut(true: Tubes) -> tuple[Tubes, int]:
+    """Return the tree with roots cut where they touch, and in how many places: the rest hangs on the one that it touches."""
+    draw, of = np.random.default_rng(1), true.owner
     pairs = cKDTree(true.centre_mm).query_pairs(TOUCH_MM, output_type="ndarray")
     tree, free, done = true, np.ones(len(of), bool), 0
     for here, there in draw.permutation(pairs[of[pairs[:, 0]] != of[pairs[:, 1]]]):
         a, b = tree.owner[[here, there]]
         first, second = tree.branches[a], tree.branches[b]
         i, j = int(np.flatnonzero(first == here)[-1]), int(np.flatnonzero(second == there)[-1])
-        around = [line[max(at - APART_NODES, 0) : at + APART_NODES] for line, at in ((first, i), (second, j))]
-        if a == b or min(i, j) <= APART_NODES or i + APART_NODES >= len(first) or j + APART_NODES >= len(second):
+        if a == b or any(at <= APART_NODES or at + APART_NODES >= len(nodes) for nodes, at in ((first, i), (second, j))):
             continue
-        if not free[np.concatenate(around)].all():
-            continue
-        tried = list(tree.branches)
-        tried[a] = np.concatenate([first[:i], second[j:]]) if swapped else first[:i]
-        if swapped:
-            tried[b] = np.concatenate([second[:j], first[i:]])
-        else:
-            tried.append(np.concatenate([[there], first[i:]]))
-        if (damaged := hanging(true, tried)) is not None:
+        around = np.concatenate([first[i - APART_NODES : i + APART_NODES], second[j - APART_NODES : j + APART_NODES]])
+        tried = [*tree.branches, np.concatenate([[there], first[i:]])]
+        tried[a] = first[:i]
+        if free[around].all() and (damaged := hanging(true, tried)) is not None:
             tree, done = damaged, done + 1
-            free[np.concatenate(around)] = False
+            free[around] = False
     return tree, done
 
 
@@ -93,13 +86,11 @@ def turned(true: Tubes) -> tuple[Tubes, int]:
     bearing = {int(of[nodes[0]]) for nodes in true.branches[1:]}
     tree, done = true, 0
     for k, line in enumerate(true.branches):
-        if k == 0 or k in bearing or len(line) <= APART_NODES:
+        touching = [node for node in sorted(near.query_ball_point(true.centre_mm[line[-1]], TOUCH_MM)) if of[node] not in (k, of[line[0]])]
+        if k == 0 or k in bearing or len(line) <= APART_NODES or not touching:
             continue
-        at = next(
-            (node for node in sorted(near.query_ball_point(true.centre_mm[line[-1]], TOUCH_MM)) if of[node] not in (k, of[line[0]])), -1
-        )
-        tried = [np.concatenate([[at], line[:0:-1]]) if np.array_equal(nodes, line) else nodes for nodes in tree.branches]
-        if at >= 0 and (damaged := hanging(true, tried)) is not None:
+        tried = [np.concatenate([touching[:1], line[:0:-1]]) if np.array_equal(nodes, line) else nodes for nodes in tree.branches]
+        if (damaged := hanging(true, tried)) is not None:
             tree, done = damaged, done + 1
     return tree, done
 
@@ -108,41 +99,11 @@ PLANTS = ("radish_day10a", "radish_day15c", "bean", "maize")
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_a_plant_as_it_grew_stays_as_it_is(name: str):
+def test_a_plant_as_it_grew_stays_as_it_is_and_a_damaged_one_is_mended(name: str):
+    """What stays wrong of a cut are the few nodes about it that lie as well on the other's course."""
     true = grown(name)
-    linked, kept = linking.link(true)
-    assert right(linked, kept, true).root > 0.999
-    assert right(linked, kept, true).parent > 0.999
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("name", PLANTS)
-def test_roots_that_were_cut_where_they_touch_others_are_whole_again(name: str, seed: int):
-    true = grown(name)
-    damaged, places = cut(true, seed)
-    assert places >= 5
-    assert right(damaged, np.ones(len(true.centre_mm), bool), true).parent < 0.9
-    linked, kept = linking.link(damaged)
-    # what stays wrong are the few nodes about a cut that lie as well on the other's course
-    assert right(linked, kept, true).root > 0.99
-    assert right(linked, kept, true).parent > 0.99
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_roots_that_were_traced_from_their_tips_are_turned_round(name: str):
-    true = grown(name)
-    damaged, places = turned(true)
-    assert places
-    before = right(damaged, np.ones(len(true.centre_mm), bool), true).parent
-    linked, kept = linking.link(damaged)
-    assert before < 0.995
-    assert right(linked, kept, true).parent > 0.998
-
-
-@pytest.mark.xfail(reason="a link begins at an end, and two roots that go on in each other have none there", strict=True)
-@pytest.mark.parametrize("name", PLANTS)
-def test_roots_that_go_on_in_each_other_where_they_touch_are_parted(name: str):
-    true = grown(name)
-    damaged, _ = cut(true, 1, swapped=True)
-    linked, kept = linking.link(damaged)
-    assert right(linked, kept, true).root > 0.99
+    for (damaged, places), least, before, after in (((true, 1), 1, 1.0, 0.999), (cut(true), 5, 0.9, 0.99), (turned(true), 1, 0.995, 0.998)):
+        assert places >= least
+        assert right(damaged, np.ones(len(true.centre_mm), bool), true).parent <= before
+        found = right(*linking.link(damaged), true)
+        assert min(found.root, found.parent) > after

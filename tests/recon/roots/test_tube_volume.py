@@ -10,8 +10,7 @@ from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes
-from tests.recon.lines import line
-from tests.recon.strings import at_rest, strung
+from tests.recon.strings import at_rest, line, strung
 
 
 def half_ball(radius_mm: float) -> float:
@@ -37,16 +36,6 @@ def test_a_stub_is_as_large_as_its_round_tip():
         assert filled.along_mm.max() <= 0.1 + 1e-9
 
 
-def test_crossing_tubes_count_their_overlap_once():
-    a, b = line((-5.0, 0.0, -30.0), (5.0, 0.0, -30.0)), line((0.0, -5.0, -30.0), (0.0, 5.0, -30.0))
-    system = strung(a, b, radius_mm=0.3)
-    straight = tubes.Tubes(system.centre_mm, system.radius_mm, (system.branches[0], system.branches[1][1:]))
-    steinmetz = 16.0 / 3.0 * 0.3**3
-    ends = np.pi * 0.09 * np.linalg.norm(np.diff(system.centre_mm[straight.branches[1]], axis=0), axis=1).sum()
-    expected = np.pi * 0.09 * 10.0 + ends - steinmetz + 2.0 * half_ball(0.3)
-    assert filling.fill(straight, 0.03).volume_mm3.sum() == pytest.approx(expected, rel=0.01)
-
-
 def test_uniting_keeps_thick_organs_and_adds_tubes():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     index = np.array([[64, 64, 200]], np.int32)
@@ -63,7 +52,7 @@ def test_uniting_keeps_thick_organs_and_adds_tubes():
     assert tube_volume.unite(trimmed, far).thick.leaves.volume_mm3() == 0.0
 
 
-@pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.6, 1.05), (0.75, 1.05), (0.75, 1.6)])
+@pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.05), (0.75, 1.6)])
 def test_tubes_side_by_side_count_their_overlap_once(radius_mm: float, apart_mm: float) -> None:
     """Two upright tubes share a lens (of two circles), and their tips one of two balls, however thick they are."""
     a, b = (line((x, 0.0, -20.0), (x, 0.0, -40.0)) for x in (0.0, apart_mm))

@@ -9,12 +9,11 @@ import trimesh
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.recon.scoring import drawn
 from rhizotwin.recon.scoring.score_pictures import compare, gather, score_pictures
 from rhizotwin.recon.settings import HullSettings, Settings
-from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -64,14 +63,12 @@ def disc(column: float) -> Silhouette:
 
 
 def stripe(column: float, rows: slice = slice(None)) -> Silhouette:
-    x = np.broadcast_to(np.arange(120.0), (100, 120))
-    cover = np.clip(2.0 - np.abs(x - column), 0.0, 1.0).astype(np.float32)
-    kept = np.zeros_like(cover)
-    kept[rows] = cover[rows]
-    return Silhouette(kept, np.ones(cover.shape, bool))
+    cover = np.zeros((100, 120), np.float32)
+    cover[rows] = np.clip(2.0 - np.abs(np.arange(120.0) - column), 0.0, 1.0)
+    return Silhouette(cover, np.ones(cover.shape, bool))
 
 
-@pytest.mark.parametrize("shift_px", [0.0, 0.6, 1.5])
+@pytest.mark.parametrize("shift_px", [0.0, 1.5])
 def test_a_shift_is_told_as_what_it_is(shift_px: float) -> None:
     found = gather("disc", ["one"], [compare(disc(60.0 + shift_px).coverage, disc(60.0))], known=0)
     radius, half = 30.0, 0.5 * shift_px
@@ -81,54 +78,38 @@ def test_a_shift_is_told_as_what_it_is(shift_px: float) -> None:
     assert found.edge_p95_px == pytest.approx(shift_px, abs=0.1)
 
 
-def test_lines_that_run_beside_each_other_are_as_far_apart_as_they_are() -> None:
+def test_lines_are_as_far_apart_as_they_are_and_what_is_missed_is_told_from_what_is_too_much() -> None:
     found = gather("stripe", ["one"], [compare(stripe(51.5).coverage, stripe(50.0))], known=0)
     assert found.line_median_px == pytest.approx(1.5, abs=0.3)
     assert (found.explained, found.seen) == (1.0, 1.0)
-
-
-def test_what_is_missed_and_what_is_too_much_are_told_apart() -> None:
     half = stripe(50.0, np.s_[:50])
     missed, too_much = compare(half.coverage, stripe(50.0)), compare(stripe(50.0).coverage, half)
     shares = [(one.explained[0] / one.explained[1], one.seen[0] / one.seen[1]) for one in (missed, too_much)]
-    assert shares[0] == (pytest.approx(0.52, abs=0.04), 1.0)
-    assert shares[1] == (1.0, pytest.approx(0.52, abs=0.04))
+    assert shares == [(pytest.approx(0.52, abs=0.04), 1.0), (1.0, pytest.approx(0.52, abs=0.04))]
+    none = gather("nothing", ["one"], [compare(np.zeros((100, 120), np.float32), disc(60.0))], known=0)
+    assert (none.iou, none.explained) == (0.0, 0.0)
+    assert none.edge_median_px > 10.0
 
 
-def test_nothing_drawn_explains_nothing() -> None:
-    found = gather("nothing", ["one"], [compare(np.zeros((100, 120), np.float32), disc(60.0))], known=0)
-    assert (found.iou, found.explained) == (0.0, 0.0)
-    assert found.edge_median_px > 10.0
-
-
-def write_scan(folder: Path, views: list[int], made: Scene) -> Path:
-    """Write exact silhouettes of some views, with their cameras, as a dataset."""
+def write_scan(folder: Path, views: range, made: Scene) -> Path:
+    """Write exact silhouettes of some views as a dataset."""
     optics, every = Optics.of(made), exact_pictures.views_of(made)
-    listed = []
-    for k in views:
-        file = f"images/{k}.png"
-        atomic.write_image(folder / file, np.round(255.0 * exact_pictures.drawn(every[k], optics, (TUBE,)).coverage).astype(np.uint8))
-        pose = tuple(tuple(float(value) for value in row) for row in every[k].cam_from_canister)
-        listed.append(Frame(file=file, sha256=sha256_of(folder / file), cam_from_canister=pose))
-    save_dataset(Dataset(folder=folder, scene=made, frames=tuple(listed), masks=True))
+    exact_pictures.masks(folder, made, {k: exact_pictures.drawn(every[k], optics, (TUBE,)).coverage for k in views})
     return folder
 
 
 def test_only_pictures_that_were_not_used_count(tmp_path: Path) -> None:
-    from rhizotwin.recon.reconstruct import reconstruct
-
-    made = replace(scene(), plan=CapturePlan(rings=(Ring(views=18),)))
-    part = write_scan(tmp_path / "part", list(range(0, 18, 2)), made)
-    whole = write_scan(tmp_path / "whole", list(range(18)), made)
+    made = replace(scene(), plan=CapturePlan(rings=(Ring(views=12),)))
+    whole = write_scan(tmp_path / "whole", range(12), made)
+    part = write_scan(tmp_path / "part", range(0, 12, 2), made)
     result = reconstruct(part, settings=Settings(voxel_mm=0.5, hull=HullSettings(finest_mm=0.5)))
     found = score_pictures(result, whole, monitor=Monitor.of(None))
-    assert (found.pictures, found.known) == (9, 9)
+    assert (found.pictures, found.known) == (6, 6)
     assert found.iou > 0.9
     assert found.edge_median_px < 0.3
-    assert found.explained > 0.97
-    assert found.seen > 0.97
-    assert "9 that were not used, 9 more were used" in found.table()
+    assert min(found.explained, found.seen) > 0.97
+    assert "6 that were not used, 6 more were used" in found.table()
     with pytest.raises(UserError, match="made from"):
         score_pictures(result, part, monitor=Monitor.of(None))
     with pytest.raises(UserError, match="all pictures"):
-        score_pictures(result, write_scan(tmp_path / "same", list(range(0, 16, 2)), made), monitor=Monitor.of(None))
+        score_pictures(result, write_scan(tmp_path / "same", range(0, 10, 2), made), monitor=Monitor.of(None))

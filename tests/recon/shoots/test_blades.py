@@ -12,33 +12,19 @@ from rhizotwin.scenes.shoots import Shoot as Plant
 from rhizotwin.sim.shoot import build_shoot
 
 
-def blade(at_mm: tuple[float, float, float], *, length_mm: float = 30.0, width_mm: float = 16.0) -> trimesh.Trimesh:
-    box = trimesh.creation.box((length_mm, width_mm, 0.5))
-    box.apply_translation(at_mm)
-    return box
+def blade(at_mm: tuple[float, float, float], *, width_mm: float = 16.0) -> trimesh.Trimesh:
+    return trimesh.creation.box((30.0, width_mm, 0.5)).apply_translation(at_mm)
 
 
-def stalk(length_mm: float = 40.0) -> trimesh.Trimesh:
-    return trimesh.creation.cylinder(radius=1.2, height=length_mm, sections=32)
-
-
-def test_two_blades_on_a_stalk_are_two_and_the_stalk_is_none() -> None:
-    found = blades.find(trimesh.util.concatenate([stalk(), blade((15.0, 0.0, 24.0)), blade((-15.0, 0.0, -24.0), width_mm=10.0)]))
-    assert len(found.areas_mm2) == 2
-    assert found.areas_mm2[0] == pytest.approx(30.0 * 16.5, rel=0.05)  # and half of its sides
-    assert found.areas_mm2[1] == pytest.approx(30.0 * 10.5, rel=0.05)
+def test_blades_that_touch_are_one_and_a_stalk_is_none() -> None:
+    stalk = trimesh.creation.cylinder(radius=1.2, height=40.0, sections=32)
+    found = blades.find(trimesh.util.concatenate([stalk, blade((15.0, 0.0, 24.0)), blade((-15.0, 0.0, -24.0), width_mm=10.0)]))
+    assert found.areas_mm2 == pytest.approx((30.0 * 16.5, 30.0 * 10.5), rel=0.05)  # and half of their sides
     assert found.near(np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 24.0]])).tolist() == [False, True]
-
-
-def test_blades_that_touch_are_one() -> None:
-    found = blades.find(trimesh.util.concatenate([blade((0.0, 0.0, 0.0)), blade((29.0, 0.0, 0.3))]))
-    assert len(found.areas_mm2) == 1
-
-
-def test_a_stalk_has_no_blade() -> None:
-    found = blades.find(stalk())
-    assert found.areas_mm2 == ()
-    assert found.area_mm2 < 0.1 * 0.5 * stalk().area
+    assert len(blades.find(trimesh.util.concatenate([blade((0.0, 0.0, 0.0)), blade((29.0, 0.0, 0.3))])).areas_mm2) == 1
+    alone = blades.find(stalk)
+    assert alone.areas_mm2 == ()
+    assert alone.area_mm2 < 0.1 * 0.5 * stalk.area
 
 
 @pytest.mark.parametrize("leaves", [3, 6])

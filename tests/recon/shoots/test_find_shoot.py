@@ -13,7 +13,7 @@ from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.monitor import Monitor
 
 SCENE = replace(Scene(), camera=Camera().resized((400, 300)))
-VIEWS = 24
+VIEWS = 16
 PANEL, GREEN, FELT = 0.75, 0.06, 0.012
 
 
@@ -76,9 +76,8 @@ def test_a_disc_that_leans_has_its_one_sided_area() -> None:
 
 def test_what_stands_before_the_pot_does_not_carve() -> None:
     every = views()
-    silhouettes = shoot_silhouettes.of_ring([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)
-    row, column = np.nonzero(silhouettes[0].coverage > 0.5)
-    assert len(row) > 300
-    pot_top = ~silhouettes[0].seen
-    assert pot_top[row, column].mean() > 0.3
-    assert not silhouettes[0].seen[250, 200]
+    found = shoot_silhouettes.of_ring([drawn(view, ball(12.0, (0.0, 0.0, 50.0))) for view in every], every, SCENE)[0]
+    covered = found.coverage > 0.5
+    assert covered.sum() > 300
+    assert found.seen[covered].mean() < 0.7
+    assert not found.seen[250, 200]

@@ -1,35 +1,29 @@
 """Root hairs: the strip that stands for their sleeve, and whether pictures of tubes tell of them."""
 
 from dataclasses import replace
-from functools import cache
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.coverage.translucency import Hairs
-from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import root_hairs, translucent_tube, tube_picture, tubes
+from rhizotwin.recon.tubes import root_hairs, translucent_tube, tubes
 from rhizotwin.recon.tubes.attenuation_trials import Trials
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from tests.recon.tubes.test_translucent_tubes import STAR, dark, strung
+from tests.recon.strings import blank_of, drawn
+from tests.recon.tubes.test_translucent_tubes import ORGAN, STAR, dark, straight
 
-CROWD = tuple(
-    ((0.0, 0.0, -25.0 - 2.0 * k), (18.0 * np.cos(2.4 * k), 18.0 * np.sin(2.4 * k), -32.0 - 2.4 * k), 0.15 + 0.02 * k) for k in range(14)
+CROWD = straight(
+    *(((0.0, 0.0, -25.0 - 2.0 * k), (18.0 * np.cos(2.4 * k), 18.0 * np.sin(2.4 * k), -32.0 - 2.4 * k), 0.15 + 0.02 * k) for k in range(14))
 )
 HAIRY = Hairs(length_mm=0.3, mu_per_mm=1e-4)
 
 
-@pytest.mark.parametrize("radius", [0.05, 0.3, 2.0])
-@pytest.mark.parametrize("sine", [1.0, 0.5])
+@pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (0.3, 0.5), (2.0, 0.5)])
 def test_the_sleeves_strip_has_the_moments_of_a_ring(radius: float, sine: float) -> None:
     *_, sleeve = translucent_tube.layers(None, HAIRY, mi.Float(radius), mi.Float(sine), mi.Float(4.0 * radius))
     half, height = float(sleeve.half_px[0]) / 4.0, float(sleeve.height[0])
@@ -57,55 +51,28 @@ def test_slopes_of_strips_with_hairs_are_derivatives(mu: float | None) -> None:
         assert float(now.by_height[0]) == pytest.approx((more.height[0] - less.height[0]) / change, abs=2e-3)
 
 
+@pytest.mark.parametrize("hairs", [None, HAIRS], ids=["none", "hairs"])
 @pytest.mark.parametrize("mu", [None, 2.0])
-def test_radii_of_hairy_roots_that_keep_back_as_much_light_are_found_again(mu: float | None) -> None:
+def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, hairs: Hairs | None) -> None:
     radius = np.array([0.05, 0.1, 0.4, 2.0])
-    light = translucent_tube.opaque_radius(radius, mu, HAIRS)
-    assert (light > translucent_tube.opaque_radius(radius, mu)).all()
-    np.testing.assert_allclose(translucent_tube.radius_of(light, mu, HAIRS), radius, rtol=1e-3)
+    light = translucent_tube.opaque_radius(radius, mu, hairs)
+    assert hairs is None or (light > translucent_tube.opaque_radius(radius, mu)).all()
+    np.testing.assert_allclose(translucent_tube.radius_of(light, mu, hairs), radius, rtol=1e-3)
 
 
-@cache
-def sharp() -> Evidence:
-    """Return pictures without roots, fine enough to show hairs: 0.2 mm a pixel."""
-    scene = Scene(camera=Camera().resized((1200, 900)), plan=CapturePlan(rings=(Ring(views=8),)))
-    planned = plan.views(scene)
-    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
-    blank = Silhouette(np.zeros((900, 1200), np.float32), np.ones((900, 1200), bool), np.zeros((900, 1200), np.float32))
-    return Evidence.of(ViewBank.of(found, Optics.of(scene)), [blank] * len(found))
-
-
-def pictured(system: tubes.Tubes, hairs: Hairs | None) -> Evidence:
-    """Return what pictures of glassy tubes with hairs tell, with a little noise."""
-    blank = replace(sharp(), mu_per_mm=1.0, hairs=hairs)
-    depth = tube_picture.optical_depth(blank, system, blank.project(system.centre_mm), 0.0)
-    opacity = (1.0 - np.exp(-np.array(depth))).astype(np.float32).reshape(blank.bank.count, 900, 1200)
-    opacity += np.random.default_rng(0).normal(0.0, 0.003, opacity.shape).astype(np.float32)
-    return Evidence.of(blank.bank, [Silhouette(np.clip(o, 0.0, 1.0), np.ones(o.shape, bool), o) for o in opacity])
-
-
-def told(made_with: Hairs | None) -> tuple[TubeAttenuation, Evidence, float]:
-    """Return what is told of tubes with or without hairs, and by how much their radii come out too large."""
-    truth = strung(*CROWD)
-    seen, organ = pictured(truth, made_with), np.zeros(len(truth.radius_mm), bool)
-    light = translucent_tube.opaque_radius(truth.radius_mm, 1.0, made_with)
-    start = tubes.moved(truth, truth.centre_mm, translucent_tube.radius_of(light, 1.0))
+@pytest.mark.parametrize(("hairs", "state"), [(HAIRS, "there"), (None, "none")], ids=["hairs", "none"])
+def test_pictures_tell_whether_roots_have_hairs_which_are_not_counted_as_root(hairs: Hairs | None, state: str) -> None:
+    """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
+    sharp = blank_of(Scene(camera=Camera().resized((1200, 900)), plan=CapturePlan(rings=(Ring(views=6),))))
+    seen = replace(drawn(CROWD, replace(sharp, mu_per_mm=1.0, hairs=hairs), noise=0.003, opacity=True), mu_per_mm=1.0)
+    start = tubes.moved(
+        CROWD, CROWD.centre_mm, translucent_tube.radius_of(translucent_tube.opaque_radius(CROWD.radius_mm, 1.0, hairs), 1.0)
+    )
     before = TubeAttenuation(mu_per_mm=1.0, sigma=0.1, blur_px=0.0, against_opaque=2.0, profiles=1000)
-    attenuation, after, found = root_hairs.find(replace(seen, mu_per_mm=1.0), start, organ, before)
-    return attenuation, after, float(np.median(found.radius_mm / truth.radius_mm))
-
-
-def test_hairs_that_are_there_are_not_counted_as_root() -> None:
-    attenuation, seen, ratio = told(HAIRS)
-    assert (attenuation.hairs, seen.hairs) == ("there", HAIRS)
-    assert ratio == pytest.approx(1.0, abs=0.02)
-    assert "hairs" in " ".join(attenuation.warnings())
-
-
-def test_roots_without_hairs_have_none() -> None:
-    attenuation, seen, ratio = told(None)
-    assert (attenuation.hairs, seen.hairs, attenuation.warnings()) == ("none", None, [])
-    assert ratio == pytest.approx(1.0, abs=0.01)
+    attenuation, after, found = root_hairs.find(seen, start, np.zeros(len(start.radius_mm), bool), before)
+    assert (attenuation.hairs, after.hairs) == (state, hairs)
+    assert np.median(found.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02 if hairs else 0.01)
+    assert ("hairs" in " ".join(attenuation.warnings())) == (hairs is not None)
 
 
 @pytest.mark.parametrize(("deviations", "mu", "expected"), [(-1.4, 1.0, HAIRS), (-3.1, 1.0, None), (1.4, None, None)])
@@ -113,15 +80,13 @@ def test_where_pictures_cannot_tell_glassy_roots_have_hairs(
     deviations: float, mu: float | None, expected: Hairs | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Trials, "significance", lambda *_: deviations)
-    truth = strung(*STAR)
     before = replace(TubeAttenuation.opaque(0.0, 1000), mu_per_mm=mu)
-    attenuation, after, _ = root_hairs.find(replace(dark(), mu_per_mm=mu), truth, np.zeros(len(truth.radius_mm), bool), before)
+    attenuation, after, _ = root_hairs.find(replace(dark(), mu_per_mm=mu), STAR, ORGAN, before)
     assert after.hairs == expected
     assert attenuation.hairs == ("none" if deviations < -3.0 else "maybe")
 
 
 def test_silhouettes_tell_no_hairs() -> None:
-    truth = strung(*STAR)
     blank = replace(dark(), silhouettes=tuple(Silhouette(s.coverage, s.seen) for s in dark().silhouettes))
     before = TubeAttenuation.opaque(0.3)
-    assert root_hairs.find(blank, truth, np.zeros(len(truth.radius_mm), bool), before) == (before, blank, truth)
+    assert root_hairs.find(blank, STAR, ORGAN, before) == (before, blank, STAR)

@@ -1,4 +1,4 @@
-"""Roots tell the index of the water: how pictures move with the rig, and whether a wrong index is found again."""
+"""Roots tell the index of the water and how they sway: how pictures move with the rig, and whether what is wrong is found again."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,26 +8,26 @@ import pytest
 
 from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras, projection
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.tubes import root_calibration, sight_change, tube_fit, tube_picture, tubes
+from rhizotwin.recon.tubes import root_calibration, root_sway, sight_change, tube_fit, tubes
 from rhizotwin.recon.tubes.sight_change import QUANTITIES, SWAY, Quantity
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.hull.exact_pictures import views_of
+from tests.recon.strings import blank, drawn
 
 RINGS = Ring(views=6), Ring(views=6, height_mm=10.0, tilt_deg=8.0, first_deg=10.0)
+PX_A_MM = 1.9
+"""Of the rig's small pictures, about."""
 POINTS = np.array([[0.0, 0.0, -50.0], [20.0, 10.0, -30.0], [-35.0, 5.0, -90.0], [10.0, -45.0, -70.0]])
 
 
 @cache
 def rig() -> tuple[list[View], Optics]:
-    scene = Scene(camera=replace(Camera().resized((400, 300)), distortion=(-0.05, 0.02, 3e-4, -2e-4, 0.0)), plan=CapturePlan(rings=RINGS))
-    views = [
-        View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in plan.views(scene)
-    ]
-    return views, Optics.of(scene)
+    lens = replace(Camera().resized((400, 300)), distortion=(-0.05, 0.02, 3e-4, -2e-4, 0.0))
+    scene = Scene(camera=lens, plan=CapturePlan(rings=RINGS))
+    return views_of(scene), Optics.of(scene)
 
 
 @cache
@@ -45,12 +45,7 @@ def system() -> tubes.Tubes:
 
 def evidence(views: list[View], optics: Optics) -> Evidence:
     """Return the coverage that the roots cast through these optics."""
-    bank = projection.ViewBank.of(views, optics)
-    shape = (300, 400)
-    seen = Evidence.of(bank, [Silhouette(np.zeros(shape, np.float32), np.ones(shape, bool)) for _ in views])
-    depth = tube_picture.optical_depth(seen, system(), seen.project(system().centre_mm), 0.0)
-    coverage = 1.0 - np.exp(-np.array(depth)).reshape(len(views), *shape)
-    return Evidence.of(bank, [Silhouette(picture.astype(np.float32), np.ones(shape, bool)) for picture in coverage])
+    return drawn(system(), blank(views, optics))
 
 
 def sure_rig(views: int) -> RigUncertainty:
@@ -67,11 +62,8 @@ def test_pictures_move_as_the_exact_projection_says(quantity: Quantity) -> None:
     px = cameras.project(view, optics, POINTS)[0][:, 0]
     step = 20.0 * quantity.step
     above, below = (cameras.project(*quantity.changed((view, optics), side * step), POINTS)[0][:, 0] for side in (1.0, -1.0))
-    by_point = [
-        (cameras.project(view, optics, POINTS + 0.01 * axis)[0][:, 0] - cameras.project(view, optics, POINTS - 0.01 * axis)[0][:, 0]) / 0.02
-        for axis in np.eye(3)
-    ]
-    gradient = np.stack(by_point, axis=-1)  # (N, 2, 3)
+    near = [[cameras.project(view, optics, POINTS + side * axis)[0][:, 0] for side in (0.01, -0.01)] for axis in np.eye(3)]
+    gradient = np.stack([(ahead - behind) / 0.02 for ahead, behind in near], axis=-1)  # (N, 2, 3)
     for row in range(2):
         found = sight_change.moves(view, optics, (quantity,), px, POINTS, gradient[:, row])[:, 0]
         expected = (above - below)[:, row] / (2.0 * step)
@@ -125,3 +117,37 @@ def test_too_few_roots_tell_nothing() -> None:
     seen = evidence(views, optics)
     given = Cameras.given(views, optics)
     assert root_calibration.calibrate(seen, given, stub, np.zeros(len(stub.radius_mm), bool), blur_px=0.0)[2].roots is None
+
+
+def test_swaying_roots_are_followed() -> None:
+    views, optics = rig()
+    rng = np.random.default_rng(5)
+    truth = rng.normal(0.0, 0.006, (len(views), 3)) * [1.0, 1.0, 0.02]
+    true = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(views, truth, strict=True)]
+    seen = replace(evidence(true, optics), bank=projection.ViewBank.of(views, optics))
+    fixed = np.zeros(len(system().radius_mm), bool)
+    start, _ = tube_fit.fit(seen, system(), fixed, blur_px=0.0, steps=4)
+    given = Cameras.given(views, optics, sure_rig(len(views)))
+    followed, cameras, fitted = root_sway.follow(seen, given, start, fixed, blur_px=0.0, px_a_mm=PX_A_MM)
+    exact = replace(seen, bank=projection.ViewBank.of(true, optics)).project(system().centre_mm)
+    still = seen.project(start.centre_mm)
+
+    def off_px(at: np.ndarray) -> float:
+        away = np.where(exact.seen[..., None], at - exact.px, np.nan)
+        moves = away - np.nanmean(away, axis=0)  # a sway that all views share is none
+        return float(np.sqrt(np.nanmean(np.square(moves))))
+
+    before, after = off_px(still.px), off_px(followed.project(fitted.centre_mm).px)
+    assert before > 0.2
+    assert after < 0.5 * before
+    assert any(view.sway != (0.0, 0.0, 0.0) for view in cameras.views)
+
+
+def test_still_roots_stay() -> None:
+    views, optics = rig()
+    seen, fixed = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
+    given = Cameras.given(views, optics, sure_rig(len(views)))
+    same, cameras, fitted = root_sway.follow(seen, given, system(), fixed, blur_px=0.0, px_a_mm=PX_A_MM)
+    assert same is seen
+    assert cameras is given
+    assert fitted is system()

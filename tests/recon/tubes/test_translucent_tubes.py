@@ -9,51 +9,41 @@ from scipy.integrate import quad
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.tubes import attenuation_trials, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.recon.strings import blank_of, drawn
+
+RINGS = Ring(views=8), Ring(views=8, height_mm=60.0, tilt_deg=15.0)
 
 
 @cache
-def dark(views: int = 12) -> Evidence:
+def dark() -> Evidence:
     """Return pictures without roots, from two heights."""
-    scene = Scene(
-        camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=views), Ring(views=views, height_mm=60.0, tilt_deg=15.0)))
-    )
-    planned = plan.views(scene)
-    found = [View(camera=scene.camera, cam_from_canister=v.cam_from_rig @ plan.rig_from_table(scene, v.table_deg)) for v in planned]
-    blank = Silhouette(np.zeros((300, 400), np.float32), np.ones((300, 400), bool), np.zeros((300, 400), np.float32))
-    return Evidence.of(ViewBank.of(found, Optics.of(scene)), [blank] * len(found))
+    return blank_of(Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=RINGS)))
 
 
-def strung(*ends: tuple[tuple[float, float, float], tuple[float, float, float], float]) -> tubes.Tubes:
+def straight(*ends: tuple[tuple[float, float, float], tuple[float, float, float], float]) -> tubes.Tubes:
     """Return straight tubes from one point to another, each with a radius."""
     return tubes.string([np.linspace(a, b, 100) for a, b, _ in ends], [np.full(100, radius) for *_, radius in ends])
 
 
-def pictured(system: tubes.Tubes, mu_per_mm: float | None, *, noise: float = 0.0) -> Evidence:
-    """Return what the pictures of tubes tell, as opacity."""
-    blank = replace(dark(), mu_per_mm=mu_per_mm)
-    depth = tube_picture.optical_depth(blank, system, blank.project(system.centre_mm), 0.0)
-    opacity = (1.0 - np.exp(-np.array(depth))).astype(np.float32).reshape(blank.bank.count, 300, 400)
-    opacity += np.random.default_rng(0).normal(0.0, noise, opacity.shape).astype(np.float32)
-    shown = [Silhouette(np.clip(picture, 0.0, 1.0), np.ones(picture.shape, bool), picture) for picture in opacity]
-    return Evidence.of(blank.bank, shown)
+def pictured(system: tubes.Tubes, mu_per_mm: float | None) -> Evidence:
+    """Return what the pictures of tubes tell, as opacity, with a little noise."""
+    return drawn(system, replace(dark(), mu_per_mm=mu_per_mm), noise=0.005, opacity=True)
 
 
-STAR = (
+STAR = straight(
     ((0.0, 0.0, -25.0), (0.0, 0.0, -55.0), 0.35),
     ((0.0, 0.0, -28.0), (14.0, 2.0, -40.0), 0.1),
     ((0.0, 0.0, -31.0), (-12.0, 9.0, -34.0), 0.15),
     ((0.0, 0.0, -36.0), (2.0, -15.0, -45.0), 0.2),
     ((0.0, 0.0, -40.0), (-9.0, -9.0, -58.0), 0.12),
 )
+SLANTED = ((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0))
+ORGAN = np.zeros(len(STAR.radius_mm), bool)
 
 
-@pytest.mark.parametrize("tau", [1e-3, 0.1, 0.5, 1.0, 3.0, 20.0])
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 1.0, 20.0])
 def test_strips_have_the_moments_of_a_round_root(tau: float) -> None:
     found = translucent_tube.strips(np.array(tau))
     for k in range(2 * translucent_tube.LAYERS):
@@ -65,12 +55,6 @@ def test_strips_have_the_moments_of_a_round_root(tau: float) -> None:
         assert (2.0 / (2 * k + 1) * found.width ** (2 * k + 1) * found.height).sum() == pytest.approx(expected, rel=3e-5)
 
 
-def test_dark_roots_are_one_opaque_strip() -> None:
-    found = translucent_tube.strips(np.array(50.0))
-    assert found.height.sum() == pytest.approx(1.0, abs=1e-3)
-    np.testing.assert_allclose(found.width, 1.0, atol=2e-3)
-
-
 def test_slopes_are_derivatives() -> None:
     tau, step = np.array([0.01, 0.2, 1.3, 6.0]), 0.02
     found, more, less = (translucent_tube.strips(tau * np.exp(s)) for s in (0.0, step, -step))
@@ -78,16 +62,10 @@ def test_slopes_are_derivatives() -> None:
     np.testing.assert_allclose(found.height_slope, (more.height - less.height) / (2.0 * step), atol=2e-3)
 
 
-def test_radii_that_keep_back_as_much_light_are_found_again() -> None:
-    radius = np.array([0.03, 0.1, 0.4, 2.0])
-    np.testing.assert_allclose(translucent_tube.radius_of(translucent_tube.opaque_radius(radius, 2.0), 2.0), radius, rtol=1e-4)
-
-
 def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
     """Beer and Lambert: the optical depth over a picture's area is mu times the volume, from wherever it is seen."""
     mu, radius = 0.5, 0.1
-    system = strung(((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0), radius))
-    seen = replace(dark(), mu_per_mm=mu)
+    system, seen = straight((*SLANTED, radius)), replace(dark(), mu_per_mm=mu)
     at = seen.project(system.centre_mm)
     light = 1.0 - np.exp(-np.array(tube_picture.optical_depth(seen, system, at, 0.0)).reshape(seen.bank.count, -1))
     px2_a_mm2 = np.linalg.norm(np.cross(at.du, at.dv), axis=-1).mean(axis=1)
@@ -97,9 +75,9 @@ def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
 
 @pytest.mark.parametrize("mu", [None, 2.0])
 def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -> None:
-    system = strung(((-8.0, -6.0, -30.0), (8.0, 6.0, -50.0), 0.25))
+    system = straight((*SLANTED, 0.25))
     thicker = tubes.moved(system, system.centre_mm, system.radius_mm + 0.01)
-    seen = replace(pictured(thicker, mu).by_light(), mu_per_mm=mu)
+    seen = replace(drawn(thicker, replace(dark(), mu_per_mm=mu), opacity=True).by_light(), mu_per_mm=mu)
     at = seen.project(system.centre_mm)
     depth = tube_picture.optical_depth(seen, system, at, 0.0)
     found = tube_profiles.profiles(seen, system, at, depth, tube_picture.unexplained(seen, depth), 0.0).host()
@@ -109,56 +87,40 @@ def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -
 
 
 def test_fitted_radii_are_those_of_translucent_roots() -> None:
-    truth = strung(*STAR)
-    seen = replace(pictured(truth, 2.0).by_light(), mu_per_mm=2.0)
-    start = tubes.moved(truth, truth.centre_mm, 0.8 * truth.radius_mm)
-    fitted, _ = tube_fit.fit(seen, start, np.zeros(len(truth.radius_mm), bool), blur_px=0.0, steps=6)
-    assert np.median(fitted.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.03)
+    seen = replace(pictured(STAR, 2.0).by_light(), mu_per_mm=2.0)
+    start = tubes.moved(STAR, STAR.centre_mm, 0.8 * STAR.radius_mm)
+    fitted, _ = tube_fit.fit(seen, start, ORGAN, blur_px=0.0, steps=6)
+    assert np.median(fitted.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
 
 
-def test_tubes_tell_the_attenuation() -> None:
-    truth = strung(*STAR)
-    seen = pictured(truth, 2.0, noise=0.005)
-    start = attenuation_trials.scaled(truth, np.zeros(len(truth.radius_mm), bool), 2.0, None)
-    attenuation, found = tube_attenuation.find(seen, start, np.zeros(len(truth.radius_mm), bool), 0.0)
+def test_tubes_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, start = pictured(STAR, 2.0), attenuation_trials.scaled(STAR, ORGAN, 2.0, None)
+    attenuation, found = tube_attenuation.find(seen, start, ORGAN, 0.0)
     assert attenuation.mu_per_mm == pytest.approx(2.0, rel=0.1)
-    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.08)
+    assert np.median(found.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.08)
     light = replace(seen.by_light(), mu_per_mm=attenuation.mu_per_mm)
-    again, _ = tube_attenuation.refine(light, found, np.zeros(len(truth.radius_mm), bool), attenuation)
-    assert abs(np.log(again.mu_per_mm / 2.0)) < 3.0 * again.sigma
-    assert again.sigma < 0.15
-
-
-def test_too_few_tubes_to_tell_let_as_much_light_through_as_the_widest_roots_seemed_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth = strung(*STAR)
-    seen, organ = pictured(truth, 2.0, noise=0.005), np.zeros(len(truth.radius_mm), bool)
-    start = attenuation_trials.scaled(truth, organ, 2.0, None)
-    monkeypatch.setattr(tube_attenuation, "_LEAST_LONE", 10**9)
-    assert tube_attenuation.find(seen, start, organ, 0.0)[0].mu_per_mm is None
-    attenuation, found = tube_attenuation.find(seen, start, organ, 0.0, 2.0)
+    again, _ = tube_attenuation.refine(light, found, ORGAN, attenuation)
+    assert abs(np.log(again.mu_per_mm / 2.0)) < 3.0 * again.sigma < 0.45
+    monkeypatch.setattr(tube_attenuation, "_LEAST_LONE", 10**9)  # too few tubes: as the widest roots seemed
+    assert tube_attenuation.find(seen, start, ORGAN, 0.0)[0].mu_per_mm is None
+    attenuation, found = tube_attenuation.find(seen, start, ORGAN, 0.0, 2.0)
     assert (attenuation.mu_per_mm, attenuation.sigma) == (2.0, tube_attenuation._LEARNED_SIGMA)
-    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.05)
+    assert np.median(found.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.05)
 
 
-def test_opaque_tubes_stay_opaque() -> None:
-    truth = strung(*STAR)
-    seen = pictured(truth, None, noise=0.005)
-    attenuation, found = tube_attenuation.find(seen, truth, np.zeros(len(truth.radius_mm), bool), 0.0)
+def test_opaque_tubes_are_opaque_at_rest_even_if_taken_for_translucent() -> None:
+    pictures = pictured(STAR, None)
+    attenuation, found = tube_attenuation.find(pictures, STAR, ORGAN, 0.0)
     assert attenuation.mu_per_mm is None
-    assert found is truth
-
-
-def test_opaque_tubes_taken_for_translucent_are_opaque_again_at_rest() -> None:
-    truth = strung(*STAR)
-    seen, organ = replace(pictured(truth, None, noise=0.005).by_light(), mu_per_mm=4.3), np.zeros(len(truth.radius_mm), bool)
+    assert found is STAR
+    seen = replace(pictures.by_light(), mu_per_mm=4.3)
     wrong = tube_attenuation.TubeAttenuation(mu_per_mm=4.3, sigma=0.05, blur_px=0.0, against_opaque=1.37, profiles=1193)
-    attenuation, found = tube_attenuation.refine(seen, attenuation_trials.scaled(truth, organ, None, 4.3), organ, wrong)
+    attenuation, found = tube_attenuation.refine(seen, attenuation_trials.scaled(STAR, ORGAN, None, 4.3), ORGAN, wrong)
     assert attenuation.mu_per_mm is None
-    assert np.median(found.radius_mm / truth.radius_mm) == pytest.approx(1.0, abs=0.03)
+    assert np.median(found.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
 
 
 def test_silhouettes_tell_no_attenuation() -> None:
-    truth = strung(*STAR)
-    blank = [Silhouette(s.coverage, s.seen) for s in dark().silhouettes]
-    attenuation, _ = tube_attenuation.find(replace(dark(), silhouettes=tuple(blank)), truth, np.zeros(len(truth.radius_mm), bool), 0.3)
+    silhouettes = tuple(Silhouette(s.coverage, s.seen) for s in dark().silhouettes)
+    attenuation, _ = tube_attenuation.find(replace(dark(), silhouettes=silhouettes), STAR, ORGAN, 0.3)
     assert (attenuation.mu_per_mm, attenuation.blur_px, attenuation.profiles) == (None, 0.3, 0)

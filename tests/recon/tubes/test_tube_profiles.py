@@ -3,7 +3,6 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pytest
 
 from rhizotwin.recon.roots import proof
 from rhizotwin.recon.tubes import translucent_tube, tube_picture, tube_profiles, tubes
@@ -39,39 +38,17 @@ def test_the_gradient_across_is_that_of_moved_nodes() -> None:
         np.testing.assert_allclose(np.array(cut.across)[axis], moved, atol=0.01)
 
 
-def test_sections_lie_across_the_tubes_and_leave_out_what_is_not_seen() -> None:
-    system = crowd()
-    seen = pictured(system)
-    at = seen.project(system.centre_mm)
-    cut = Sections.of(seen, system, at)
-    assert cut is not None
-    view, node = np.divmod(np.array(cut.place), len(system.centre_mm))
-    assert at.seen[view, node].all()
-    tangent = system.tangents[node]
-    along = np.stack([np.einsum("mi,mi->m", slope[view, node], tangent) for slope in (at.du, at.dv)])
-    np.testing.assert_allclose(np.einsum("im,im->m", along, np.array(cut.normal)), 0.0, atol=1e-4)
-    np.testing.assert_allclose(np.array(cut.half_px), system.radius_mm[node] * np.linalg.norm(np.array(cut.across), axis=0), rtol=1e-5)
-    end_on = np.linalg.norm(np.stack([np.einsum("vni,ni->vn", slope, system.tangents) for slope in (at.du, at.dv)]), axis=0) < 0.3
-    assert cut.count == (at.seen & ~end_on).sum()
-
-
 def test_the_normal_equations_are_the_sums_over_the_views() -> None:
     profiles = measured(crowd())
-    told, residual = profiles.host(), profiles.residual_gradient()
+    told, residual, some = profiles.host(), profiles.residual_gradient(), np.array([7, 2, 30])
     across = np.concatenate([told.across, told.scale[..., None]], axis=-1)
     weight = np.stack([[told.shift_2] * 3 + [told.shift_width]] * 3 + [[told.shift_width] * 3 + [told.width_2]])
     np.testing.assert_allclose(residual.hessian, np.einsum("ijvn,vni,vnj->nij", weight, across, across), rtol=1e-4, atol=1e-3)
     force = np.stack([told.shift] * 3 + [told.width])
     np.testing.assert_allclose(residual.gradient, np.einsum("ivn,vni->ni", force, across), rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(residual.visible, told.shown.sum(axis=0) / told.whole.sum(axis=0), rtol=1e-4)
-
-
-def test_profiles_of_some_nodes_are_those_of_all() -> None:
-    profiles, some = measured(crowd()), np.array([7, 2, 30])
-    whole, part = profiles.host(), profiles.host(some)
-    np.testing.assert_array_equal(part.across, whole.across[:, some])
-    np.testing.assert_array_equal(part.width_2, whole.width_2[:, some])
-    np.testing.assert_array_equal(profiles.residual_gradient().of(some).hessian, profiles.residual_gradient().hessian[some])
+    np.testing.assert_array_equal(profiles.host(some).across, told.across[:, some])
+    np.testing.assert_array_equal(residual.of(some).hessian, residual.hessian[some])
 
 
 def test_a_tube_that_no_view_sees_has_no_sections() -> None:
@@ -87,9 +64,8 @@ def test_a_tube_that_no_view_sees_has_no_sections() -> None:
     assert np.isnan(tube_profiles.misfit(seen, away, tube_picture.unexplained(seen, depth))).all()
 
 
-@pytest.mark.parametrize("mu", [0.5, 4.0])
-def test_layers_of_the_kernel_are_the_strips(mu: float) -> None:
-    radius, sine = np.geomspace(0.02, 3.0, 50), np.linspace(0.01, 1.0, 50)
+def test_layers_of_the_kernel_are_the_strips() -> None:
+    mu, radius, sine = 2.0, np.geomspace(0.02, 3.0, 50), np.linspace(0.01, 1.0, 50)
     strips = translucent_tube.strips(mu * radius / np.maximum(sine, translucent_tube.LEAST_SINE))
     found = translucent_tube.layers(mu, None, mi.Float(radius), mi.Float(sine), mi.Float(10.0 * radius))
     w = 10.0 * radius

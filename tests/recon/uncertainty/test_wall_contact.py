@@ -48,21 +48,10 @@ def test_a_small_label_may_hide_the_wedge_behind_it(lattice: tuple[NDArray[np.in
     assert term.less_mm3 == pytest.approx(0.5 * 4.0 * 20.0, rel=0.1)
 
 
-@pytest.mark.parametrize("radius_mm", [1.5, 3.0, 6.0])
-def test_a_round_root_that_touches_the_wall_is_none(lattice: tuple[NDArray[np.int32], Array], radius_mm: float) -> None:
+def test_what_is_round_or_stays_off_the_wall_is_none(lattice: tuple[NDArray[np.int32], Array]) -> None:
     index, middle = lattice
-    root = np.hypot(middle[:, 0] - (20.0 - radius_mm), middle[:, 1]) < radius_mm
-    shape = filled(root, index)
-    assert wall_contact(shape, WATER).less_mm3 < 0.02 * shape.volume_mm3()
-
-
-def test_a_ball_that_touches_the_wall_is_none(lattice: tuple[NDArray[np.int32], Array]) -> None:
-    index, middle = lattice
-    ball = np.linalg.norm(middle - [15.0, 0.0, -10.0], axis=1) < 5.0
-    assert wall_contact(filled(ball, index), WATER).less_mm3 == 0.0
-
-
-def test_what_stays_off_the_wall_is_none(lattice: tuple[NDArray[np.int32], Array]) -> None:
-    index, middle = lattice
-    assert wall_contact(filled(np.abs(middle[:, 0] - 12.0) < 2.0, index), WATER).less_mm3 == 0.0
-    assert wall_contact(filled(middle[:, 0] > 99.0, index), WATER).less_mm3 == 0.0
+    for radius_mm in (1.5, 6.0):
+        root = filled(np.hypot(middle[:, 0] - (20.0 - radius_mm), middle[:, 1]) < radius_mm, index)
+        assert wall_contact(root, WATER).less_mm3 < 0.02 * root.volume_mm3()
+    ball, off, nothing = np.linalg.norm(middle - [15.0, 0.0, -10.0], axis=1) < 5.0, np.abs(middle[:, 0] - 12.0) < 2.0, middle[:, 0] > 99.0
+    assert [wall_contact(filled(inside, index), WATER).less_mm3 for inside in (ball, off, nothing)] == [0.0] * 3
