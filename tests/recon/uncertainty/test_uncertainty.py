@@ -19,7 +19,7 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty import sight, solid_uncertainty
 from rhizotwin.recon.uncertainty.budget import Budget, Term
-from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene, Tank
 from tests.recon.hull import exact_pictures
 
 
@@ -101,10 +101,22 @@ def test_a_shape_may_go_on_wherever_sight_ends(
     index = (np.argwhere(np.ones((4, 4, 20), bool)) + np.array([8, 8, 0])).astype(np.int32)
     block = Leaves(grid, index, np.ones(len(index), np.int32), np.ones(len(index), np.float32))
     monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(seen(points), 10, 0))
-    bank, maps = cast(ViewBank, SimpleNamespace(count=10)), cast(DistanceMaps, None)  # only `_votes` looks into them
+    optics = Optics.of(Scene())
+    bank, maps = cast(ViewBank, SimpleNamespace(count=10, optics=optics)), cast(DistanceMaps, None)  # only `_votes` looks into maps
     hidden = sight.occluded(bank, maps, block, Water(70.0, -8.0, -150.0))
     assert hidden.less_mm3 == 0.0
     assert hidden.more_mm3 == pytest.approx(hidden_mm3, rel=0.06)
+
+
+@pytest.mark.parametrize(("scene", "bends"), [(Scene(), True), (Scene(tank=Tank()), False)], ids=["round wall", "tank"])
+def test_only_a_round_wall_bends_light_away(monkeypatch: pytest.MonkeyPatch, scene: Scene, bends: bool) -> None:
+    grid = Grid(np.array([-2.0, -2.0, -20.0]), 0.2, 1, (10, 10, 10))
+    block = Leaves(grid, np.argwhere(np.ones((4, 4, 20), bool)).astype(np.int32), np.ones(320, np.int32), np.ones(320, np.float32))
+    monkeypatch.setattr(sight, "_votes", lambda _bank, _maps, points: np.where(points[:, 0] < -1.5, 10, 0))
+    bank = cast(ViewBank, SimpleNamespace(count=10, optics=Optics.of(scene)))
+    why = sight.occluded(bank, cast(DistanceMaps, None), block, Water(70.0, -8.0, -150.0)).why
+    assert "towards the wall" in why
+    assert ("bends light away" in why) == bends
 
 
 @pytest.mark.parametrize(
