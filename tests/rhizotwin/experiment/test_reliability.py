@@ -1,0 +1,140 @@
+"""Values that are not reliable stay out of tests and fits, and every consumer says how many and why."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.batch import overview
+from rhizotwin.batch.jobs import Job
+from rhizotwin.experiment import biomass, growth, growth_page, model_file
+from rhizotwin.experiment.masses import read_masses
+from rhizotwin.experiment.measured import left_out, read_all
+from rhizotwin.recon.results import assessments, result_files, result_traits
+from rhizotwin.scenes.errors import UserError
+
+HEAD = (
+    "result,plant,treatment,day,total_length (mm),total_length_low (mm),total_length_high (mm),total_length_verdict,volume (mm3),trusted\n"
+)
+TERM = {"name": "noise", "less_mm3": 5.0, "more_mm3": 5.0, "why": "noise"}
+
+
+def table(folder: Path, *, unreliable: set[str] = frozenset(), trusted: str = "yes") -> Path:
+    """Write the lengths and volumes of six plants on two days; those of treatment b are half as long."""
+    rows = []
+    for k in range(6):
+        plant, half = f"p{k}", 0.5 if k % 2 else 1.0
+        for day in (5, 10):
+            length = half * day * (100.0 + k)
+            word = "not reliable" if plant in unreliable else "reliable"
+            ends = f"{0.95 * length},{1.05 * length}"
+            rows.append(f"r{k}_{day},{plant},{'ab'[k % 2]},{day},{length},{ends},{word},{length / 10},{trusted}\n")
+    path = folder / "traits.csv"
+    path.write_text(HEAD + "".join(rows), encoding="utf-8")
+    return path
+
+
+def test_growth_compares_reliable_values_only(tmp_path: Path) -> None:
+    found = growth.measure(read_all([table(tmp_path, unreliable={"p1"})]))
+    assert {one.plant for one in found.seen["total_length"]} == {"p0", "p2", "p3", "p4", "p5"}
+    assert any(note.startswith("total_length: 2 of 12 values are left out") for note in found.notes)
+    rows = [row.split(",") for row in growth.traits_csv(found).splitlines()]
+    assert {(row[7], row[8] == "") for row in rows if row[0] == "p1" and row[3] == "total_length"} == {("not reliable", True)}
+
+
+def test_growth_without_a_reliable_value_is_no_comparison(tmp_path: Path) -> None:
+    every = {f"p{k}" for k in range(6)}
+    found = growth.measure(read_all([table(tmp_path, unreliable=every)]))
+    assert "total_length" not in found.curves
+    assert not any("p =" in sentence and sentence.startswith("total_length") for sentence in growth_page.sentences(found))
+    with pytest.raises(UserError, match=r"total_length: 12 of 12 .* volume: 12 of 12"):
+        growth.measure(read_all([table(tmp_path, unreliable=every, trusted="no")]))
+
+
+def test_growth_does_not_compare_a_treatment_that_lost_its_plants(tmp_path: Path) -> None:
+    found = growth.measure(read_all([table(tmp_path, unreliable={"p1", "p3"})]))
+    assert "total_length" not in found.compared
+    assert any("treatment 'b' has 1 plant" in note for note in found.notes)
+
+
+def masses(folder: Path) -> Path:
+    path = folder / "masses.csv"
+    path.write_text("plant,day,root_fresh_g\n" + "".join(f"p{k},10,{0.05 * (100 + k) * (2 - k % 2)}\n" for k in range(6)), encoding="utf-8")
+    return path
+
+
+def test_biomass_says_why_nothing_is_left(tmp_path: Path) -> None:
+    measured = read_all([table(tmp_path, unreliable={f"p{k}" for k in range(6)}, trusted="no")])
+    found, notes = biomass.pairs(measured, read_masses(masses(tmp_path), balance_g=1e-4))
+    with pytest.raises(UserError, match="volume: 6 of 6 values are left out, because they are not reliable"):
+        biomass.fit(found, balance_g=1e-4, notes=notes)
+
+
+def test_biomass_fits_reliable_traits_and_predictions_carry_the_verdict(tmp_path: Path) -> None:
+    measured = read_all([table(tmp_path, trusted="no")])
+    found, notes = biomass.pairs(measured, read_masses(masses(tmp_path), balance_g=1e-4))
+    model = biomass.fit(found, balance_g=1e-4, notes=notes)
+    assert {relation.trait for relation in model.tried} == {"total_length"}
+    assert any(note.startswith("volume: 6 of 6") for note in model.notes)
+    rows = model_file.to_csv(model_file.predict(model, read_all([table(tmp_path, unreliable={"p2"})]))).splitlines()
+    column = rows[0].split(",").index("verdict")
+    assert {row.split(",")[column] for row in rows[1:] if ",p2," in row} == {"not reliable"}
+    assert {row.split(",")[column] for row in rows[1:] if ",p0," in row} == {"reliable"}
+
+
+def test_a_verdict_that_is_none_is_refused(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace(",reliable,", ",fine,", 1), encoding="utf-8")
+    with pytest.raises(UserError, match=r"line 2: total_length_verdict is 'fine', but must be one of reliable, not reliable, not assessed"):
+        read_all([path])
+
+
+def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
+    tips = {
+        "name": "tips",
+        "value": 9.0,
+        "interval": [8.0, 12.0],
+        "trusted": False,
+        "verdict": "the number of tips is not to be trusted: few",
+    }
+    folder = ball_result("one", volume_budget=[TERM], estimates=[tips], mass_g=1.0)
+    summary, traits = result_files.read_summary(folder), result_traits.read(folder)
+    found = assessments.assess(summary, traits)
+    assert (found["volume_mm3"].verdict, found["volume_mm3"].interval) == ("reliable", (850.0, 950.0))
+    assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", "the number of tips is not to be trusted: few")
+    assert (found["branch_points"].verdict, found["branch_points"].interval) == ("not assessed", None)
+    low, high = found["tissue_density_g_per_ml"].interval or (0.0, 0.0)
+    assert (low, high) == pytest.approx((1000.0 / 950.0 * 905.0 / traits.volume_mm3, 1000.0 / 850.0 * 905.0 / traits.volume_mm3), rel=0.02)
+    text = result_traits.spreadsheet([("one", summary, traits)]).splitlines()
+    row = dict(zip(text[0].split(","), text[1].split(","), strict=True))
+    assert (row["volume_low (mm3)"], row["volume_verdict"], row["depth_verdict"]) == ("850", "reliable", "not assessed")
+    assert [one.assessment("volume").interval for one in read_all([folder])] == [(850.0, 950.0)]
+
+
+def test_a_scan_that_is_refused_refuses_what_has_no_verdict_of_its_own(ball_result: Callable[..., Path]) -> None:
+    folder = ball_result("one", volume_budget=[TERM], volume_trusted=False, volume_verdict="this scan cannot give a volume: too dark")
+    (one,) = read_all([folder])
+    assert one.usable("volume") is None
+    assert one.usable("depth") is None
+    assert left_out([one], ["depth"]) == [
+        "depth: 1 of 1 values are left out, because they are not reliable: the scan is not reliable: too dark"
+    ]
+
+
+def test_a_method_without_uncertainty_has_no_verdict(ball_result: Callable[..., Path]) -> None:
+    folder = ball_result("one", volume_budget=[], volume_trusted=False)
+    found = assessments.assess(result_files.read_summary(folder), result_traits.read(folder))
+    assert {one.verdict for one in found.values()} == {"not assessed"}
+
+
+def test_a_batch_says_which_volumes_are_not_reliable(ball_result: Callable[..., Path], tmp_path: Path) -> None:
+    bad = {"volume_trusted": False, "volume_verdict": "this scan cannot give a volume: too dark"}
+    for name, changes in (("good", {}), ("bad", bad)):
+        ball_result(name, volume_budget=[TERM], **changes)
+    jobs = [
+        Job(name=name, kind="reconstruct", source="", output=str(tmp_path / name), key="", pixels=1.0, options={})
+        for name in ("good", "bad")
+    ]
+    _, sentence = overview.write(tmp_path, jobs, ())
+    assert sentence == "1 of 2 volumes are not reliable: bad: too dark"
+    assert sentence in (tmp_path / "overview.html").read_text(encoding="utf-8")
