@@ -1,13 +1,55 @@
-"""Start the engine once for every test: Mitsuba's variant is the one global state of the project."""
+"""The engine, started once (Mitsuba's variant is the one global state of the project), and one small scan with its result for all tests."""
 
 import os
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
+import trimesh
 
-from rhizotwin import engine
+from rhizotwin import cli, engine
+from rhizotwin.recon.results import result
+from tests.command import Command
 
 
 @pytest.fixture(scope="session", autouse=True)
 def engine_started() -> str:
     """Choose the engine before any test touches Mitsuba's types: the CPU, unless RHIZOTWIN_TEST_DEVICE says cuda."""
     return engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
+
+
+@pytest.fixture
+def command(capfd: pytest.CaptureFixture[str]) -> Command:
+    return Command(capfd)
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """A result folder with its stages, and the result in memory that was written to it."""
+
+    folder: Path
+    result: result.Result
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Simulate a small dataset once for all: a ball beside the axis, whose silhouette goes about in the pictures."""
+    folder = tmp_path_factory.mktemp("made")
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=8.0)
+    ball.apply_translation((18.0, 0.0, -60.0))
+    ball.export(folder / "ball.stl")
+    words = ["--specimen", str(folder / "ball.stl"), "--views", "10", "--image-wh", "320x240", "--device", "cpu"]
+    assert cli.main(["simulate", "sphere_20mm", "-o", str(folder / "dataset"), *words]) == 0
+    return folder / "dataset"
+
+
+@pytest.fixture(scope="session")
+def found(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Reconstructed:
+    """Reconstruct it, once for all."""
+    folder = tmp_path_factory.mktemp("found") / "result"
+    kept: list[result.Result] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(result.Result, "save", lambda made, folder, save=result.Result.save: (kept.append(made), save(made, folder)))
+        words = ["reconstruct", str(made), "-o", str(folder), "--device", "cpu", "--voxel-mm", "1", "--keep-stages"]
+        assert cli.main(words) == 0
+    return Reconstructed(folder, kept[0])

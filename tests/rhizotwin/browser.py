@@ -1,7 +1,8 @@
 """A real Chromium without a screen; tests that need it are skipped with a word where there is none."""
 
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -23,3 +24,14 @@ def chromium() -> Iterator[Any]:
                 pytest.fail(f"in CI {error}")
             pytest.skip(str(error))
         yield started
+
+
+def wait(until: Callable[[], Any], what: str) -> Any:
+    """Wait for something to become true and return it."""
+    end = time.monotonic() + PATIENCE_MS / 1000.0
+    while time.monotonic() < end:
+        found = until()
+        if found:
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"waited in vain for {what}")

@@ -1,12 +1,20 @@
-"""Result folders without a reconstruction: a solid ball of 6 mm."""
+"""Result folders without a reconstruction: a solid ball of 6 mm; and a browser."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
 
 from rhizotwin.scenes import atomic
+from tests.rhizotwin.browser import chromium
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture

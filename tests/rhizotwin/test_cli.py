@@ -7,182 +7,199 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from rhizotwin import cli, command_line
 from rhizotwin.arguments import SceneChanges
 from rhizotwin.commands import COMMANDS, GROUPS, place
 from rhizotwin.commands.simulate import Rendering
+from rhizotwin.pages import PageOptions
 from rhizotwin.scene_changes import change_scene
 from rhizotwin.scenes import files
+from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen
+from tests.command import Command
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run_and_fail(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Run a command line that must fail; return its exit code and the one sentence it leaves on stderr."""
-    code = cli.main(arguments)
-    said = capsys.readouterr().err
-    lines = said.splitlines()
-    assert len(lines) == 1, said
-    assert lines[0].startswith("rhizotwin: ")
-    assert "Traceback" not in said
-    assert code != 0
-    return code, lines[0]
-
-
-@pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_teaches(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every help has a usage, an example and a word on each option; the table of commands has the first line of each."""
     monkeypatch.setenv("COLUMNS", "160")
-    assert cli.main([*command.split(), "--help"]) == 0
-    said = capsys.readouterr().out
-    assert f"Usage: rhizotwin {command}".rstrip() in said
-    assert re.search(rf"^  (  )?rhizotwin {command}".rstrip(), said, re.MULTILINE), "no example"
-    assert "None" not in said
-    for option in re.findall(r"^│ [* ] +(--[a-z-]+.*?)│$", said, re.MULTILINE):
-        assert re.search(r"  \w", option), f"{option.strip()} is not explained"
+    poor = []
+    for name in ("", *COMMANDS):
+        help_text = command.works(f"{name} --help").out
+        if f"Usage: rhizotwin {name}".rstrip() not in help_text or "None" in help_text:
+            poor.append(f"{name}: usage or a default")
+        if not re.search(rf"^  (  )?rhizotwin {name}".rstrip(), help_text, re.MULTILINE):
+            poor.append(f"{name}: no example")
+        options = re.findall(r"^│ [* ] +(--[a-z-]+.*?)│$", help_text, re.MULTILINE)
+        poor += [f"{name}: {option.strip()} is not explained" for option in options if not re.search(r"  \w", option)]
+    for name, line in COMMANDS.items():
+        module, _, function = place(name).partition(":")
+        source = import_module(module) if name in GROUPS else getattr(import_module(module), function)
+        if (inspect.getdoc(source) or "").splitlines()[0] != line:
+            poor.append(f"{name}: another first line than in COMMANDS")
+    assert poor == []
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_table_of_commands_has_the_first_line_of_each_help(name: str) -> None:
-    module, _, function = place(name).partition(":")
-    source = import_module(module) if name in GROUPS else getattr(import_module(module), function)
-    assert inspect.getdoc(source).splitlines()[0] == COMMANDS[name]
+def test_a_command_or_group_alone_prints_its_help(command: Command) -> None:
+    assert "reconstruct" in command.works().out
+    assert "jog" in command.works("rig").out
 
 
-def test_help_of_all_commands_and_the_list_of_scenes_load_nothing_heavy() -> None:
-    heavy = ("numpy", "scipy", "mitsuba", "drjit", "trimesh", "skimage", "matplotlib", "manifold3d", "cv2")
-    program = (
-        "import sys; from rhizotwin import cli; from rhizotwin.commands import COMMANDS\n"
-        "for command in ('', *COMMANDS): cli.main([*command.split(), '--help'])\n"
-        f"cli.main(['scenes']); print([name for name in {heavy} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.splitlines()[-1] == "[]"
+def test_the_shell_can_complete_commands_and_options() -> None:
+    for shell in ("bash", "zsh", "fish"):
+        script = command_line.build().generate_completion(shell=shell)
+        for word in ("reconstruct", "voxel-mm", "calibrate", "printed-ruler-mm", "backlit"):
+            assert word in script, shell
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_shell_can_complete_commands_and_options(shell: str) -> None:
-    script = command_line.build().generate_completion(shell=shell)
-    for word in ("reconstruct", "voxel-mm", "calibrate", "printed-ruler-mm", "backlit"):
-        assert word in script
-
-
-def arguments_of(words: str) -> inspect.BoundArguments:
+def given(words: str) -> dict[str, Any]:
     """Return what a command line gives to its function."""
     bound = command_line.bind(words.split())[1]
     bound.apply_defaults()
-    return bound
+    return bound.arguments
 
 
-def test_defaults_of_the_options() -> None:
-    given = arguments_of("simulate sphere_20mm -o d").arguments
-    assert (given["changes"], given["seed"], given["rendering"], given["device"]) == (SceneChanges(), 0, Rendering(), "auto")
-    assert arguments_of("reconstruct d -o r --voxel-mm 0.1").arguments["voxel_mm"] == 0.1
-    assert arguments_of("simulate s -o d --image-wh 800X600").arguments["changes"].image_wh == (800, 600)
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """A command line that cannot be meant, and what the complaint must name."""
-
-    words: str
-    named: str
+def test_defaults_and_forms_of_the_options() -> None:
+    plain = given("simulate sphere_20mm -o d")
+    assert (plain["changes"], plain["seed"], plain["rendering"], plain["device"]) == (SceneChanges(), 0, Rendering(), "auto")
+    assert given("reconstruct d -o r --voxel-mm 0.1")["voxel_mm"] == 0.1
+    assert given("simulate s -o d --image-wh 800X600")["changes"].image_wh == (800, 600)
+    plain = given("markers printed_8ml -o strip.pdf")
+    assert (plain["page"], plain["paper_mm"]) == (PageOptions(), 0.1)
+    page = PageOptions()
+    assert (page.page, page.landscape, page.portrait, page.printed_ruler_mm) == ("a4", False, False, (100.0, 100.0))
+    page = given("markers s -o f.svg --page 520X210 --portrait --printed-ruler-mm 99.6")["page"]
+    assert (page.page, page.portrait, page.printed_ruler_mm) == ((520.0, 210.0), True, (99.6, 99.6))
+    assert (page.paper().size_mm, page.paper().turn) == ((520.0, 210.0), "portrait")
+    assert PageOptions().paper().turn == "either"
+    assert PageOptions(page=(520.0, 210.0)).paper().turn == "as given"
+    assert given("calibrate board -o f.svg --printed-ruler-mm 99.6x100.2")["page"].printed_ruler_mm == (99.6, 100.2)
+    plain = given("calibrate simulate s -o p --squares 9x6 --pictures 12")
+    assert (plain["drawn"].squares, plain["taken"].pictures, plain["taken"].seed, plain["drawn"].square_mm) == ((9, 6), 12, 0, None)
 
 
 MISTAKES = [
-    Mistake("simulat sphere_20mm", "simulat"),
-    Mistake("simulate sphere_20mm", "-o"),
-    Mistake("simulate sphere_20mm -o d --views 0", "--views"),
-    Mistake(f"simulate sphere_20mm -o d --views {100_000 * '['}", "whole number"),
-    Mistake(f"plan sphere_20mm -o d --views {100_000 * '['}", "nested deeper"),
-    Mistake("simulate sphere_20mm -o d --views many", "'many' is not a whole number"),
-    Mistake("simulate sphere_20mm -o d --seed -1", "--seed"),
-    Mistake("simulate sphere_20mm -o d --image-wh 800", "800x600"),
-    Mistake("simulate sphere_20mm -o d --image-wh 8x6", "16 to 20000"),
-    Mistake("simulate sphere_20mm -o d --image-wh -8x6", "--image-wh"),
-    Mistake("simulate sphere_20mm -o d --fidelity best", "best"),
-    Mistake("simulate sphere_20mm -o d --device tpu", "tpu"),
-    Mistake("simulate sphere_20mm -o d --profile foggy", "foggy"),
-    Mistake("simulate no_such_scene -o d", "no_such_scene"),
-    Mistake("simulate no_such_file.toml -o d", "no_such_file.toml"),
-    Mistake("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl"),
-    Mistake("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm is for traced roots only"),
-    Mistake("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 is for traced roots only"),
-    Mistake("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),
-    Mistake("reconstruct no_such_dataset -o r", "no_such_dataset"),
-    Mistake("reconstruct d -o r --voxel-mm 0", "0.01 to 10 mm"),
-    Mistake("reconstruct d -o r --voxel-mm nan", "0.01 to 10 mm"),
-    Mistake("import no_such_folder --scene sphere_20mm -o d", "no_such_folder"),
-    Mistake("import pictures -o d", "--scene"),
-    Mistake("score no_such_result no_such_dataset", "no_such_result"),
-    Mistake("score no_such_result", "--volume-ml"),
-    Mistake("score no_such_result --truth a.stl --volume-ml 8", "give one thing"),
-    Mistake("score no_such_result --truth no_such.stl", "no_such.stl"),
-    Mistake("score no_such_result --volume-ml 0", "--volume-ml"),
-    Mistake("scenes sphere_20mm", "-o FILE"),
-    Mistake("scenes sphere_20mm --specimen-stl a.obj", ".stl"),
+    ("simulat sphere_20mm", "simulat"),
+    ("simulate sphere_20mm", "-o"),
+    ("simulate spere_20mm -o d", 'did you mean "sphere_20mm"'),
+    ("simulate sphere_20mm -o d --profile bensh", 'did you mean "bench"'),
+    ("simulate sphere_20mm -o d --views 0", "--views"),
+    (f"simulate sphere_20mm -o d --views {100_000 * '['}", "whole number"),
+    ("simulate sphere_20mm -o d --seed -1", "--seed"),
+    ("simulate sphere_20mm -o d --image-wh 800", "800x600"),
+    ("simulate sphere_20mm -o d --image-wh 8x6", "16 to 20000"),
+    ("simulate sphere_20mm -o d --image-wh -8x6", "--image-wh"),
+    ("simulate sphere_20mm -o d --fidelity best", "best"),
+    ("simulate sphere_20mm -o d --specimen no_such.stl", "no_such.stl: there is no such file"),
+    ("simulate sphere_20mm -o d --specimen no_such.stl --specimen-unit cm", "--specimen-unit cm is for traced roots only"),
+    ("simulate sphere_20mm -o d --specimen-diameter-mm 0.5", "--specimen-diameter-mm 0.5 is for traced roots only"),
+    ("simulate sphere_20mm -o d --specimen a.rsml --specimen-diameter-mm 0", "--specimen-diameter-mm: 0 is out of range"),
+    ("reconstruct no_such_dataset -o r", "no_such_dataset: there is no such folder"),
+    ("reconstruct d -o r --voxel-mm 0.009", "0.01 to 10 mm"),
+    ("reconstruct d -o r --voxel-mm 11", "0.01 to 10 mm"),
+    ("reconstruct d -o r --voxel-mm nan", "0.01 to 10 mm"),
+    ("reconstruct d -o r --voxel-mm=", "millimetres"),
+    ("import no_such_folder --scene sphere_20mm -o d", "no_such_folder"),
+    ("import pictures -o d", "--scene"),
+    ("import pictures --masks --scene sphere_20mm -o d", "--cameras JSON"),
+    ("score no_such_result no_such_dataset", "no_such_result"),
+    ("score no_such_result", "--volume-ml"),
+    ("score no_such_result --truth a.stl --volume-ml 8", "give one thing"),
+    ("score no_such_result --truth no_such.stl", "no_such.stl"),
+    ("score no_such_result --volume-ml 0", "--volume-ml"),
+    ("scenes sphere_20mm", "-o FILE"),
+    ("scenes sphere_20mm --specimen-stl a.obj", ".stl"),
+    (f"plan sphere_20mm -o d --views {100_000 * '['}", "nested deeper"),
+    ("plan sphere_20mm -o d --heights=-42,x", "not a number of mm"),
+    ("plan sphere_20mm -o d --heights=10:", "not a number of degrees"),
+    ("plan sphere_20mm -o d --heights=10:95", "out of range"),
+    ("plan sphere_20mm -o d --heights=-1e9", "out of range"),
+    ("plan sphere_20mm -o d --within 0", "out of range"),
+    ("plan sphere_20mm -o pictures", "no earlier plan"),
+    ("markers", "SCENE"),
+    ("markers printed_8ml -o strip.png", "strip.png"),
+    ("markers printed_8ml -o strip.pdf --page a9", "'a9' is no page"),
+    ("markers printed_8ml -o strip.pdf --page 297x", "'297x' is no page"),
+    ("markers printed_8ml -o strip.pdf --page 20x20", "50 to 5000"),
+    ("markers printed_8ml -o strip.pdf --page 160x80", "too small for the strip"),
+    ("markers printed_8ml -o strip.pdf --printed-ruler-mm 60", "90 to 110"),
+    ("markers printed_8ml -o strip.pdf --printed-ruler-mm ten", "'ten' is not what 100 mm became"),
+    ("markers printed_8ml -o strip.pdf --paper-mm 9", "0 to 2"),
+    ("markers printed_8ml -o strip.pdf --landscape --portrait", "--portrait"),
+    ("calibrate lens", "lens"),
+    ("calibrate board -o board.pdf --squares 7", "write it as 7x5"),
+    ("calibrate board -o board.pdf --squares 2x5", "3 to 60"),
+    ("calibrate board -o board.pdf --square-mm 60", "does not fit"),
+    ("calibrate board -o board.pdf --marker-mm 29", "marker_mm = 29.0: must be at most 27"),
+    ("calibrate board -o board.pdf --dictionary 9X9", "9X9"),
+    ("calibrate board -o board.pdf --squares 20x20 --square-mm 8", "needs 200 markers"),
+    ("calibrate camera no_such_folder -o lens", "no_such_folder"),
+    ("calibrate camera pictures -o lens --board no_such.toml", "no_such.toml"),
+    ("calibrate camera pictures -o lens --board b.toml --squares 9x6", "leave --squares out"),
+    ("calibrate camera pictures -o lens", "none of the 3 pictures can be used"),
+    ("calibrate simulate printed_8ml -o pictures", "not empty"),
+    ("calibrate simulate printed_8ml -o twin --pictures 1", "give 3 to 1000"),
+    ("calibrate simulate printed_8ml -o twin --square-mm 500", "too large for the camera"),
+    ("scan -o d", "--rig"),
+    ("scan --rig twin -o d --table-angle north", "'north' is not a number"),
+    ("scan --rig twin -o d --table-angle 400", "-360 to 360"),
+    ("scan --rig no_such_rig.toml -o d", "--scene is missing"),
+    ("scan --rig no_such_rig.toml --scene sphere_20mm -o d", "no_such_rig.toml"),
+    ("twin --speed 0", "0.01 to 1000"),
+    ("camera no_such_rig.toml", "no_such_rig.toml"),
+    ("camera no_such_rig.toml --port 70000", "1 to 65535"),
 ]
 
 
-@pytest.mark.parametrize(("words", "named"), [("", "reconstruct"), ("rig", "jog")])
-def test_a_command_or_group_alone_prints_its_help(words: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(words.split()) == 0
-    assert named in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.words[:80] or "nothing")
-def test_mistake_ends_in_one_sentence(
-    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("words", "named"), MISTAKES, ids=[words[:80] for words, _ in MISTAKES])
+def test_a_mistake_is_one_sentence_and_writes_nothing(
+    words: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    code, said = run_and_fail(mistake.words.split(), capsys)
-    assert code == cli.EXIT_MISTAKE
-    assert mistake.named in said
-    assert list(tmp_path.iterdir()) == []
+    for k in range(3):
+        write_image(tmp_path / "pictures" / f"{k}.png", np.full((300, 400), 100, np.uint8))
+    command.fails(words, named=[named])
+    assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+    assert len(list((tmp_path / "pictures").iterdir())) == 3
 
 
-@dataclass(frozen=True)
-class Stop:
-    """What can go wrong inside a command, the exit code, and what must be said."""
-
-    error: BaseException
-    code: int
-    said: str
-
-
-STOPS = [
-    Stop(UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
-    Stop(KeyboardInterrupt(), 130, "stopped; nothing was written; run it again"),
-    Stop(OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
-    Stop(PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
-    Stop(MemoryError(), 1, "not enough memory"),
-    Stop(ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run it again with RHIZOTWIN_DEBUG=1"),
+FAILURES = [
+    (UserError("views/a.png is\ncut short; copy it again"), 2, "views/a.png is cut short; copy it again"),
+    (KeyboardInterrupt(), 130, "stopped; nothing was written; run it again"),
+    (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 2, "out/a.png: the disk is full; free some space"),
+    (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: Permission denied"),
+    (MemoryError(), 1, "not enough memory"),
+    (ValueError("shapes\ndiffer"), 1, "unexpected error (ValueError: shapes differ); run it again with RHIZOTWIN_DEBUG=1"),
 ]
 
 
-@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: type(stop.error).__name__)
-def test_failure_inside_a_command(stop: Stop, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.delenv(cli.DEBUG_VARIABLE, raising=False)
-
+@pytest.mark.parametrize(("error", "code", "sentence"), FAILURES, ids=lambda value: type(value).__name__)
+def test_failure_inside_a_command(
+    error: BaseException, code: int, sentence: str, monkeypatch: pytest.MonkeyPatch, command: Command
+) -> None:
     def fail() -> None:
-        raise stop.error
+        raise error
 
     monkeypatch.setattr("rhizotwin.commands.scenes.scenes", fail)
-    code, said = run_and_fail(["scenes"], capsys)
-    assert code == stop.code
-    assert stop.said in said
+    monkeypatch.delenv(cli.DEBUG_VARIABLE, raising=False)
+    done = command("scenes")
+    assert (done.code, done.err) == (code, f"{done.sentence}\n")
+    assert sentence in done.sentence
+    monkeypatch.setenv(cli.DEBUG_VARIABLE, "1")
+    assert "Traceback" in command("scenes").err
 
 
-def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     """Ctrl-C while an extension loads comes out of it as an ImportError."""
 
     def load() -> None:
@@ -193,9 +210,7 @@ def test_stop_that_a_library_reports_as_its_own_error(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("rhizotwin.commands.scenes.scenes", load)
     before = signal.getsignal(signal.SIGINT)
-    code, said = run_and_fail(["scenes"], capsys)
-    assert code == cli.EXIT_STOPPED
-    assert "stopped" in said
+    command.fails("scenes", named=["stopped"], code=cli.EXIT_STOPPED)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -216,31 +231,17 @@ def test_ctrl_c_in_a_running_simulation(tmp_path: Path) -> None:
     assert all(path.read_bytes().endswith(b"IEND\xaeB`\x82") for path in out.glob("images/*.png"))
 
 
-def test_debug_variable_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setenv(cli.DEBUG_VARIABLE, "1")
-
-    def fail() -> None:
-        raise ValueError("inside")
-
-    monkeypatch.setattr("rhizotwin.commands.scenes.scenes", fail)
-    assert cli.main(["scenes"]) == cli.EXIT_FAILED
-    assert "Traceback" in capsys.readouterr().err
-
-
-def test_scenes_lists_library_and_profiles(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["scenes"]) == 0
-    said = capsys.readouterr().out
+def test_scenes_lists_library_and_profiles(command: Command) -> None:
+    listed = [line.split()[:1] for line in command.works("scenes").out.splitlines()]
     for name in ("sphere_20mm", "printed_8ml", "radish_day05a", "radish_day30c", "fallen_plant", "clean", "bench", "harsh"):
-        assert sum(line.split()[:1] == [name] for line in said.splitlines()) == 1
+        assert listed.count([name]) == 1
 
 
-def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_copy_of_a_scene_is_the_same_scene(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "mine.toml"
-    assert cli.main(["scenes", "printed_8ml", "-o", str(path)]) == 0
+    command.works("scenes", "printed_8ml", "-o", path)
     assert files.load_scene(path) == files.load_scene("printed_8ml")
-    capsys.readouterr()
-    _, said = run_and_fail(["scenes", "printed_8ml", "-o", str(path)], capsys)
-    assert "exists already" in said
+    command.fails("scenes", "printed_8ml", "-o", path, named=["exists already"])
 
 
 def test_options_change_the_scene(tmp_path: Path) -> None:
@@ -262,16 +263,8 @@ def test_options_change_the_scene(tmp_path: Path) -> None:
     )
 
 
-def test_result_never_overwrites_what_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "thesis.txt").write_text("years of work")
-    _, said = run_and_fail(["reconstruct", str(tmp_path / "dataset"), "-o", str(tmp_path)], capsys)
-    assert "no result" in said
-    assert (tmp_path / "thesis.txt").read_text() == "years of work"
-
-
-def test_demo_never_overwrites_what_is_no_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_never_overwrites_what_is_no_demo(tmp_path: Path, command: Command) -> None:
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.png").touch()
-    _, said = run_and_fail(["demo", "-o", str(tmp_path)], capsys)
-    assert "not made by the demo" in said
+    command.fails("demo", "-o", tmp_path, named=["not made by the demo"])
     assert (tmp_path / "dataset" / "mine.png").exists()

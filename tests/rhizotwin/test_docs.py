@@ -3,15 +3,15 @@
 import re
 import shlex
 import tomllib
-from dataclasses import dataclass, is_dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import is_dataclass
 from pathlib import Path
-
-import pytest
 
 from benchmarks.arguments import parser as benchmarks_parser
 from rhizotwin import command_line
 from rhizotwin.commands import COMMANDS, GROUPS
 from rhizotwin.recon.settings import Settings
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile, load_scene, scene_from_dict
 from rhizotwin.scenes.schema import Place, from_plain
 
@@ -21,27 +21,24 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)#]+)[^)]*\)")
 
 
-@dataclass(frozen=True)
-class Typed:
-    """A line that a page tells people to type."""
-
-    page: str
-    line: str
+def blocks(page: Path, language: str) -> list[str]:
+    """Return the fenced blocks of a page in a language."""
+    return [block for named, block in FENCE.findall(page.read_text(encoding="utf-8")) if named == language]
 
 
-TYPED = [
-    Typed(str(page.relative_to(ROOT)), line)
-    for page in PAGES
-    for language, block in FENCE.findall(page.read_text(encoding="utf-8"))
-    if language == "bash"
-    for line in block.splitlines()
-    if line.strip()
-]
+def failures(check: Callable[[Path, str], object], found: Iterable[tuple[Path, str]]) -> list[str]:
+    """Return what fails a check, each with its page and the reason."""
+    failed = []
+    for page, text in found:
+        try:
+            check(page, text)
+        except (AssertionError, KeyError, SystemExit, UserError, ValueError) as error:
+            failed.append(f"{page.relative_to(ROOT)}: {text[:80]}: {error!r}")
+    return failed
 
 
-def own_words(line: str) -> list[str] | None:
+def own_words(words: list[str]) -> list[str] | None:
     """Return what a line gives to the `rhizotwin` command, or None if it calls something else."""
-    words = shlex.split(line)
     if words[:2] == ["./run", "demo"]:
         return words[1:]
     if words[:2] == ["./run", "rhizotwin"]:
@@ -49,10 +46,10 @@ def own_words(line: str) -> list[str] | None:
     return words[1:] if words[0] in ("rhizotwin", ".venv/bin/rhizotwin") else None
 
 
-@pytest.mark.parametrize("typed", TYPED, ids=lambda typed: f"{typed.page}: {typed.line[:60]}")
-def test_line_can_be_typed(typed: Typed) -> None:
-    words = shlex.split(typed.line)
-    ours = own_words(typed.line)
+def check_line(_: Path, line: str) -> None:
+    """Check that a line can be typed: its options are known, its scenes and profiles load."""
+    words = shlex.split(line)
+    ours = own_words(words)
     if ours is not None:
         given = command_line.bind(ours)[1].arguments
         for group in list(given.values()):
@@ -67,24 +64,30 @@ def test_line_can_be_typed(typed: Typed) -> None:
         assert words[1] in ("docs", "setup", "test")
         assert f"    {words[1]})\n" in (ROOT / "run").read_text(encoding="utf-8")
     else:
-        assert words[0] in (".venv/bin/python", ".venv/bin/uv")
+        assert words[0] in (".venv/bin/python", ".venv/bin/uv"), "neither ours nor Python"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page: Path) -> None:
-    for target in LINK.findall(page.read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+def test_lines_can_be_typed() -> None:
+    lines = [(page, line) for page in PAGES for block in blocks(page, "bash") for line in block.splitlines() if line.strip()]
+    assert len(lines) > 100
+    assert failures(check_line, lines) == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_scenes_and_settings_in_the_documents_load(page: Path) -> None:
-    for language, block in FENCE.findall(page.read_text(encoding="utf-8")):
-        if language == "toml":
-            if page.name == "settings.md":
-                from_plain(Settings, tomllib.loads(block), Place(str(page)))
-            else:
-                scene_from_dict(tomllib.loads(block), where=str(page))
+def test_links_lead_somewhere() -> None:
+    def check(page: Path, target: str) -> None:
+        assert "://" in target or (page.parent / target).exists()
+
+    assert failures(check, [(page, target) for page in PAGES for target in LINK.findall(page.read_text(encoding="utf-8"))]) == []
+
+
+def test_scenes_and_settings_in_the_documents_load() -> None:
+    def check(page: Path, block: str) -> None:
+        if page.name == "settings.md":
+            from_plain(Settings, tomllib.loads(block), Place(str(page)))
+        else:
+            scene_from_dict(tomllib.loads(block), where=str(page))
+
+    assert failures(check, [(page, block) for page in PAGES for block in blocks(page, "toml")]) == []
 
 
 def test_every_decision_is_in_the_index() -> None:
@@ -104,18 +107,14 @@ def test_ci_runs_what_the_readme_says() -> None:
         assert "./run test --all" in (ROOT / page).read_text(encoding="utf-8")
 
 
-def test_lock_names_no_index() -> None:
+def test_lock_has_hashes_no_index_and_every_dependency() -> None:
     lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
     assert "://" not in lock
     pins = re.findall(r"^[a-z0-9-]+==\S+(?: ; .*?)? \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", lock, re.MULTILINE)
     assert len(pins) == len(re.findall(r"^[a-z0-9]", lock, re.MULTILINE)) > 20
-
-
-def test_lock_holds_every_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    locked = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(encoding="utf-8"), re.MULTILINE))
     needed = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
-    assert {re.split(r"[<>=!~ ]", need)[0] for need in needed} <= locked
+    assert {re.split(r"[<>=!~ ]", need)[0] for need in needed} <= set(re.findall(r"^([a-z0-9-]+)==", lock, re.MULTILINE))
 
 
 def test_every_package_is_in_the_wheel() -> None:

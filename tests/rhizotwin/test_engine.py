@@ -1,6 +1,5 @@
 """Which LLVM is taken: new enough, never one of those that abort the process, and a clear word when there is none."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -9,40 +8,27 @@ from rhizotwin import engine
 from rhizotwin.scenes.errors import UserError
 
 
-@dataclass(frozen=True)
-class Name:
-    """A library's file name and the version that it tells."""
-
-    file: str
-    version: int | None
-
-
-NAMES = [
-    Name("libLLVM.so.19.1", 19),
-    Name("libLLVM.so.18.1", 18),
-    Name("libLLVM-17.so.1", 17),
-    Name("libLLVM-17.so", 17),
-    Name("libLLVM-15.so.1", 15),
-    Name("libLLVM-14.0.6.so.1", 14),
-    Name("libLLVM-14.so", 14),
-    Name("libLLVM.so", None),
-    Name("libLLVM.dylib", None),
-    Name("libLLVMSomething.so.19", None),
-    Name("libclang-cpp.so.19", None),
-]
-
-
-@pytest.mark.parametrize("name", NAMES, ids=lambda name: name.file)
-def test_version_is_read_from_the_file_name(tmp_path: Path, name: Name) -> None:
-    assert engine.llvm_version(tmp_path / name.file) == name.version
-
-
-@pytest.mark.parametrize("folder", ["llvm-19/lib", "Cellar/llvm/19.1.7/lib", "Cellar/llvm@19/19.1.7_1/lib"])
-def test_version_is_read_from_the_folder_of_a_bare_name(tmp_path: Path, folder: str) -> None:
-    library = tmp_path / folder / "libLLVM.so"
-    library.parent.mkdir(parents=True)
+@pytest.mark.parametrize(
+    ("file", "version"),
+    [
+        ("libLLVM.so.19.1", 19),
+        ("libLLVM-17.so.1", 17),
+        ("libLLVM-14.0.6.so.1", 14),
+        ("libLLVM-14.so", 14),
+        ("libLLVM.so", None),
+        ("libLLVM.dylib", None),
+        ("libLLVMSomething.so.19", None),
+        ("libclang-cpp.so.19", None),
+        ("llvm-19/lib/libLLVM.so", 19),
+        ("Cellar/llvm/19.1.7/lib/libLLVM.so", 19),
+        ("Cellar/llvm@19/19.1.7_1/lib/libLLVM.so", 19),
+    ],
+)
+def test_version_is_read_from_the_names_of_file_and_folder(tmp_path: Path, file: str, version: int | None) -> None:
+    library = tmp_path / file
+    library.parent.mkdir(parents=True, exist_ok=True)
     library.touch()
-    assert engine.llvm_version(library) == 19
+    assert engine.llvm_version(library) == version
 
 
 def test_version_is_read_through_links(tmp_path: Path) -> None:
@@ -59,39 +45,25 @@ def make_libraries(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_newest_library_of_all_folders_is_taken(tmp_path: Path) -> None:
+def test_newest_library_of_all_folders_is_taken_and_never_an_old_one(tmp_path: Path) -> None:
     a = make_libraries(tmp_path / "a", "libLLVM-14.so.1", "libLLVM-17.so.1", "libLLVM.so.9.0")
     b = make_libraries(tmp_path / "b", "libLLVM.so.18.1", "libLLVM-15.so")
     assert engine.find_llvm([a, b, tmp_path / "missing"]) == (b / "libLLVM.so.18.1", 18)
-
-
-def test_old_libraries_are_never_taken(tmp_path: Path) -> None:
-    folder = make_libraries(tmp_path, "libLLVM-14.so.1", "libLLVM-15.so", "libLLVM-16.so.1", "libLLVM.so", "libLLVM.so.1")
-    assert engine.find_llvm([folder]) is None
+    old = make_libraries(tmp_path / "old", "libLLVM-14.so.1", "libLLVM-15.so", "libLLVM-16.so.1", "libLLVM.so", "libLLVM.so.1")
+    assert engine.find_llvm([old]) is None
     with pytest.raises(UserError, match=r"no LLVM shared library of version 17 or newer .* install"):
-        engine.choose_llvm(None, [folder])
+        engine.choose_llvm(None, [old])
 
 
-def test_given_library_is_respected(tmp_path: Path) -> None:
-    folder = make_libraries(tmp_path, "libLLVM.so.19.1", "libLLVM-17.so.1")
+def test_given_library_is_respected_or_refused(tmp_path: Path) -> None:
+    folder = make_libraries(tmp_path, "libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1")
     assert engine.choose_llvm(str(folder / "libLLVM-17.so.1"), [folder]) == (folder / "libLLVM-17.so.1", 17)
-
-
-def test_given_old_library_is_refused_by_version(tmp_path: Path) -> None:
-    folder = make_libraries(tmp_path, "libLLVM-15.so.1", "libLLVM.so.19.1")
     with pytest.raises(UserError, match=r"DRJIT_LIBLLVM_PATH=.*libLLVM-15.so.1 is LLVM version 15, but at least 17"):
         engine.choose_llvm(str(folder / "libLLVM-15.so.1"), [folder])
-
-
-def test_given_library_of_no_known_version_is_refused(tmp_path: Path) -> None:
-    library = make_libraries(tmp_path / "odd", "libLLVM.so") / "libLLVM.so"
     with pytest.raises(UserError, match="of an unknown version"):
-        engine.choose_llvm(str(library), [])
-
-
-def test_given_library_that_is_missing_is_refused(tmp_path: Path) -> None:
+        engine.choose_llvm(str(make_libraries(tmp_path / "odd", "libLLVM.so") / "libLLVM.so"), [])
     with pytest.raises(UserError, match="is no file"):
-        engine.choose_llvm(str(tmp_path / "libLLVM.so.19.1"), [])
+        engine.choose_llvm(str(tmp_path / "libLLVM.so.20.1"), [])
 
 
 def test_hint_names_packages_of_a_usable_version() -> None:

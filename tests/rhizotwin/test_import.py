@@ -1,7 +1,7 @@
 """Pictures from elsewhere: order, sizes, silhouettes, and the two conventions of given cameras (axes, pixel centres)."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from rhizotwin import cli
 from rhizotwin.importer import import_pictures
 from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
-from rhizotwin.scenes.dataset import load_dataset, read_image
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from tests.command import Command
 
 WH = (64, 48)
 
@@ -74,11 +74,6 @@ def test_pictures_come_in_natural_order(tmp_path: Path, scene: Scene) -> None:
 def test_natural_order_is_the_order_of_numbers(numbers: list[int]) -> None:
     paths = [Path(f"img{number}_a.png") for number in numbers]
     assert sorted(paths, key=natural_key) == [Path(f"img{number}_a.png") for number in sorted(numbers)]
-
-
-def test_no_angles_are_assumed_when_the_plan_has_another_count(tmp_path: Path, scene: Scene) -> None:
-    made = import_pictures(write_pictures(tmp_path / "in", "a.png", "b.png", "c.png"), scene, tmp_path / "out")
-    assert [frame.table_deg for frame in made.dataset.frames] == [None] * 3
 
 
 def test_every_format_is_kept_with_its_depth_and_its_word(tmp_path: Path, scene: Scene) -> None:
@@ -165,68 +160,41 @@ def test_pictures_without_a_camera_are_left_out_and_named(tmp_path: Path, scene:
     assert any("b.png" in note for note in made.notes)
 
 
-@dataclass(frozen=True)
-class BadCameras:
-    """A change that spoils a transforms.json, and what the complaint must say."""
-
-    name: str
-    changed: dict[str, Any]
-    said: str
+def frame(file: str = "a.png", pose: Any = None, **more: Any) -> dict[str, Any]:
+    """Return a change of a transforms.json that leaves one frame, 400 mm from the axis unless another pose is given."""
+    matrix = frames.translation(400.0, 0.0, 0.0).tolist() if pose is None else pose
+    return {"frames": [{"file_path": file, "transform_matrix": matrix, **more}]}
 
 
-BAD_CAMERAS = [
-    BadCameras("fisheye", {"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
-    BadCameras("no focal length", {"fl_x": None}, "fl_x is missing"),
-    BadCameras("text for a number", {"cx": "middle"}, "cx must be a number"),
-    BadCameras("negative focal length", {"fl_y": -3.0}, "must be positive"),
-    BadCameras("focal length out of limits", {"fl_y": 0.5}, "[camera] focal_px element 2 = 0.5: must be between 1 and 1000000"),
-    BadCameras("far principal point", {"cx": 700.0}, "[camera] principal_px element 1"),
-    BadCameras("lens that folds the picture", {"k1": -9.0}, "[camera] distortion"),
-    BadCameras("half pixels", {"w": 64.5}, "whole numbers"),
-    BadCameras("k4", {"k4": 0.1}, "k4 is not part"),
-    BadCameras("scaled world", {"applied_scale": 0.5}, "applied_scale is not 1"),
-    BadCameras("mirrored world", {"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
-    BadCameras("no frames", {"frames": []}, "no list 'frames'"),
-    BadCameras("frame without a file", {"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "file_path is missing"),
-    BadCameras("lens per frame", {"frames": [{"file_path": "a.png", "fl_x": 2.0, "transform_matrix": []}]}, "fl_x is given for this frame"),
-    BadCameras("scaled pose", {"frames": [{"file_path": "a.png", "transform_matrix": (2 * np.eye(4)).tolist()}]}, "frames[0]"),
-    BadCameras("short pose", {"frames": [{"file_path": "a.png", "transform_matrix": [[1, 2], [3]]}]}, "4 rows of 4 numbers"),
-    BadCameras("metres", {"frames": [{"file_path": "a.png", "transform_matrix": frames.translation(0.4, 0.0, -0.04).tolist()}]}, "inside"),
-    BadCameras(
-        "unknown picture", {"frames": [{"file_path": "z.png", "transform_matrix": frames.translation(400.0, 0.0, 0.0).tolist()}]}, "z.png"
-    ),
-]
+BAD_CAMERAS: dict[str, tuple[dict[str, Any], str]] = {
+    "fisheye": ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
+    "no focal length": ({"fl_x": None}, "fl_x is missing"),
+    "text for a number": ({"cx": "middle"}, "cx must be a number"),
+    "negative focal length": ({"fl_y": -3.0}, "must be positive"),
+    "focal length out of limits": ({"fl_y": 0.5}, "[camera] focal_px element 2 = 0.5: must be between 1 and 1000000"),
+    "lens that folds the picture": ({"k1": -9.0}, "[camera] distortion"),
+    "half pixels": ({"w": 64.5}, "whole numbers"),
+    "k4": ({"k4": 0.1}, "k4 is not part"),
+    "scaled world": ({"applied_scale": 0.5}, "applied_scale is not 1"),
+    "mirrored world": ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0])[:3].tolist()}, "mirroring"),
+    "no frames": ({"frames": []}, "no list 'frames'"),
+    "frame without a file": ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "file_path is missing"),
+    "lens per frame": (frame(fl_x=2.0), "fl_x is given for this frame"),
+    "scaled pose": (frame(pose=(2 * np.eye(4)).tolist()), "frames[0]"),
+    "short pose": (frame(pose=[[1, 2], [3]]), "4 rows of 4 numbers"),
+    "metres": (frame(pose=frames.translation(0.4, 0.0, -0.04).tolist()), "inside"),
+    "unknown picture": (frame("z.png"), "z.png"),
+}
 
 
-@pytest.mark.parametrize("bad", BAD_CAMERAS, ids=lambda bad: bad.name)
-def test_bad_cameras_are_refused_by_name(bad: BadCameras, tmp_path: Path, scene: Scene) -> None:
-    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"], **bad.changed)
-    folder = write_pictures(tmp_path / "in", "a.png")
+@pytest.mark.parametrize(("changed", "named"), BAD_CAMERAS.values(), ids=BAD_CAMERAS.keys())
+def test_bad_cameras_are_refused_by_name(changed: dict[str, Any], named: str, tmp_path: Path, scene: Scene) -> None:
+    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"], **changed)
     with pytest.raises(UserError) as refused:
-        import_pictures(folder, scene, tmp_path / "out", cameras=cameras)
-    assert bad.said in str(refused.value)
+        import_pictures(write_pictures(tmp_path / "in", "a.png"), scene, tmp_path / "out", cameras=cameras)
+    assert named in str(refused.value)
     assert str(cameras) in str(refused.value)
     assert not (tmp_path / "out").exists()
-
-
-def test_damaged_json_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "t.json").write_text('{"frames": [')
-    with pytest.raises(UserError, match="is not JSON"):
-        read_cameras(tmp_path / "t.json", Camera())
-
-
-@pytest.mark.parametrize("fault", ["cut", "empty", "text", "size"])
-def test_bad_picture_is_named_and_nothing_is_left(fault: str, tmp_path: Path, scene: Scene) -> None:
-    folder = write_pictures(tmp_path / "in", "a.png", "b.png")
-    bad = folder / "b.png"
-    whole = bad.read_bytes()
-    if fault == "size":
-        cv2.imwrite(str(bad), picture(1, wh=(32, 48)))
-    else:
-        bad.write_bytes({"cut": whole[: len(whole) // 2], "empty": b"", "text": b"not a picture"}[fault])
-    with pytest.raises(UserError, match=r"b\.png"):
-        import_pictures(folder, scene, tmp_path / "out")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
 
 
 def test_pictures_that_would_collide_are_refused(tmp_path: Path) -> None:
@@ -234,61 +202,39 @@ def test_pictures_that_would_collide_are_refused(tmp_path: Path) -> None:
         list_pictures(write_pictures(tmp_path / "in", "a.png", "a.jpg"))
 
 
-def test_masks_of_zero_and_one_are_stretched(tmp_path: Path, scene: Scene) -> None:
-    folder = tmp_path / "in"
-    folder.mkdir()
+def test_masks_are_stretched_and_what_is_no_silhouette_is_refused(tmp_path: Path, scene: Scene) -> None:
+    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
+
+    def imported(mask: np.ndarray, name: str) -> Dataset:
+        write_image(tmp_path / name / "in" / "a.png", mask)
+        return import_pictures(tmp_path / name / "in", scene, tmp_path / name / "out", cameras=cameras, masks=True).dataset
+
     mask = np.zeros((WH[1], WH[0]), np.uint8)
+    with pytest.raises(UserError, match="empty"):
+        imported(mask, "empty")
     mask[10:20, 5:9] = 1
-    cv2.imwrite(str(folder / "a.png"), mask)
-    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
-    made = import_pictures(folder, scene, tmp_path / "out", cameras=cameras, masks=True)
-    assert load_dataset(tmp_path / "out").masks
-    np.testing.assert_array_equal(read_image(made.dataset, made.dataset.frames[0]), 255 * mask)
+    made = imported(mask, "of zero and one")
+    assert load_dataset(made.folder).masks
+    np.testing.assert_array_equal(read_image(made, made.frames[0]), 255 * mask)
+    with pytest.raises(UserError, match="not a silhouette"):
+        imported(np.where(np.arange(WH[1])[:, None] < 24, np.uint8(255), np.uint8(128)) + 0 * mask, "grey")
 
 
-@pytest.mark.parametrize(("level", "said"), [(0, "empty"), (128, "not a silhouette")])
-def test_what_is_no_silhouette_is_refused(level: int, said: str, tmp_path: Path, scene: Scene) -> None:
-    folder = tmp_path / "in"
-    folder.mkdir()
-    grey = np.full((WH[1], WH[0]), level, np.uint8)
-    if level:
-        grey[:24] = 255
-    cv2.imwrite(str(folder / "a.png"), grey)
-    cameras = write_cameras(tmp_path / "transforms.json", ["a.png"])
-    with pytest.raises(UserError, match=said):
-        import_pictures(folder, scene, tmp_path / "out", cameras=cameras, masks=True)
-
-
-def test_masks_without_cameras_are_refused(tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
-    files.save_scene(scene, tmp_path / "rig.toml")
-    folder = write_pictures(tmp_path / "in", "a.png")
-    words = ["import", str(folder), "--masks", "--scene", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "out")]
-    assert cli.main(words) == cli.EXIT_MISTAKE
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert "--cameras JSON" in said
-    assert not (tmp_path / "out").exists()
-
-
-def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_imports_and_says_what_it_assumed(tmp_path: Path, scene: Scene, command: Command) -> None:
     files.save_scene(scene, tmp_path / "rig.toml")
     folder = write_pictures(tmp_path / "in", "a.png", "b.png")
-    words = ["import", str(folder), "--scene", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "out")]
-    assert cli.main(words) == 0
-    said = capsys.readouterr().out
-    assert "2 pictures" in said
-    assert "no table angle is assumed" in said
-    assert cli.main(words) == cli.EXIT_MISTAKE
-    assert "not empty" in capsys.readouterr().err
+    words = ("import", folder, "--scene", tmp_path / "rig.toml", "-o", tmp_path / "out")
+    told = command.works(*words).out
+    assert "2 pictures" in told
+    assert "no table angle is assumed" in told  # the plan has four
+    assert [frame.table_deg for frame in load_dataset(tmp_path / "out").frames] == [None, None]
+    command.fails(*words, named=["not empty", "choose another name"])
 
 
 def test_overexposed_pictures_are_said_and_recorded(tmp_path: Path, scene: Scene) -> None:
-    width, height = scene.camera.image_wh
-    good = np.random.default_rng(0).integers(100, 200, (height, width), dtype=np.uint8)
-    clipped = good.copy()
-    clipped[: height // 2] = 255
+    good = np.random.default_rng(0).integers(100, 200, (WH[1], WH[0]), dtype=np.uint8)
     write_image(tmp_path / "in" / "a.png", good)
-    write_image(tmp_path / "in" / "b.png", clipped)
+    write_image(tmp_path / "in" / "b.png", np.where(np.arange(WH[1])[:, None] < WH[1] // 2, np.uint8(255), good))
     made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
     assert any("warning: 1 of 2 pictures are overexposed, images/b.png worst with 50 %" in note for note in made.notes)
     assert list(load_dataset(tmp_path / "out").origin["clipped"]) == ["images/b.png"]

@@ -12,7 +12,7 @@ def ball(subdivisions: int) -> Mesh:
     return Mesh.of(trimesh.creation.icosphere(subdivisions=subdivisions, radius=20.0))
 
 
-@pytest.mark.parametrize("most", [2_000, 10_000, 50_000])
+@pytest.mark.parametrize("most", [2_000, 50_000])
 def test_a_ball_stays_a_ball(most: int) -> None:
     found = simpler(ball(7), most)  # 327,680 triangles
     assert 0.4 * most < len(found.faces) <= most

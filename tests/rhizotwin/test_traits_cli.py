@@ -7,36 +7,36 @@ from pathlib import Path
 
 import pytest
 
-from rhizotwin import cli
+from tests.command import Command
 
 
 @pytest.fixture
-def results(ball_result: Callable[..., Path]) -> list[str]:
+def results(ball_result: Callable[..., Path]) -> list[Path]:
     """Return two results without roots, each weighed 1 g."""
-    return [str(ball_result(name, mass_g=1.0, warnings=["it is dark, alas"])) for name in ("one", "two")]
+    budget = [{"name": "radii", "less_mm3": 50.0, "more_mm3": 50.0, "why": "the views disagree"}]
+    return [ball_result(name, mass_g=1.0, volume_budget=budget, warnings=["it is dark, alas"]) for name in ("one", "two")]
 
 
-def test_one_result_is_printed_with_units(results: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["traits", results[0]]) == 0
-    out = capsys.readouterr().out
-    assert "volume 0.850 to 0.950 ml" in out
-    assert [line.split()[:3] for line in out.splitlines() if line.startswith("  volume ")] == [["volume", "905", "mm3"]]
+def test_one_result_is_printed_with_units(results: list[Path], command: Command) -> None:
+    out = command.works("traits", results[0]).out
+    (volume,) = [line for line in out.splitlines() if line.startswith("  volume ")]
+    assert volume.split()[:6] == ["volume", "905", "mm3", "850", "to", "950"]
     assert "no roots were found" in out
 
 
-def test_many_results_make_one_spreadsheet(results: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_results_make_one_spreadsheet(results: list[Path], tmp_path: Path, command: Command) -> None:
     table = tmp_path / "table.csv"
-    words = ["traits", *results, "--mass-g", "1.81,1.81", "-o", str(table)]
-    assert cli.main(words) == 0, capsys.readouterr().err
+    words = ("traits", *results, "--mass-g", "1.81,1.81", "-o", table)
+    command.works(*words)
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert [row["result"] for row in rows] == ["one", "two"]
     assert [float(row["tissue_density (g/ml)"]) for row in rows] == pytest.approx([2.0, 2.0])
     assert rows[0]["warnings"] == "it is dark, alas"
-    assert cli.main(words) == 2  # never over a file that is there
+    command.fails(*words, named=["exists already"])
 
 
-def test_json_has_every_number_and_the_mass_that_was_kept(results: list[str], tmp_path: Path) -> None:
-    assert cli.main(["traits", results[0], "-o", str(tmp_path / "t.json")]) == 0
+def test_json_has_every_number_and_the_mass_that_was_kept(results: list[Path], tmp_path: Path, command: Command) -> None:
+    command.works("traits", results[0], "-o", tmp_path / "t.json")
     (stored,) = json.loads((tmp_path / "t.json").read_text())
     assert (stored["result"], stored["mass_g"]) == ("one", 1.0)
     values = {trait["name"]: trait["value"] for trait in stored["traits"]}
@@ -44,14 +44,7 @@ def test_json_has_every_number_and_the_mass_that_was_kept(results: list[str], tm
     assert values["total_length"] is None
 
 
-MISTAKES = {
-    "one mass for two": (["--mass-g", "1"], "1 masses for 2 results"),
-    "no mass": (["--mass-g", "0,1"], "out of range"),
-    "another form": (["-o", "table.xlsx"], ".csv or .json"),
-}
-
-
-@pytest.mark.parametrize(("words", "says"), MISTAKES.values(), ids=MISTAKES.keys())
-def test_mistakes(results: list[str], capsys: pytest.CaptureFixture[str], words: list[str], says: str) -> None:
-    assert cli.main(["traits", *results, *words]) == 2
-    assert says in capsys.readouterr().err
+def test_mistakes(results: list[Path], command: Command) -> None:
+    command.fails("traits", *results, "--mass-g", "1", named=["1 masses for 2 results"])
+    command.fails("traits", *results, "--mass-g", "0,1", named=["out of range"])
+    command.fails("traits", *results, "-o", "table.xlsx", named=[".csv or .json"])

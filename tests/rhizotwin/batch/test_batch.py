@@ -10,17 +10,18 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from rhizotwin import cli
 from rhizotwin.batch import collect, jobs, local, overview, places, series, work
 from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.batch.run import LOCK, run
 from rhizotwin.scenes import files
 from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import locked
 from rhizotwin.scenes.model import Scene
+from tests.command import Command
 
 
 def dataset(folder: Path, *, name: str = "scene") -> Path:
@@ -51,41 +52,45 @@ def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
     assert jobs.named(["/x/jobs"]) == ["jobs-scan"]  # the folder of the records is called so
 
 
-def test_nothing_found_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["batch", str(tmp_path), "-o", str(tmp_path / "r")]) == 2
-    assert "there is no dataset" in capsys.readouterr().err
+def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    command.fails("batch", tmp_path, "-o", tmp_path / "r", named=["there is no dataset"])
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("rhizotwin.batch.cluster.WAIT_S", 0.5)
+    words = ("batch", dataset(tmp_path / "scans" / "a").parent, "-o", tmp_path / "r", "--cluster", "tcp://127.0.0.1:9")
+    assert "no Dask scheduler answers there" in command(*words).err
 
 
-@pytest.mark.parametrize("changed", ["dataset", "settings", "voxels", "code", "record", "result"])
 def test_what_is_finished_is_known_by_dataset_settings_and_code(
-    changed: str, tmp_path: Path, ball_result: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, ball_result: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dataset(tmp_path / "scans" / "ball")
-
     def listed(voxel_mm: float | None = None, settings: Path | None = None) -> Job:
         (one,) = collect.reconstructions([str(tmp_path / "scans")], str(tmp_path), voxel_mm=voxel_mm, settings=settings, device="cpu")
         return one
 
-    first = listed()
-    assert not jobs.is_done(first)
-    ball_result("ball")
-    jobs.note(first, Outcome(name="ball", state="done"))
-    assert jobs.is_done(listed())
-    options: dict[str, Any] = {}
-    if changed == "dataset":
-        dataset(tmp_path / "scans" / "ball", name="another")
-    elif changed == "settings":
-        (tmp_path / "s.toml").write_text("voxel_mm = 0.3\n", encoding="utf-8")
-        options = {"settings": tmp_path / "s.toml"}
-    elif changed == "voxels":
-        options = {"voxel_mm": 0.5}
-    elif changed == "code":
-        monkeypatch.setattr(collect.sources, "digest", lambda _: "other")
-    elif changed == "record":
-        Path(first.record).write_text("{", encoding="utf-8")
-    else:
-        (tmp_path / "ball" / "result.json").unlink()
-    assert not jobs.is_done(listed(**options))
+    def finish() -> Job:
+        done = listed()
+        jobs.note(done, Outcome(name="ball", state="done"))
+        assert jobs.is_done(listed())
+        return done
+
+    dataset(tmp_path / "scans" / "ball")
+    assert not jobs.is_done(listed())
+    result = ball_result("ball")
+    first = finish()
+    (tmp_path / "s.toml").write_text("voxel_mm = 0.3\n", encoding="utf-8")
+    assert not jobs.is_done(listed(settings=tmp_path / "s.toml"))
+    assert not jobs.is_done(listed(voxel_mm=0.5))
+    with monkeypatch.context() as patch:
+        patch.setattr(collect.sources, "digest", lambda _: "other")
+        assert not jobs.is_done(listed())
+    dataset(tmp_path / "scans" / "ball", name="another")
+    assert not jobs.is_done(listed())
+    finish()
+    Path(first.record).write_text("{", encoding="utf-8")
+    assert not jobs.is_done(listed())
+    finish()
+    (result / "result.json").unlink()
+    assert not jobs.is_done(listed())
 
 
 def test_only_so_many_run_at_once_as_memory_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,9 +160,6 @@ def test_a_full_disk_is_not_the_scans_fault(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_two_batches_do_not_work_in_one_folder(tmp_path: Path) -> None:
-    from rhizotwin.batch.run import LOCK, run
-    from rhizotwin.scenes.lock import locked
-
     with locked(tmp_path / LOCK, what="it"), pytest.raises(UserError, match="works in it"):
         run([job("a", tmp_path)], str(tmp_path))
 
@@ -209,15 +211,6 @@ def test_series_name_plants_days_and_treatments() -> None:
     assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)
     with pytest.raises(UserError, match="has no grown plant"):
         series.vary(files.load_scene("sphere_20mm"), plants=2)
-
-
-def test_no_scheduler_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("rhizotwin.batch.cluster.WAIT_S", 0.5)
-    dataset(tmp_path / "scans" / "a")
-    words = ["batch", str(tmp_path / "scans"), "-o", str(tmp_path / "r"), "--cluster", "tcp://127.0.0.1:9"]
-    assert cli.main(words) == 2
-    assert "no Dask scheduler answers there" in capsys.readouterr().err
 
 
 def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:

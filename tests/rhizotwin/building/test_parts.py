@@ -39,11 +39,9 @@ def made(scene: Scene) -> list[Part]:
 
 
 PARTS = {scene.name: made(scene) for scene in SCENES}
-EACH = [pytest.param(part, id=f"{name}-{part.name}") for name, parts in PARTS.items() for part in parts]
 
 
-@pytest.mark.parametrize("part", EACH)
-def test_solid_is_closed_and_in_one_piece(part: Part) -> None:
+def check_closed(part: Part) -> None:
     assert part.solid.status() is Error.NoError
     assert part.solid.volume() > 0.0
     assert len(part.solid.decompose()) == 1
@@ -68,14 +66,12 @@ def overhang_mm2(part: Part) -> float:
     return float(size[(down > np.sin(np.deg2rad(OVERHANG_DEG)) + 1e-6) & lifted].sum())
 
 
-@pytest.mark.parametrize("part", EACH)
-def test_part_needs_no_support_or_says_where(part: Part) -> None:
-    assert (overhang_mm2(part) > 0.0) == bool(part.support)
-
-
-@pytest.mark.parametrize("part", EACH)
-def test_part_fits_a_common_bed(part: Part) -> None:
-    check_bed(part, (220.0, 220.0, 250.0))
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_parts_are_closed_fit_a_common_bed_and_need_no_support_or_say_where(scene: Scene) -> None:
+    for part in PARTS[scene.name]:
+        check_closed(part)
+        check_bed(part, (220.0, 220.0, 250.0))
+        assert (overhang_mm2(part) > 0.0) == bool(part.support), part.name
 
 
 def test_an_overhang_is_seen() -> None:
@@ -138,20 +134,10 @@ def test_gears_mesh_with_their_play(teeth: int) -> None:
         assert shared(float(turn), 1.6 * play_deg) > 1e-2
 
 
-@pytest.mark.parametrize(
-    ("scene", "words"),
-    [
-        (replace(Scene(), net_pot=NetPot(outer_radius_mm=77.0)), "skirt would be"),
-        (replace(Scene(), net_pot=NetPot(grid_z_mm=-1.0)), "cannot be printed"),
-    ],
-    ids=["thin skirt", "shallow grid"],
-)
-def test_what_cannot_be_printed_is_refused(scene: Scene, words: str) -> None:
-    with pytest.raises(UserError, match=words):
-        net_pot(scene, MEASURES)
-
-
-def test_low_floor_and_small_bed_are_refused() -> None:
+def test_what_cannot_be_printed_is_refused() -> None:
+    for pot, words in ((NetPot(outer_radius_mm=77.0), "skirt would be"), (NetPot(grid_z_mm=-1.0), "cannot be printed")):
+        with pytest.raises(UserError, match=words):
+            net_pot(replace(Scene(), net_pot=pot), MEASURES)
     with pytest.raises(UserError, match=r"clearance.floor_z_mm -165 leaves"):
         table.table_foot(Scene(), MEASURES, -165.0)
     with pytest.raises(UserError, match="does not fit a bed of 150 x 150"):

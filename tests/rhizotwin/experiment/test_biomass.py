@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin import cli
 from rhizotwin.experiment import biomass, model_file, tables
 from rhizotwin.experiment.masses import Weighed, read_masses
-from rhizotwin.experiment.measured import Measured, read_all
+from rhizotwin.experiment.measured import IN_90, Measured, read_all
 from rhizotwin.scenes import files
+from rhizotwin.scenes.assessment import Assessment
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.scenes.subject import Subject
+from tests.command import Command
 
 BASELINE = Path(__file__).parents[3] / "benchmarks" / "baseline_accuracy.json"
 HEAD = "plant,root_fresh_g,root_dry_g\n"
@@ -30,16 +32,19 @@ def thesis(tmp_path: Path) -> tuple[Path, Path]:
 @pytest.fixture
 def twins() -> list[Measured]:
     """Return twenty plants whose volumes are known within 3 %."""
-    rng = np.random.default_rng(5)
-    return [
-        Measured(
-            name=f"result {k}",
-            subject=Subject(plant=f"P{k}", species="Raphanus sativus", day=5.0),
-            traits={"volume": float(volume * np.exp(rng.normal(0.0, 0.03))), "total_length": float(40.0 * volume**0.8)},
-            volume_sigma=0.03,
+    rng, plants = np.random.default_rng(5), []
+    for k, true in enumerate(np.geomspace(30.0, 1800.0, 20)):
+        volume = float(true * np.exp(rng.normal(0.0, 0.03)))
+        reach = float(np.exp(IN_90 * 0.03))
+        plants.append(
+            Measured(
+                name=f"result {k}",
+                subject=Subject(plant=f"P{k}", species="Raphanus sativus", day=5.0),
+                traits={"volume": volume, "total_length": float(40.0 * true**0.8)},
+                assessed={"volume": Assessment(verdict="reliable", interval=(volume / reach, volume * reach))},
+            )
         )
-        for k, volume in enumerate(np.geomspace(30.0, 1800.0, 20))
-    ]
+    return plants
 
 
 def weigh(path: Path, plants: list[Measured], density: float = 1.0) -> Path:
@@ -52,7 +57,7 @@ def weigh(path: Path, plants: list[Measured], density: float = 1.0) -> Path:
     return path
 
 
-def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path, Path], command: Command) -> None:
     volumes, masses = thesis
     found, notes = biomass.pairs(read_all([volumes]), read_masses(masses, balance_g=1e-4))
     printed = {row.cells["plant"]: row.cells["density (g/ml)"] for row in tables.read_table(volumes)}
@@ -62,9 +67,8 @@ def test_the_thesis_table_gives_its_densities_and_their_mean(thesis: tuple[Path,
         assert ratio == pytest.approx(float(printed[pair.measured.subject.plant]), abs=1.1e-3)
     assert np.mean([ratio for _, ratio in known]) == pytest.approx(0.034, abs=5e-4)
     assert not notes
-    model = volumes.with_name("model.json")
-    assert cli.main(["biomass", "fit", str(volumes), str(masses), "-o", str(model)]) == 0
-    assert "mean of fresh root mass over volume: 0.03401 g/ml of 16 plants" in capsys.readouterr().out
+    told = command.works("biomass", "fit", volumes, masses, "-o", volumes.with_name("model.json")).out
+    assert "mean of fresh root mass over volume: 0.03401 g/ml of 16 plants" in told
 
 
 def test_the_shipped_masses_are_the_thesis_own_water_contents(thesis: tuple[Path, Path]) -> None:
@@ -124,64 +128,59 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize(("text", "says"), MISTAKES.values(), ids=MISTAKES.keys())
-def test_mistakes_in_the_table_are_one_sentence(
-    text: str, says: str, thesis: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "mine.csv"
-    path.write_text(text, encoding="utf-8")
-    assert cli.main(["biomass", "fit", str(thesis[0]), str(path), "-o", str(tmp_path / "model.json")]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "model.json").exists()
+@pytest.mark.parametrize(("text", "named"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_mistakes_in_the_table_are_one_sentence(text: str, named: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(UserError) as refused:
+        read_masses(tmp_path / "mine.csv", balance_g=1e-4)
+    assert named in str(refused.value)
 
 
-def test_one_mass_in_milligrams_is_noticed(thesis: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_mass_in_milligrams_is_noticed(thesis: tuple[Path, Path], command: Command) -> None:
     volumes, masses = thesis
-    masses.write_text(
-        masses.read_text(encoding="utf-8").replace("12,Raphanus sativus,20,0.5903", "12,Raphanus sativus,20,590.3"), encoding="utf-8"
-    )
-    assert cli.main(["biomass", "fit", str(volumes), str(masses), "-o", str(volumes.with_name("m.json"))]) == 2
-    assert "is it in another unit?" in capsys.readouterr().err
+    text = masses.read_text(encoding="utf-8").replace("12,Raphanus sativus,20,0.5903", "12,Raphanus sativus,20,590.3")
+    masses.write_text(text, encoding="utf-8")
+    command.fails("biomass", "fit", volumes, masses, "-o", volumes.with_name("m.json"), named=["is it in another unit?"])
+    assert not volumes.with_name("m.json").exists()
 
 
 def test_a_model_of_another_species_is_refused(
-    twins: list[Measured], ball_result: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    twins: list[Measured], ball_result: Callable[..., Path], tmp_path: Path, command: Command
 ) -> None:
     found, _ = biomass.pairs(twins, read_masses(weigh(tmp_path / "m.csv", twins), balance_g=1e-4))
-    model_file.save_model(biomass.fit(found, balance_g=1e-4), tmp_path / "model.json")
-    lettuce = ball_result("lettuce", subject={"plant": "L1", "species": "Lactuca sativa"})
-    assert cli.main(["biomass", "predict", str(lettuce), "--model", str(tmp_path / "model.json")]) == 2
-    assert "L1 is of the species Lactuca sativa, the model was fitted to Raphanus sativus" in capsys.readouterr().err
-    radish = ball_result("radish", subject={"plant": "R1", "species": "Raphanus sativus"})
-    masses = tmp_path / "by_volume.json"
     by_volume = tuple(one for one in biomass.fit(found, balance_g=1e-4).tried if one.trait == "volume" and one.proportional)
-    model_file.save_model(biomass.Model(species="Raphanus sativus", relations=by_volume, tried=(), notes=()), masses)
-    table = tmp_path / "masses_told.csv"
-    assert cli.main(["biomass", "predict", str(radish), "--model", str(masses), "-o", str(table)]) == 0
+    model, table = tmp_path / "model.json", tmp_path / "masses_told.csv"
+    model_file.save_model(biomass.Model(species="Raphanus sativus", relations=by_volume, tried=(), notes=()), model)
+    lettuce = ball_result("lettuce", subject={"plant": "L1", "species": "Lactuca sativa"})
+    named = ["L1 is of the species Lactuca sativa, the model was fitted to Raphanus sativus"]
+    command.fails("biomass", "predict", lettuce, "--model", model, named=named)
+    radish = ball_result("radish", subject={"plant": "R1", "species": "Raphanus sativus"})
+    command.works("biomass", "predict", radish, "--model", model, "-o", table)
     assert {row["plant"] for row in csv.DictReader(table.read_text(encoding="utf-8").splitlines())} == {"R1"}
 
 
 def test_results_without_trust_and_without_partner_are_told(twins: list[Measured], tmp_path: Path) -> None:
     path = weigh(tmp_path / "m.csv", twins)
     path.write_text(path.read_text(encoding="utf-8") + "P99,1,\n", encoding="utf-8")
-    doubted = [*twins[:-1], Measured(name="r", subject=twins[-1].subject, traits=twins[-1].traits, trusted=False)]
+    bad = Assessment(verdict="not reliable", reason="too few views")
+    doubted = [
+        *twins[:-1],
+        Measured(name="r", subject=twins[-1].subject, traits=twins[-1].traits, assessed=dict.fromkeys(twins[-1].traits, bad)),
+    ]
     found, notes = biomass.pairs(doubted, read_masses(path, balance_g=1e-4))
-    assert len(found) == 19
+    assert len(biomass.ratios(found)) == 19
     assert any("no result of plant P99" in note for note in notes)
-    assert any("P19 on day 5: is left out" in note for note in notes)
+    assert "volume: 1 of 20 values are left out, because they are not reliable: too few views" in notes
 
 
-@pytest.mark.parametrize("profile", ["clean", "bench"])
-def test_the_twins_eighteen_radishes_have_the_density_of_water(profile: str) -> None:
+def test_the_twins_eighteen_radishes_have_the_density_of_water() -> None:
     """Volumes as the accuracy ladder measured them; the twin's are the thesis's masses at 1 g/ml. The thesis lost plants 17 and 18."""
     metrics = json.loads(BASELINE.read_text(encoding="utf-8"))["metrics"]
     scenes = [files.load_scene(name) for name, _ in files.library() if name.startswith("radish_day")]
     plants, masses = [], []
     for scene in scenes:
         assert isinstance(scene.specimen, GrownSpecimen)
-        error = metrics[f"{scene.name}/{profile}/2x40x800x600/0.27/coverage/volume_error"]["value"]
+        error = metrics[f"{scene.name}/bench/2x40x800x600/0.27/coverage/volume_error"]["value"]
         plants.append(
             Measured(name=scene.name, subject=scene.subject, traits={"volume": 1000.0 * scene.specimen.volume_ml * (1.0 + error)})
         )

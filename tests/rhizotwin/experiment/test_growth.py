@@ -1,6 +1,7 @@
 """Growth: one plant at several ages laid on itself, roots with identities, rates, treatments, and the command over result folders."""
 
 import csv
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +12,13 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from scipy.stats import ttest_ind
 
-from rhizotwin import cli
 from rhizotwin.experiment.alignment import align
 from rhizotwin.experiment.compare import Seen, differences, means, relative_rates
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.scenes import files, rsml, series
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.sim.growth import grow
+from tests.command import Command
 
 DAYS = (5.0, 8.0, 11.0, 14.0)
 JITTER_MM, LOST, CUT = 0.15, 0.05, 0.1
@@ -69,13 +70,6 @@ def links(followed: Followed, shown: dict[float, tuple[Root, ...]]) -> tuple[flo
         right, wrong = right + sum(linked), wrong + len(linked) - sum(linked)
         missed += len(set(before.values()) & set(after.values())) - sum(linked)
     return right / (right + wrong), right / (right + missed)
-
-
-def test_the_older_plant_holds_the_younger(plant: dict[float, list[Root]]) -> None:
-    older = {root.label: root for root in plant[14.0]}
-    for root in plant[8.0]:
-        same = older[root.label].points_mm[: len(root.points_mm) - 2]
-        assert root.points_mm[:-2] == pytest.approx(same, abs=1e-9)
 
 
 def test_a_moved_plant_is_brought_back(plant: dict[float, list[Root]]) -> None:
@@ -166,10 +160,9 @@ def results(ball_result: Callable[..., Path], plant: dict[float, list[Root]], tm
     return tmp_path / "results"
 
 
-def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, command: Command, tmp_path: Path) -> None:
     out = tmp_path / "growth"
-    assert cli.main(["growth", str(results), "-o", str(out)]) == 0, capsys.readouterr().err
-    assert "volume: 'low N' is not told apart from 'control'" in capsys.readouterr().out
+    assert "volume: 'low N' is not told apart from 'control'" in command.works("growth", results, "-o", out).out
     rows = list(csv.DictReader((out / "roots.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["plant"] for row in rows} == {"P0", "P1", "P2", "P3"}
     taproot = [row for row in rows if (row["plant"], row["root"]) == ("P0", "1")]
@@ -182,36 +175,27 @@ def test_the_command_writes_curves_roots_and_rsml_with_time(results: Path, capsy
     assert "data:image/png" in (out / "growth.html").read_text(encoding="utf-8")
 
 
-MISTAKES: dict[str, tuple[dict[str, object], str]] = {
-    "no day": ({"subject": {"plant": "P0", "treatment": "control"}}, "plant P0 has no day"),
-    "no plant": ({"subject": {"day": 20.0}}, "names no plant"),
-    "twice a day": ({"subject": {"plant": "P0", "treatment": "control", "day": 8.0}}, "plant P0 is there twice on day 8"),
-    "two treatments": ({"subject": {"plant": "P0", "treatment": "low N", "day": 20.0}}, "plant P0 is in two treatments"),
-    "alone": ({"subject": {"plant": "P9", "treatment": "high N", "day": 20.0}}, "treatment 'high N' has 1 plant"),
-}
+def test_mistakes_are_one_sentence(ball_result: Callable[..., Path], tmp_path: Path, command: Command) -> None:
+    pytest.importorskip("statsmodels")
 
+    def subject(plant: str | None, treatment: str | None, day: float | None) -> dict[str, object]:
+        named = {"plant": plant, "treatment": treatment, "day": day}
+        return {"subject": {key: value for key, value in named.items() if value is not None}}
 
-@pytest.mark.parametrize(("changes", "says"), MISTAKES.values(), ids=MISTAKES.keys())
-def test_mistakes_are_one_sentence(
-    changes: dict[str, object],
-    says: str,
-    results: Path,
-    ball_result: Callable[..., Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    ball_result("results/more", **changes)
-    assert cli.main(["growth", str(results), "-o", str(tmp_path / "growth")]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
-
-
-def test_scans_of_different_strips_are_refused(
-    results: Path, ball_result: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for day, columns in ((20.0, 31), (25.0, 29)):
-        subject = {"plant": "P0", "treatment": "control", "day": day}
-        ball_result(f"results/strip_{day:g}", subject=subject, strip={"columns": columns})
-    assert cli.main(["growth", str(results), "-o", str(tmp_path / "growth")]) == 2
-    assert "strip_20 and strip_25 were scanned with different marker strips" in capsys.readouterr().err
+    for k, treatment in enumerate(("control", "control", "low N", "low N")):
+        ball_result(f"results/P{k}", **subject(f"P{k}", treatment, 8.0))
+    strips = [subject("P0", "control", day) | {"strip": {"columns": columns}} for day, columns in ((20.0, 31), (25.0, 29))]
+    for more, named in (
+        ([subject("P0", "control", None)], "plant P0 has no day"),
+        ([subject(None, None, 20.0)], "names no plant"),
+        ([subject("P0", "control", 8.0)], "plant P0 is there twice on day 8"),
+        ([subject("P0", "low N", 20.0)], "plant P0 is in two treatments"),
+        (strips, "more_0 and more_1 were scanned with different marker strips"),
+    ):
+        added = [ball_result(f"results/more_{k}", **changes) for k, changes in enumerate(more)]
+        command.fails("growth", tmp_path / "results", "-o", tmp_path / "growth", named=[named])
+        for folder in added:
+            shutil.rmtree(folder)
+    ball_result("results/more_0", **subject("P9", "high N", 20.0))
+    told = command.works("growth", tmp_path / "results", "-o", tmp_path / "growth")
+    assert "treatment 'high N' has 1 plant" in told.out + told.err

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin import cli
 from rhizotwin.experiment import biomass
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import read_all
+from tests.command import Command
 
 GRAMS_PER_CM2 = 0.045
 
@@ -42,21 +42,18 @@ def results(ball_result: Callable[..., Path], tmp_path: Path) -> Path:
     return tmp_path / "results"
 
 
-def test_tables_have_columns_of_shoots_and_what_is_not_known_is_empty(results: Path, tmp_path: Path) -> None:
+def test_tables_have_columns_of_shoots_and_what_is_not_known_is_empty(
+    results: Path, ball_result: Callable[..., Path], tmp_path: Path, command: Command
+) -> None:
     table = tmp_path / "traits.csv"
-    folders = sorted(str(path) for path in results.iterdir())
-    assert cli.main(["traits", *folders, "-o", str(table)]) == 0
+    command.works("traits", *sorted(results.iterdir()), "-o", table)
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert (rows[0]["leaf_area (mm2)"], rows[0]["leaves"], rows[0]["shoot_volume (mm3)"]) == ("200", "6", "")
     again = {one.subject.plant: one.traits for one in read_all([table])}
     assert again["P7"]["leaf_area"] == pytest.approx(4000.0)
     assert "shoot_volume" not in again["P7"]
-
-
-def test_tables_without_shoots_have_no_columns_of_them(ball_result: Callable[..., Path], tmp_path: Path) -> None:
-    table = tmp_path / "traits.csv"
-    assert cli.main(["traits", str(ball_result("alone")), "-o", str(table)]) == 0
-    assert "leaf_area" not in table.read_text(encoding="utf-8")
+    command.works("traits", ball_result("alone"), "-o", tmp_path / "without.csv")
+    assert "leaf_area" not in (tmp_path / "without.csv").read_text(encoding="utf-8")
 
 
 def test_a_shoots_mass_is_told_by_its_leaf_area(results: Path, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Lines with errors on both sides: published values, simulation, the closed forms at its limits."""
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -30,16 +28,6 @@ def test_its_uncertainty_is_that_of_many_draws() -> None:
         once = fit_line(x, y, X_SIGMA, Y_SIGMA, scatter=False)
         drawn.append((once.intercept, once.slope))
     assert np.std(drawn, axis=0) == pytest.approx(np.sqrt(np.diag(line.covariance)), rel=0.15)
-
-
-def test_it_is_what_scipys_orthogonal_distance_regression_finds() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # scipy.odr leaves SciPy for a package of its own
-        odr = pytest.importorskip("scipy.odr")
-        data = odr.RealData(X, Y, sx=X_SIGMA, sy=Y_SIGMA)
-        found = odr.ODR(data, odr.Model(lambda b, x: b[0] + b[1] * x), beta0=[5.0, -0.5], sstol=1e-14, partol=1e-14).run()
-    line = fit_line(X, Y, X_SIGMA, Y_SIGMA, scatter=False)
-    assert (line.intercept, line.slope) == pytest.approx(tuple(found.beta), rel=1e-5)
 
 
 def test_without_errors_in_x_it_is_the_weighted_line() -> None:

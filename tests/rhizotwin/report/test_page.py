@@ -1,7 +1,8 @@
 """The page of a result: what it says, that nothing in it asks a network, and that a real browser draws it."""
 
+import base64
 import re
-from collections.abc import Iterator
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +13,14 @@ import pytest
 from rhizotwin.corrections import log
 from rhizotwin.corrections.corrected import write as write_corrected
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import report
 from rhizotwin.report import page, rig_figure, solid, words
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.rsml import read_rsml
+from tests.conftest import Reconstructed
 from tests.recon.conftest import scan  # noqa: F401 - a fixture
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.browser import PATIENCE_MS, chromium
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
+from tests.rhizotwin.browser import PATIENCE_MS
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +28,14 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
     return plants.make(tmp_path_factory.mktemp("plant"), name="a <b>plant</b></script>")
 
 
-def test_the_page_of_a_solid_body(scan):  # noqa: F811
-    made = scan(radius_mm=6.3, shift_mm=(0.5, 0.0, 0.0), lost=(3,))
-    report.write_pictures(made.result, made.dataset, truth_mesh=made.dataset / "truth" / "specimen.ply")
+def test_the_page_of_a_solid_body(found: Reconstructed, scan):  # noqa: F811
+    whole = (found.folder / "report.html").read_text(encoding="utf-8")
+    assert whole.count("data:image/png;base64,") == 4
+    assert 1 <= whole.count("data:image/jpeg;base64,") <= 4
+    made = scan(voxel_mm=1.0, lost=(3,))
     text = page.write(made.result, dataset=made.dataset).read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == 4
-    assert 1 <= text.count("data:image/jpeg;base64,") <= 4
-    assert "a ball &lt;6 mm&gt;" in text
-    assert "2 markers found, 4 are needed" in text
-    assert "No thin roots were found" in text
-    assert "Root extent (x, y, z)" in text
+    for part in ("a ball &lt;6 mm&gt;", "2 markers found, 4 are needed", "No thin roots were found", "Root extent (x, y, z)"):
+        assert part in text
     assert "data-file=rsml" not in text
 
 
@@ -140,8 +134,6 @@ def _pixels(canvas: Any) -> np.ndarray:
 
 
 def test_centre_lines_saved_from_the_page_are_those_of_the_result(browser: Any, plant: plants.Plant, tmp_path: Path):
-    from rhizotwin.scenes.rsml import read_rsml
-
     shown = browser.new_page()
     shown.goto(page.write(plant.result).as_uri())
     with shown.expect_download(timeout=PATIENCE_MS) as waiting:
@@ -161,25 +153,17 @@ def test_one_page_for_many(plant: plants.Plant, tmp_path: Path):
     assert text.count("can be used</td>") == 2
 
 
-def test_corrections_are_told(plant: plants.Plant, tmp_path: Path):
+def test_a_page_says_what_was_corrected_and_that_its_pictures_are_gone(plant: plants.Plant, tmp_path: Path):
     session = Session(plant.result)
     session.do(log.edit("delete roots", roots=[1], who="ann <x>"))
     write_corrected(session, tmp_path / "new")
-    text = page.write(tmp_path / "new").read_text(encoding="utf-8")
-    assert "Corrected by hand: 1 edit by ann &lt;x&gt;, -" in text
-
-
-def test_a_page_without_the_pictures_says_so(plant: plants.Plant, tmp_path: Path):
-    session = Session(plant.result)
-    write_corrected(session, tmp_path / "alone")
-    summary = Path(tmp_path / "alone" / "result.json")
+    assert "Corrected by hand: 1 edit by ann &lt;x&gt;, -" in page.write(tmp_path / "new").read_text(encoding="utf-8")
+    summary = tmp_path / "new" / "result.json"
     summary.write_text(summary.read_text().replace(str(plant.dataset), "/gone"))
-    assert "The pictures are not where they were" in page.write(tmp_path / "alone").read_text(encoding="utf-8")
+    assert "The pictures are not where they were" in page.write(tmp_path / "new").read_text(encoding="utf-8")
 
 
 def test_the_shape_is_packed_to_micrometres(plant: plants.Plant):
-    import base64
-
     packed = solid.packed(plant.roots, plant.result / "shape.ply")
     steps = np.frombuffer(base64.b64decode(packed["points"]), "<u2").reshape(-1, 3)
     points = np.array(packed["origin"]) + packed["scale"] * steps
@@ -200,13 +184,18 @@ SUMMARY: dict[str, Any] = {
 }
 
 
-def test_no_false_precision():
+def test_the_volume_has_no_false_precision_and_is_not_at_the_head_where_it_cannot_be_trusted():
     assert words.volume(SUMMARY) == ("137.1 ml", "128.0 to 146.0 ml")
     assert words.budget(SUMMARY)[:2] == [
         "The volume may be 8.0 ml smaller or larger, because of one thing.",
         "The volume may be 3.0 ml larger, because of another.",
     ]
     assert "1 other causes" in words.budget(SUMMARY)[2]
+    assert words.headline(SUMMARY)[0] == "volume 137.1 ml"
+    headline, beside = words.headline(SUMMARY | {"volume_trusted": False})
+    assert headline == "no volume can be told"
+    assert "137.1 ml" in beside
+    assert "not to be trusted" in beside
 
 
 def test_the_light_follows_checks_and_trust():
@@ -219,18 +208,7 @@ def test_the_light_follows_checks_and_trust():
 
 
 def test_the_rig_is_drawn_with_its_dimensions():
-    import xml.etree.ElementTree as ET
-
     drawn = rig_figure.svg(Scene(name="a <b>"))
     ET.fromstring(drawn)
     for text in ("152.4 mm", "160 mm", "n = 1.333", "camera", "canister frame"):
         assert text in drawn
-
-
-def test_a_scan_that_cannot_give_a_volume_has_none_at_the_head() -> None:
-    trusted, _ = words.headline(SUMMARY)
-    assert trusted == f"volume {words.volume(SUMMARY)[0]}"
-    headline, beside = words.headline(SUMMARY | {"volume_trusted": False})
-    assert headline == "no volume can be told"
-    assert words.volume(SUMMARY)[0] in beside
-    assert "not to be trusted" in beside

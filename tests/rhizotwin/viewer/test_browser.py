@@ -1,7 +1,7 @@
 """The viewer in a real browser: the first picture, picking, correcting, saving, and two browsers with one state."""
 
-import time
-from collections.abc import Callable, Iterator
+import http.client
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rhizotwin.corrections.session import Session
 from rhizotwin.viewer import app
 from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.browser import PATIENCE_MS, chromium
+from tests.rhizotwin.browser import PATIENCE_MS, wait
 
 WIDE, HIGH = 640, 400
 LARGEST = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
@@ -23,29 +23,12 @@ LARGEST = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundi
 OWN = ("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
-
-
 @pytest.fixture
 def viewer(tmp_path: Path) -> Iterator[Viewer]:
     made = plants.make(tmp_path, fibre=True)
     running = app.start([made.result], made.dataset, port=8190)
     yield running
     running.served.stop()
-
-
-def wait(until: Callable[[], Any], what: str) -> Any:
-    """Wait for something to become true and return it."""
-    end = time.monotonic() + PATIENCE_MS / 1000.0
-    while time.monotonic() < end:
-        found = until()
-        if found:
-            return found
-        time.sleep(0.05)
-    raise AssertionError(f"waited in vain for {what}")
 
 
 def opened(browser: Any, viewer: Viewer) -> tuple[Any, list[str]]:
@@ -151,8 +134,6 @@ def test_another_browser_has_the_same_state(browser: Any, viewer: Viewer):
 
 
 def test_the_token_is_asked_for(viewer: Viewer):
-    import http.client
-
     def asked(path: str, **headers: str) -> int:
         line = http.client.HTTPConnection(viewer.served.host, viewer.served.port, timeout=20)
         line.request("GET", path, headers=headers)

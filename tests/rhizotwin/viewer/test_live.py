@@ -1,8 +1,6 @@
 """A scan watched in a browser: paused, gone on with, measured; and the sketch of the roots."""
 
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ from rhizotwin.viewer import live_page
 from rhizotwin.viewer.live import Live
 from rhizotwin.viewer.sketch import Sketch
 from tests.rhizotwin import plant as plants
-from tests.rhizotwin.browser import PATIENCE_MS, chromium
+from tests.rhizotwin.browser import PATIENCE_MS, wait
 
 SCENE = Scene(
     camera=Camera().resized((400, 300)),
@@ -65,13 +63,7 @@ def test_what_the_page_says():
     assert "Stopping" in live_page.head(live)
     with pytest.raises(KeyboardInterrupt):
         live.holds()
-    dark = Look(
-        frame=None,
-        image=np.zeros((3, 4), np.uint8),
-        exposure=Exposure(bright=0.1, saturated=0.0),
-        sighting=None,
-        motion=0.02,
-    )
+    dark = Look(frame=None, image=np.zeros((3, 4), np.uint8), exposure=Exposure(bright=0.1, saturated=0.0), sighting=None, motion=0.02)
     said = live_page.meters(dark, (0.1, 0.4))
     assert "bad; at least 20 %" in said
     assert "darkest part 25 % of the brightest" in said
@@ -81,15 +73,7 @@ def test_what_the_page_says():
     live.close()
 
 
-def wait(until: Callable[[], Any], what: str) -> None:
-    """Wait for something to become true."""
-    end = time.monotonic() + PATIENCE_MS / 1000.0
-    while not until():
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.05)
-
-
-def test_a_person_watches_a_scan_of_the_twin(tmp_path: Path):
+def test_a_person_watches_a_scan_of_the_twin(browser: Any, tmp_path: Path):
     twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch")
     live = Live(twin.calibrated_scene(), paused=True)
     served = live_page.serve(live, port=8290)
@@ -99,23 +83,22 @@ def test_a_person_watches_a_scan_of_the_twin(tmp_path: Path):
         daemon=True,
     )
     try:
-        with chromium() as browser:
-            page = browser.new_page(viewport={"width": 640, "height": 400})
-            page.set_default_timeout(PATIENCE_MS)
-            page.goto(served.address)
-            scanned.start()
-            page.get_by_text("Paused:").wait_for()
-            page.get_by_text("0 of 4 pictures").wait_for()
-            page.get_by_role("button", name="Go on").click()
-            wait(lambda: live.done == 4, "the pictures")
-            page.get_by_text("4 of 4 pictures").wait_for()
-            page.get_by_text("Focus", exact=True).wait_for()
-            page.get_by_text("Exposure", exact=True).wait_for()
-            page.get_by_text("After the stop", exact=True).wait_for()
-            source = page.locator("img").first.get_attribute("src")
-            assert source is not None
-            assert source.startswith(("blob:", "data:"))
-            page.close()
+        page = browser.new_page(viewport={"width": 640, "height": 400})
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(served.address)
+        scanned.start()
+        page.get_by_text("Paused:").wait_for()
+        page.get_by_text("0 of 4 pictures").wait_for()
+        page.get_by_role("button", name="Go on").click()
+        wait(lambda: live.done == 4, "the pictures")
+        page.get_by_text("4 of 4 pictures").wait_for()
+        page.get_by_text("Focus", exact=True).wait_for()
+        page.get_by_text("Exposure", exact=True).wait_for()
+        page.get_by_text("After the stop", exact=True).wait_for()
+        source = page.locator("img").first.get_attribute("src")
+        assert source is not None
+        assert source.startswith(("blob:", "data:"))
+        page.close()
         scanned.join(PATIENCE_MS / 1000.0)
         live.close()
     finally:
@@ -128,13 +111,7 @@ def test_a_person_watches_a_scan_of_the_twin(tmp_path: Path):
 
 def test_only_the_last_picture_is_kept_large():
     live = Live(SCENE)
-    look = Look(
-        frame=None,
-        image=np.zeros((300, 400), np.uint8),
-        exposure=Exposure(bright=0.5, saturated=0.0),
-        sighting=None,
-        motion=None,
-    )
+    look = Look(frame=None, image=np.zeros((300, 400), np.uint8), exposure=Exposure(bright=0.5, saturated=0.0), sighting=None, motion=None)
     for _ in range(3):
         live.on_look(replace(look))
     assert [one.image.shape[1] < 400 for one in live.looks] == [True, True, False]

@@ -33,11 +33,14 @@ def shades(*lines: Line) -> list[np.ndarray]:
     return [np.tile(GREY, (len(one.points_mm), 1)) for one in lines]
 
 
-def test_straight_roots_need_few_nodes_and_keep_their_ends():
+def test_straight_roots_need_few_nodes_and_keep_ends_and_changes_of_colour():
     one, other = straight(65), straight(40)
-    keep = tubes.kept([one, other], np.concatenate(shades(one, other)))
+    colours = np.concatenate(shades(one, other))
+    keep = tubes.kept([one, other], colours)
     assert keep[[0, 64, 65, 104]].all()
     assert keep.sum() < 12
+    colours[30:33] = 255
+    assert tubes.kept([one, other], colours)[[29, 30, 32, 33]].all()
 
 
 def test_what_is_left_out_is_near_what_is_drawn():
@@ -50,19 +53,11 @@ def test_what_is_left_out_is_near_what_is_drawn():
     assert np.abs(np.interp(every, keep, root.diameters_mm[keep]) - root.diameters_mm).max() <= 2.0 * tubes.OFF_MM
 
 
-def test_a_change_of_colour_is_drawn():
-    root = straight(65)
-    colours = shades(root)[0].copy()
-    colours[30:33] = 255
-    keep = tubes.kept([root], colours)
-    assert keep[[29, 30, 32, 33]].all()
-
-
-@pytest.mark.parametrize("radius_mm", [0.1, 0.5, 2.0, 8.0])
-def test_flats_lie_as_near_to_the_circle_as_is_asked_for(radius_mm: float):
-    count = tubes.corners(radius_mm)
-    off = radius_mm * (1.0 - np.cos(np.pi / count))
-    assert off <= max(tubes.OFF_MM, tubes.OFF_SHARE * radius_mm) or count == tubes.MOST
+def test_flats_lie_near_to_the_circle():
+    for radius_mm in (0.1, 0.5, 2.0, 8.0):
+        count = tubes.corners(radius_mm)
+        off = radius_mm * (1.0 - np.cos(np.pi / count))
+        assert off <= max(tubes.OFF_MM, tubes.OFF_SHARE * radius_mm) or count == tubes.MOST
 
 
 def test_normals_point_outward():
