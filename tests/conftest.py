@@ -1,9 +1,11 @@
 """The engine, started once (Mitsuba's variant is the one global state of the project), and one small scan with its result for all tests."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import hypothesis
 import pytest
 import trimesh
 
@@ -11,11 +13,22 @@ from rhizotwin import cli, engine
 from rhizotwin.recon.results import result
 from tests.command import Command
 
+hypothesis.settings.register_profile("any machine", deadline=None)  # how long a case takes says nothing on a busy one
+hypothesis.settings.load_profile("any machine")
+
 
 @pytest.fixture(scope="session", autouse=True)
 def engine_started() -> str:
     """Choose the engine before any test touches Mitsuba's types: the CPU, unless RHIZOTWIN_TEST_DEVICE says cuda."""
     return engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_flushed() -> Iterator[None]:
+    """Leave out what only a power cut would need: flushing to a disk is most of the time of tests that write files."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture
