@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -227,7 +228,7 @@ class Damage:
                 atomic.write_bytes(path, self.stored.encode(self.light(scan, k)))
                 name = path.relative_to(folder).as_posix()
                 frames.append(replace(before, file=name, sha256=sha256_of(path), table_deg=self.table_deg(scan, k)))
-        (folder / "truth").symlink_to((scan.dataset.folder / "truth").resolve(), target_is_directory=True)
+        shutil.copytree(scan.dataset.folder / "truth", folder / "truth")
         camera = replace(scan.dataset.scene.camera, transfer=self.stored.transfer, bits=self.stored.bits)
         scene = self.scene(replace(scan.dataset.scene, camera=camera))
         written = replace(scan.dataset, folder=folder, scene=scene, frames=tuple(frames))

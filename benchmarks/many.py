@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.run import Say
+from rhizotwin.batch.jobs import RECORDS
 from rhizotwin.scenes.files import load_scene
 
 COUNT = 18
@@ -63,12 +64,12 @@ def measure(folder: Path, *, say: Say) -> Night:
     began = time.perf_counter()
     with (folder / "log").open("wb") as log:
         running = subprocess.Popen(command, stdout=log, stderr=log)
-        _wait_for_one(results / "jobs", running)
+        _wait_for_one(results / RECORDS, running)
         time.sleep(PARTIAL_S)
         killed = _kill(running.pid)
         code = running.wait()
     wall_s = time.perf_counter() - began
-    records = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((results / "jobs").glob("*.json"))]
+    records = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((results / RECORDS).glob("*.json"))]
     said = (folder / "log").read_text(encoding="utf-8").splitlines()
     return Night(
         scans=COUNT,

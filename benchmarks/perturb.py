@@ -6,6 +6,7 @@ poses by 10^-6 mm. Their kernels round otherwise too: Dr.Jit's are made with vec
 """
 
 import ctypes
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -142,7 +143,7 @@ def _written(dataset_folder: Path, folder: Path, one: Callable[[int, Frame, Grey
         frames.append(replace(frame, sha256=sha256_of(path)))
     truth = dataset_folder / "truth"
     if truth.is_dir():
-        (folder / "truth").symlink_to(truth.resolve(), target_is_directory=True)
+        shutil.copytree(truth, folder / "truth")
     written = replace(dataset, folder=folder, frames=tuple(frames))
     save_dataset(written)
     return written

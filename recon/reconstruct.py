@@ -120,7 +120,7 @@ def _releasing(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
 
 
 def _with_top(solid: Solid, water: Water, settings: Settings, stages: StageFolder) -> Solid:
-    """Return a solid that says what the net pot hides of its taproots, with their extrapolation where that is chosen."""
+    """Return a solid with a warning on what the net pot hides of its taproots, and their extrapolation if chosen."""
     hidden = hidden_top.find(solid.roots, water.top_mm)
     if hidden is not None:
         volume = hidden.added_to(solid.volume) if settings.hull.extrapolate_taproot else solid.volume

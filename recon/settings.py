@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.limits import bounded
+from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.schema import Place, from_plain
 
 
@@ -210,7 +211,7 @@ def load_settings(file: Path | str) -> Settings:
     if not path.is_file():
         raise UserError(f"{path}: there is no such file; give the settings as TOML, such as `voxel_mm = 0.2`")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_file(path).decode()
         mapping = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, or integers of thousands of digits
         raise UserError(f"{path} is not readable TOML: {error}") from None

@@ -4,6 +4,7 @@ A type is ``Annotated[type, option(reader, "METAVAR")]``; the reader takes the t
 limits.
 """
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
@@ -19,6 +20,8 @@ from rhizotwin.scenes.terminal import OneBar
 
 T = TypeVar("T")
 
+MOST_PARTS = 250
+"""Folders within folders of a path: Python makes and removes them by recursion, of which it allows 1000 calls."""
 VOXEL_LIMITS_MM = (0.01, 10.0)
 DIAMETER_LIMITS_MM = (0.01, 50.0)
 SHIFT_LIMITS_MM = (-1e6, 1e6)
@@ -51,13 +54,32 @@ def options(read: Callable[[str], object], metavar: str) -> Parameter:
 
 
 def named(metavar: str, *, name: str | tuple[str, ...] | None = None) -> Parameter:
-    """Return what makes an argument shown by a word of its own."""
-    return Parameter(name=name, metavar=metavar)
+    """Return what makes an argument shown by a word of its own; paths are checked by `check_paths`."""
+    return Parameter(name=name, metavar=metavar, validator=check_paths)
 
 
 def output(metavar: str) -> Parameter:
     """Return what makes the option ``-o``."""
-    return Parameter(name=("--output", "-o"), metavar=metavar)
+    return Parameter(name=("--output", "-o"), metavar=metavar, validator=check_paths)
+
+
+def check_paths(_: Any, given: Any) -> None:
+    """Refuse paths that no system call takes, or that are nested too deep.
+
+    Raises
+    ------
+    ValueError
+        With a sentence.
+    """
+    for path in given if isinstance(given, list | tuple) else [given]:
+        if isinstance(path, Path):
+            if len(path.parts) > MOST_PARTS:
+                raise ValueError(f"{str(path)[:100]}... is {len(path.parts)} folders deep, more than {MOST_PARTS}; choose another place")
+            try:
+                path.stat()
+            except OSError as error:
+                if error.errno in (errno.ELOOP, errno.ENAMETOOLONG):
+                    raise ValueError(f"{str(path)[:100]} is no path that can be used ({error.strerror}); choose another place") from None
 
 
 def whole(text: str, low: int, high: int, what: str) -> int:

@@ -7,10 +7,12 @@ import threading
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from types import FrameType
+from typing import Any, TextIO, cast
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure
+from rhizotwin.scenes.said import DEBUG_VARIABLE, FULL, failure, printable
 
 EXIT_FAILED, EXIT_MISTAKE, EXIT_STOPPED = 1, 2, 130
 AFTER_STOP = {
@@ -55,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         words = sys.argv[1:] if arguments is None else list(arguments)
         command = words[0] if words else ""
         function, bound = command_line.bind(words)
-        function(*bound.args, **bound.kwargs)
+        with redirect_stdout(cast(TextIO, _Printed(sys.stdout))):
+            function(*bound.args, **bound.kwargs)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of the output (head, less) has left: nobody is there to be told.
@@ -68,6 +71,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
+
+
+class _Printed:
+    """Stdout for commands: names and texts in files from anybody neither steer a terminal nor end a command."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write text, a question mark for each control code that is no tab and ends no line."""
+        self._stream.write("".join(letter if letter in "\n\t" else printable(letter) for letter in text))
+        return len(text)
 
 
 def _loading(frame: FrameType | None) -> bool:
@@ -90,9 +108,7 @@ def _fail(sentence: str, code: int) -> int:
         sys.stderr.write("\n")  # behind the terminal's ^C
     if os.environ.get(DEBUG_VARIABLE):
         traceback.print_exc()
-    # names may steer it
-    shown = "".join(letter if letter.isprintable() else "?" for letter in " ".join(sentence.split()))
-    sys.stderr.write(f"rhizotwin: {shown}\n")
+    sys.stderr.write(f"rhizotwin: {printable(' '.join(sentence.split()))}\n")
     return code
 
 

@@ -15,6 +15,7 @@ from cyclopts.exceptions import (
     UnknownCommandError,
     UnknownOptionError,
     UnusedCliTokensError,
+    ValidationError,
 )
 
 from rhizotwin.commands import ALONE, COMMANDS, GROUPS, place
@@ -133,6 +134,8 @@ def _sentence(error: CycloptsError, words: Sequence[str]) -> str:
             return f"{name}: {error.msg}"
         choices = get_args(error.target_type)
         return f"{name}: {value!r} is unknown, choose one of {', '.join(choices)}" if choices else f"{name}: {value!r} cannot be read"
+    if isinstance(error, ValidationError):
+        return f"{name}: {error.exception_message}"
     if isinstance(error, UnknownOptionError):
         word = error.token.keyword or error.token.value
         known = [other for one in error.argument_collection for other in one.names]

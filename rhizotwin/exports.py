@@ -64,7 +64,7 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
         raise UserError(f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)")
     if roots is not None and suffix not in MESHES:
         raise UserError(f"{output}: --roots is for meshes; give {', '.join(MESHES)}, or leave it out")
-    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+    if output.exists() and (suffix or not output.is_dir()):  # `new_folder` knows what a folder may hold, and recovers it
         raise UserError(f"{output} exists already; choose another name")
     summary = result_files.read_summary(result_folder)
     if suffix in writers:

@@ -20,6 +20,7 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.picture_damage import is_sealed
 from rhizotwin.scenes.pictures import Grey, decode_grey, encode_light_png
 from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.unlike_rows import LEAST, Turn
 
 MOST_CLIPPED = 0.05
@@ -330,10 +331,7 @@ def _clipped(grey: Grey) -> float:
 
 def _read(path: Path, scene: Scene) -> tuple[bytes, Grey]:
     """Return a file's bytes and its grey picture, which must be whole and of the camera's size."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    data = read_file(path, most_mib=MOST_PICTURE_MIB)
     return data, decode_grey(data, where=str(path), image_wh=scene.camera.image_wh)
 
 

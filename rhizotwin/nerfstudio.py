@@ -16,6 +16,7 @@ import numpy as np
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.reading import read_file
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
@@ -45,8 +46,8 @@ def read_cameras(path: Path, camera: Camera) -> GivenCameras:
         motion.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_file(path).decode()
+    except UnicodeDecodeError as error:
         raise UserError(f"{path} cannot be read; give a transforms.json in nerfstudio's form") from error
     try:
         given = json.loads(text)

@@ -31,6 +31,8 @@ def list_pictures(folder: Path, *, suffixes: tuple[str, ...] = SUFFIXES) -> list
     if not paths:
         raise UserError(f"{folder} holds no picture ({', '.join(suffixes)}); give the folder that holds them")
     for path in paths:
+        if path.is_symlink():
+            raise UserError(f"{folder} holds {path.name}, which is a link; put the picture itself in its place")
         if not path.name.isprintable():  # bytes that are no UTF-8 are not, either
             raise UserError(f"{folder} holds {path.name!a}, whose name is no UTF-8 text that can be shown; rename it")
     by_stem: dict[str, Path] = {}

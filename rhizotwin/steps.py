@@ -12,7 +12,7 @@ from rhizotwin import engine
 from rhizotwin.arguments import Page, Progress
 from rhizotwin.front_door import reconstruct
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import contents, new_folder, tidy
+from rhizotwin.scenes.folders import contents, new_folder, recover
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings
@@ -62,19 +62,27 @@ def open_page(address: str, port: int, page: Page) -> None:
         webbrowser.open(address)
 
 
-def _refuse_place(output: Path, dataset: Path) -> None:
-    """Refuse a result folder in which something would be lost."""
+def refuse_place(output: Path, source: Path) -> None:
+    """Recover the folder of a result that is to be written; refuse one in which something would be lost.
+
+    Parameters
+    ----------
+    output : Path
+        The result's folder.
+    source : Path
+        The dataset or result that it is made from.
+    """
     from rhizotwin.recon.results.result_files import RESULT_NAMES
 
-    tidy(output)
+    recover(output)
     there = contents(output)
     if there and not (output / "result.json").is_file():
         raise UserError(f"{output} holds something that is no result; choose a new folder for the result")
     strange = [name for name in there if name not in RESULT_NAMES]
     if strange:
         raise UserError(f"{output} holds {strange[0]} beside an earlier result, which would be lost; move it away or choose a new folder")
-    if output.resolve() == dataset.resolve() or output.resolve() in dataset.resolve().parents:
-        raise UserError(f"the result would overwrite the dataset {dataset}; choose another folder for the result")
+    if output.resolve() == source.resolve() or output.resolve() in source.resolve().parents:
+        raise UserError(f"the result would overwrite {source}, which it is made from; choose another folder for the result")
 
 
 @contextmanager
@@ -124,7 +132,7 @@ def reconstruct_whole(
     UserError
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
-    _refuse_place(output, dataset)
+    refuse_place(output, dataset)
     from rhizotwin.recon.results import report
     from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
     from rhizotwin.recon.scoring.score import truth_mesh_path
@@ -135,11 +143,11 @@ def reconstruct_whole(
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
     chosen = chosen if pictures is None else replace(chosen, pictures=pictures)
+    # once: what happens to the folder meanwhile does not change what the result was made from
+    loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
     if truth_mesh is not None:
         read_mesh(truth_mesh)  # a damaged one is named now, not after the work
-    # once: what happens to the folder meanwhile does not change what the result was made from
-    loaded = load_dataset(dataset)
     with new_folder(output, replaces=RESULT_NAMES) as building, _old_left_alone():
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import try_lock
+from rhizotwin.scenes.lock import NO_LINK, try_lock
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,10 +23,10 @@ TEMPORARY = r"\..+\.[0-9]+-[0-9a-f]{8}\.tmp"
 """What the names of `beside` look like."""
 
 
-def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
+def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: bool = True) -> None:
     """Write a file atomically.
 
-    Missing parent folders are made, a link is followed, a device or pipe is written to as it is.
+    Missing parent folders are made, a device or pipe is written to as it is.
 
     Parameters
     ----------
@@ -36,15 +36,19 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False) -> None:
         Its whole content.
     new : bool
         Refuse to replace a file, also one that appears at this very moment.
+    follow : bool
+        Follow a link, as for a name that a person gives; else it is replaced, as for a name in a folder that may come
+        from anybody, and so is a device or pipe.
 
     Raises
     ------
     UserError
         When the disk is full or the place cannot be written; a file that was there before is left as it was.
     """
-    path, asked = Path(os.path.realpath(path)), path
+    asked = Path(path)
+    path = Path(os.path.realpath(asked)) if follow else Path(os.path.realpath(asked.parent), asked.name)
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():
+        if follow and path.exists() and not path.is_file() and not path.is_dir():
             if new:
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
             path.write_bytes(data)
@@ -83,7 +87,7 @@ def write_text(path: Path | str, text: str, *, new: bool = False) -> None:
     new : bool
         Refuse to replace a file that is there.
     """
-    write_bytes(path, text.encode("utf-8"), new=new)
+    write_bytes(path, text.encode("utf-8", "backslashreplace"), new=new)  # names of files may be no UTF-8
 
 
 def write_json(path: Path | str, value: Any) -> None:
@@ -181,7 +185,7 @@ def _remove_left(path: Path) -> None:
     for name in os.listdir(path.parent):  # noqa: PTH208 - names are enough
         if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
             with suppress(OSError):
-                descriptor = os.open(path.parent / name, os.O_WRONLY | os.O_CLOEXEC)
+                descriptor = os.open(path.parent / name, os.O_WRONLY | NO_LINK)
                 try:
                     if try_lock(descriptor):
                         (path.parent / name).unlink()

@@ -18,9 +18,10 @@ import numpy as np
 from rhizotwin.scenes.atomic import json_bytes, write_bytes
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError, parsers_words
-from rhizotwin.scenes.folders import tidy
+from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey, decode_light
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.transfer import LINEAR, Curve, of_camera, stated_in
 
@@ -100,11 +101,12 @@ def load_dataset(folder: Path | str) -> Dataset:
     path = folder / "dataset.json"
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder; a dataset is made by `rhizotwin simulate` or `rhizotwin import`")
-    tidy(folder)
     if not path.is_file():
+        check_readable(folder, deep=False)
         raise UserError(
             f"{folder}: has no dataset.json, so it is no dataset (unfinished?); make one with `rhizotwin simulate` or `rhizotwin import`"
         )
+    check_readable(folder)
     data = read_file(path)
     mapping = parse_versioned_json(data, path, SCHEMA_VERSION)
     place = Place(str(path))
@@ -178,12 +180,9 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
         one.
     """
     path = dataset.folder / frame.file
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: the picture is missing; restore it or take it out of dataset.json") from error
-    except OSError as error:
-        raise UserError(f"{path}: the picture cannot be read ({error.strerror})") from error
+    if not path.exists():
+        raise UserError(f"{path}: the picture is missing; restore it or take it out of dataset.json")
+    data = read_file(path, most_mib=MOST_PICTURE_MIB)
     if dataset.masks:
         curve = LINEAR
     stated = curve or stated_in(data) or of_camera(dataset.scene.camera)
@@ -197,6 +196,8 @@ def read_image(dataset: Dataset, frame: Frame, *, curve: Curve | None = None) ->
 
 def sha256_of(path: Path | str) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
+    if not Path(path).is_file():
+        raise UserError(f"{path}: cannot be read (there is no such file)")
     try:
         with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -207,14 +208,6 @@ def sha256_of(path: Path | str) -> str:
 def read_versioned_json(path: Path, version: int) -> dict[str, Any]:
     """Read a JSON object with a ``schema_version``; refuse other versions and damaged files by name."""
     return parse_versioned_json(read_file(path), path, version)
-
-
-def read_file(path: Path) -> bytes:
-    """Return a file's bytes; UserError where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def parse_versioned_json(data: bytes, path: Path, version: int) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError, parsers_words
 from rhizotwin.scenes.model import Disturbances, Scene
+from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.schema import Place, from_plain, suggestion, to_plain
 from rhizotwin.scenes.specimens import MeshSpecimen, RsmlSpecimen, Specimen
 
@@ -162,11 +163,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     if path.is_dir():
         raise UserError(f"{path}: is a folder, but a TOML file is needed")
     try:
-        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+        text = read_file(path).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     try:

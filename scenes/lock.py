@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import socket
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,12 +17,20 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.said import printable
 
 if sys.platform != "win32":
     import fcntl
 
 MOST_TRIES = 100
 """Each try ends by another process that takes or leaves the same lock at the same moment."""
+MOST_LETTERS = 64
+"""Of each of a holder's words; names of computers have at most 64 on Linux."""
+NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Opens what may be a pipe, and waits for nobody."""
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
+"""Opens a file in a folder that may come from anybody."""
+_NO_LOCK = "{path}: is a link or no plain file, so that this program did not make it; remove it and run again"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
@@ -44,14 +53,14 @@ def locked(path: Path, *, what: str) -> Iterator[bool]:
     Raises
     ------
     UserError
-        When another process holds it; the message names process and computer.
+        When another process holds it; the message names process and computer. When it is a link or no plain file.
     OSError
         When the file cannot be made.
     """
     descriptor, left = _take(path, what)
     try:
         if left is not None:
-            logging.getLogger(__name__).warning("%s: %s left it unfinished; taken over", what, _holder(left))
+            logging.getLogger(__name__).warning("%s: %s left it unfinished; taken over", printable(what), _holder(left))
         said = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, json.dumps(said).encode(), 0)
@@ -85,12 +94,19 @@ def _take(path: Path, what: str) -> tuple[int, bytes | None]:
             descriptor, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644), True
         except FileExistsError:
             try:
-                descriptor, new = os.open(path, os.O_RDWR | os.O_CLOEXEC), False
+                descriptor, new = os.open(path, os.O_RDWR | NO_LINK), False
             except FileNotFoundError:  # given back meanwhile
                 continue
+            except OSError as error:
+                if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
+                    raise UserError(_NO_LOCK.format(path=path)) from None
+                raise
         except FileNotFoundError:  # its folder was removed meanwhile
             continue
         try:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+                raise UserError(_NO_LOCK.format(path=path))
             free = try_lock(descriptor)
             said = os.pread(descriptor, 4096, 0)
             if free is None:
@@ -118,7 +134,8 @@ def _holder(said: bytes) -> str:
     words = _words(said)
     if not {"pid", "host", "since"} <= words.keys():
         return "another process"
-    return f"process {words['pid']} on {words['host']} (since {words['since']})"
+    pid, host, since = (printable(str(words[key]))[:MOST_LETTERS] for key in ("pid", "host", "since"))
+    return f"process {pid} on {host} (since {since})"
 
 
 def _is_over(said: bytes) -> bool:

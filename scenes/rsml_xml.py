@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 
 
 def parse(path: Path) -> ET.Element:
@@ -23,12 +24,8 @@ def parse(path: Path) -> ET.Element:
 
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(read_file(path), True)
         return builder.close()
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise UserError(f"{path}: is no RSML file: not valid XML ({error})") from error
 

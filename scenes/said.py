@@ -40,6 +40,11 @@ def rounded(value: float, digits: int = 3) -> str:
     return f"{round(value, last):.{max(0, last)}f}"
 
 
+def printable(text: str) -> str:
+    """Return text that cannot steer a terminal, whoever wrote it: a question mark for each control code."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 def failure(error: BaseException) -> str:
     """Return the sentence that explains an error to who can do something about it."""
     if isinstance(error, UserError):

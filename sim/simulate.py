@@ -76,7 +76,8 @@ def simulate(
     if seed < 0:
         raise UserError(f"seed {seed} is negative, give 0 or a positive whole number")
     samples = checked_samples(fidelity, samples)
-    solid = build_specimen(scene)
+    with (monitor := Monitor.of(monitor)).stage("specimen"):
+        solid = build_specimen(scene, monitor=monitor)
     settings = {
         "profile": profile_name,
         "seed": seed,
@@ -90,11 +91,10 @@ def simulate(
         done = _take_up(folder, settings)
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
-        frames = _render_frames(folder, scene, world, solid, settings, done, monitor=Monitor.of(monitor))
+        frames = _render_frames(folder, scene, world, solid, settings, done, monitor=monitor)
         save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
-        dataset = Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin)
-        return save_dataset(dataset)
+        return save_dataset(Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin))
 
 
 def _render_frames(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -25,6 +26,9 @@ SPLIT_TURN_RAD = 2.0
 KINK_RAD = 0.6
 """A single bend beyond this, or inside the tube's own radius, is a joint of two tubes with round ends."""
 
+MOST_AT_ONCE = 250
+"""Tubes that are united in one call, which neither reports progress nor can be stopped: plants of the library have 207
+at most, and so many that all cross each other take 20 s. More are united by twos."""
 LEAST_MM = 1e-3
 """Thinner tubes (files may taper to nothing) are given this diameter, far below what a picture or the volume can
 tell."""
@@ -128,14 +132,32 @@ def pieces(root: Root) -> list[tuple[Array, Array]]:
     return [(points_mm[a : b + 1], radii_mm[a : b + 1]) for a, b in pairwise(cuts)]
 
 
-def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0) -> manifold3d.Manifold:
-    """Unite the tubes of roots, all radii times ``scale``, into one solid."""
+def union_of_roots(roots: Sequence[Root], *, scale: float = 1.0, monitor: Monitor | None = None) -> manifold3d.Manifold:
+    """Unite the tubes of roots, all radii times ``scale``, into one solid.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        With diameters.
+    scale : float
+        Of all radii.
+    monitor : Monitor, optional
+        Hears how far it is, where there are many, and may stop it.
+    """
     tubes: list[manifold3d.Manifold] = []
     for root in roots:
         for points_mm, radii_mm in pieces(root):
             tubes.append(manifold_of(*tube(points_mm, scale * radii_mm, sides=SIDES)))
     if not tubes:
         raise UserError("The specimen has no root with a length: there is nothing to put into the water.")
+    if len(tubes) > MOST_AT_ONCE:
+        with (monitor or Monitor()).steps("specimen", len(tubes) - 1, "tube") as step:
+            while len(tubes) > 1:
+                pairs = [manifold3d.Manifold.batch_boolean(tubes[k : k + 2], manifold3d.OpType.Add) for k in range(0, len(tubes), 2)]
+                for pair in pairs[: len(tubes) // 2]:
+                    pair.status()  # until somebody asks, nothing is united
+                    step()
+                tubes = pairs
     return manifold3d.Manifold.batch_boolean(tubes, manifold3d.OpType.Add)
 
 
@@ -152,7 +174,7 @@ def surface_of(solid: manifold3d.Manifold) -> tuple[Array, Faces]:
 
 
 def scale_to_volume(
-    roots: Sequence[Root], volume_mm3: float, *, tolerance: float = 1e-7, rounds: int = 12
+    roots: Sequence[Root], volume_mm3: float, *, tolerance: float = 1e-7, rounds: int = 12, monitor: Monitor | None = None
 ) -> tuple[manifold3d.Manifold, list[Root], float]:
     """Scale all radii by one factor until the union of the tubes has a volume.
 
@@ -166,6 +188,8 @@ def scale_to_volume(
         Relative; the union is exact, so this is all that is left.
     rounds : int
         Unions to try before giving up.
+    monitor : Monitor, optional
+        See `union_of_roots`.
 
     Returns
     -------
@@ -183,7 +207,7 @@ def scale_to_volume(
     previous: tuple[float, float] | None = None
     log_scale, slope = 0.0, 2.0
     for _ in range(rounds):
-        solid = union_of_roots(roots, scale=float(np.exp(log_scale)))
+        solid = union_of_roots(roots, scale=float(np.exp(log_scale)), monitor=monitor)
         miss = float(np.log(solid.volume() / volume_mm3))
         if abs(miss) < tolerance:
             scale = float(np.exp(log_scale))

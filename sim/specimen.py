@@ -11,6 +11,7 @@ import trimesh
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, RsmlFile, read_file
 from rhizotwin.scenes.schema import to_plain
@@ -86,7 +87,7 @@ def sleeve(solid: SpecimenSolid, hair_mm: float) -> Sleeve | None:
     return Sleeve(vertices=vertices, faces=faces)
 
 
-def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid:
+def build_specimen(scene: Scene, *, folder: Path | None = None, monitor: Monitor | None = None) -> SpecimenSolid:
     """Build the solid of a scene's specimen.
 
     Parameters
@@ -95,6 +96,8 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
         Its specimen, and the canister, water and net pot that hold it.
     folder : path or None
         Where relative paths of specimen files start; None: the working directory.
+    monitor : Monitor, optional
+        Hears how far it is, and may stop it.
 
     Returns
     -------
@@ -107,13 +110,13 @@ def build_specimen(scene: Scene, *, folder: Path | None = None) -> SpecimenSolid
         A file cannot be used, a volume cannot be reached, or the specimen leaves the water.
     """
     if scene.plants:
-        parts = [_planted(plant, scene, folder) for plant in scene.plants]
+        parts = [_planted(plant, scene, folder, monitor) for plant in scene.plants]
         what = "the plants"
         solid = manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
     else:
         if scene.specimen is None:
             raise UserError(f"scene {scene.name!r} has no specimen: add a [specimen] to its file, or give one with --specimen FILE")
-        parts = [_one(scene.specimen, scene, folder)]
+        parts = [_one(scene.specimen, scene, folder, monitor)]
         what, solid = parts[0].what, parts[0].solid
     roots, notes = _together([part.roots for part in parts]), [note for part in parts for note in part.notes]
     vertices, faces = solids.surface_of(solid)
@@ -147,12 +150,12 @@ class _Part:
     notes: tuple[str, ...] = ()
 
 
-def _planted(plant: Plant, scene: Scene, folder: Path | None) -> _Part:
+def _planted(plant: Plant, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
     """Build one of several plants where it hangs."""
     specimen = plant.placed()
     if specimen is None:
         raise UserError(f"plant {plant.plant} of scene {scene.name!r} has no specimen: add a [plants.specimen] below its [[plants]]")
-    part = _one(specimen, scene, folder)
+    part = _one(specimen, scene, folder, monitor)
     return replace(part, what=f"plant {plant.plant}", roots=tuple(replace(root, plant=plant.plant) for root in part.roots))
 
 
@@ -174,13 +177,13 @@ def _traits(solid: manifold3d.Manifold, roots: Sequence[Root]) -> dict[str, Any]
     return measured
 
 
-def _one(specimen: Specimen, scene: Scene, folder: Path | None) -> _Part:
+def _one(specimen: Specimen, scene: Scene, folder: Path | None, monitor: Monitor | None) -> _Part:
     """Build one specimen."""
     if isinstance(specimen, SphereSpecimen):
         return _Part("the sphere", _sphere(specimen))
     if isinstance(specimen, GrownSpecimen):
         grown = growth.grow(specimen, canister=scene.canister, net_pot=scene.net_pot)
-        solid, grown, _ = solids.scale_to_volume(grown, 1000.0 * specimen.volume_ml)
+        solid, grown, _ = solids.scale_to_volume(grown, 1000.0 * specimen.volume_ml, monitor=monitor)
         return _Part("the grown plant", solid, tuple(grown))
     path = _locate(specimen.file, folder)
     what = str(path)
@@ -191,7 +194,7 @@ def _one(specimen: Specimen, scene: Scene, folder: Path | None) -> _Part:
             notes.append(f"{what}: {placing.said_size(solids.surface_of(solid)[0])} mm (x, y, z) as it stands.")
         return _Part(what, solid, (), tuple(notes))
     roots, notes = _traced(path, specimen, scene)
-    solid = solids.union_of_roots(roots)
+    solid = solids.union_of_roots(roots, monitor=monitor)
     roots, shared_mm = once(roots)
     if shared_mm > 0.0:
         notes.append(f"{what}: {shared_mm:.0f} mm that several roots share are counted once.")

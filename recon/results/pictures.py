@@ -19,6 +19,7 @@ from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.said import printable
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -79,7 +80,7 @@ def for_screen(dataset: Dataset, file: str) -> Floats | None:
     try:
         picture = read_image(dataset, next(frame for frame in dataset.frames if frame.file == file)).astype(np.float64)
     except UserError as error:
-        logging.getLogger(__name__).warning("%s; the report leaves this picture out", error)
+        logging.getLogger(__name__).warning("%s; the report leaves this picture out", printable(str(error)))
         return None
     picture /= max(np.percentile(picture, 99.8), 1.0)
     # linear in light, which screens are not

@@ -2,6 +2,8 @@
 
 import io
 import json
+import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -12,9 +14,10 @@ from numpy.typing import NDArray
 from rhizotwin.recon.results import plain_ply, summary_checks
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.folders import tidy
+from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
 from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
@@ -26,6 +29,9 @@ Json: TypeAlias = dict[str, Any]
 """An object of JSON: what a key holds, its reader knows."""
 SCHEMA_VERSION = 1
 """Of ``result.json``; it grows when what a key means changes."""
+MOST_SHAPE_MIB = 512
+"""Of a result's shape when unpacked, 40 bytes a leaf with the hull's, and of its surface, 25 bytes a triangle: 13
+million leaves, which stay within 2 GiB of memory."""
 RESULT_NAMES = (
     *("result.json", "shape.npz", "shape.ply", "roots.rsml", "traits.csv", "traits.json"),
     *("silhouettes", "seen", "pictures", "report.html", "score.json", "corrected.json", "stages"),
@@ -78,12 +84,13 @@ class Mesh:
 def read_summary(folder: Path) -> Json:
     """Return ``result.json`` of a result folder; UserError where it is missing, damaged or of another version."""
     path = Path(folder) / "result.json"
-    tidy(Path(folder))
     if not path.is_file():
+        check_readable(Path(folder), deep=False)
         raise UserError(f"{path} does not exist; give the folder that `rhizotwin reconstruct DATASET -o RESULT` wrote.")
+    check_readable(Path(folder))
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError, OSError) as error:
+        summary = json.loads(read_file(path).decode())
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not readable JSON ({error}); reconstruct again.") from None
     if not isinstance(summary, dict) or summary.get("schema_version") != SCHEMA_VERSION:
         version = summary.get("schema_version") if isinstance(summary, dict) else None
@@ -91,6 +98,26 @@ def read_summary(folder: Path) -> Json:
     if said := summary_checks.wrong(summary):
         raise UserError(f"{path} {said}; reconstruct again.")
     return summary
+
+
+def results_in(folders: Sequence[Path]) -> list[Path]:
+    """Return the results that folders are or hold, such as those of a batch.
+
+    Raises
+    ------
+    UserError
+        Where a folder holds none; a path that is no folder is left to who reads it.
+    """
+    found: list[Path] = []
+    for folder in folders:
+        inside = [folder]
+        if folder.is_dir() and not (folder / "result.json").is_file():
+            check_readable(folder, deep=False)
+            inside = sorted(path.parent for path in folder.glob("[!.]*/result.json"))
+        if not inside:
+            raise UserError(f"{folder}: result.json does not exist; give a folder that `rhizotwin reconstruct` or `rhizotwin batch` wrote.")
+        found += inside
+    return found
 
 
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
@@ -112,6 +139,7 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
         raise UserError(f"{path} does not exist; reconstruct again.")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            _check_unpacked(path, stored.zip.infolist())
             leaves = Leaves(
                 low=stored[f"{prefix}leaves"],
                 size=stored[f"{prefix}size"],
@@ -119,6 +147,8 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
                 origin_mm=stored["origin_mm"].astype(np.float64),
                 voxel_mm=float(stored["voxel_mm"]),
             )
+    except UserError:
+        raise
     except Exception as error:  # noqa: BLE001 - a damaged archive raises zipfile, zlib, key and value errors
         raise UserError(f"{path} is damaged ({error}); reconstruct again.") from None
     count = len(leaves.low)
@@ -128,6 +158,13 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
     if not count:
         raise UserError(f"{path} holds no leaves: nothing was reconstructed, so there is nothing to look at.")
     return leaves
+
+
+def _check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
+    """Refuse an archive that would fill the memory, before it is unpacked."""
+    size_mib = sum(part.file_size for part in parts) / 2**20
+    if size_mib > MOST_SHAPE_MIB:
+        raise UserError(f"{path} holds {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; reconstruct with larger voxels.")
 
 
 def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
@@ -151,6 +188,7 @@ def read_mesh(path: Path) -> Mesh:
     """Return a mesh file's vertices and faces; UserError where it is missing, damaged or without faces."""
     if not Path(path).is_file():
         raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
+    check_size(path, Path(path).stat(), most_mib=MOST_SHAPE_MIB)
     try:
         plain = plain_ply.read(Path(path))
         mesh = _of_any_kind(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
@@ -179,7 +217,7 @@ def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
     """Return a grey 8 or 16 bit picture (H, W) scaled to 0..1; UserError where missing, damaged or of another size."""
     if not path.is_file():
         raise UserError(f"{path} does not exist; make its folder again.")
-    picture = decode_grey(path.read_bytes(), where=str(path))
+    picture = decode_grey(read_file(path, most_mib=MOST_PICTURE_MIB), where=str(path))
     if image_wh is not None and picture.shape != image_wh[::-1]:
         height, width = picture.shape
         raise UserError(f"{path} is {width}x{height} pixels, but the camera's pictures are {image_wh[0]}x{image_wh[1]}.")

@@ -8,6 +8,7 @@ with a sentence.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,10 @@ def connected(where: str, jobs: Sequence[Job], *, workers: int | None) -> Iterat
     except ModuleNotFoundError:
         raise UserError("--cluster needs Dask: pip install 'rhizotwin[cluster]'") from None
     if where == SLURM:
+        if shutil.which("sbatch") is None:
+            raise UserError(
+                "--cluster slurm: there is no sbatch on this computer; run it where SLURM is, or give a Dask scheduler's address"
+            )
         with slurm(jobs) as cluster, Client(cluster) as client:
             cluster.scale(jobs=min(len(jobs), workers or len(jobs)))
             yield client

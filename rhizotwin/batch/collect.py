@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from rhizotwin import sources
 from rhizotwin.batch import places
 from rhizotwin.batch.jobs import Job, key_of, named
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.model import Scene
 
@@ -36,7 +38,7 @@ def reconstructions(scans: Sequence[str], results: str, *, voxel_mm: float | Non
     code = sources.digest(("rhizotwin.recon.reconstruct",))
     jobs = []
     for name, dataset in zip(named(found), found, strict=True):
-        data = places.read(places.join(dataset, places.HEAD)) or b""
+        data = _head(dataset)
         told = {key: value for key, value in options.items() if key != "device"} | {"dataset": hashlib.sha256(data).hexdigest()}
         key, output = key_of(told, code=code), places.join(results, name)
         jobs.append(Job(name=name, kind="reconstruct", source=dataset, output=output, key=key, pixels=_pixels(data), options=options))
@@ -76,7 +78,16 @@ def renderings(scenes: Mapping[str, Scene], datasets: str, *, profile: str, seed
 
 
 def _resolved(dataset: str) -> str:
-    return dataset if places.is_address(dataset) else str(Path(dataset).resolve())
+    return dataset if places.is_address(dataset) else os.path.realpath(dataset)
+
+
+def _head(dataset: str) -> bytes:
+    """Return a dataset's manifest; nothing where it is a link or cannot be read, so that this scan fails by itself."""
+    head = places.join(dataset, places.HEAD)
+    try:
+        return b"" if os.path.islink(head) else places.read(head) or b""  # noqa: PTH114 - may be an address
+    except UserError:
+        return b""
 
 
 def _checked(settings: Path) -> str:

@@ -16,8 +16,8 @@ from rhizotwin.scenes.errors import UserError
 Kind = Literal["reconstruct", "simulate"]
 State = Literal["done", "failed", "again"]
 
-RECORDS = "jobs"
-"""Folder of the records beside the outputs."""
+RECORDS = ".rhizotwin-jobs"
+"""Folder of the records beside the outputs; hidden, so that it is not taken for one."""
 HEADS: dict[str, str] = {"reconstruct": "result.json", "simulate": "dataset.json"}
 """The file that tells that an output is whole."""
 
@@ -89,7 +89,7 @@ def is_done(job: Job) -> bool:
     data = places.read(job.record)
     try:
         record = {} if data is None else json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         record = {}
     same = isinstance(record, dict) and record.get("key") == job.key and record.get("state") == "done"
     return same and places.exists(places.join(job.output, HEADS[job.kind]))
@@ -121,4 +121,4 @@ def named(sources: Sequence[str]) -> list[str]:
     same = sorted({name for name in names if names.count(name) > 1})
     if same:
         raise UserError(f"two scans would have the name {same[0]}; rename one of their folders")
-    return [name if name != RECORDS else f"{name}-scan" for name in names]
+    return names

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 
 from rhizotwin.batch.jobs import Job
+from rhizotwin.batch.run import OVERVIEW
 from rhizotwin.recon.results import assessments, result_files, result_traits
 from rhizotwin.report import words
 from rhizotwin.scenes import atomic, subject, trait_table
@@ -17,7 +18,7 @@ from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits
 
-TABLE, PAGE = "traits.csv", "overview.html"
+TABLE, PAGE = OVERVIEW
 THUMBNAIL_PX = 180
 MOST_NAMED = 5
 """Scans that are named in a sentence; the page has all."""

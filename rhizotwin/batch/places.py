@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -27,7 +29,7 @@ def join(place: str, *names: str) -> str:
 
 def name_of(place: str) -> str:
     """Return a place's last name, also of ``.``."""
-    return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(place).resolve().name
+    return place.rstrip("/").rpartition("/")[2] if is_address(place) else Path(os.path.realpath(place)).name
 
 
 def find_datasets(source: str) -> list[str]:
@@ -63,12 +65,12 @@ def _matches(pattern: Path) -> list[Path]:
 
 def read(place: str) -> bytes | None:
     """Return a file's bytes; None where there is no such file."""
+    if not is_address(place):
+        return read_file(place) if os.path.lexists(place) else None
+    system, path = _system(place)
     try:
-        if is_address(place):
-            system, path = _system(place)
-            return bytes(system.cat_file(path))
-        return Path(place).read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
+        return bytes(system.cat_file(path))
+    except FileNotFoundError:
         return None
 
 

@@ -11,10 +11,14 @@ from tqdm import tqdm
 from rhizotwin.batch import jobs as listed
 from rhizotwin.batch import local, places
 from rhizotwin.batch.jobs import Job
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import locked
+from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.terminal import COLOUR
 
 LOCK = ".rhizotwin-batch-lock"
+OVERVIEW = ("traits.csv", "overview.html")
+"""What `batch.overview` writes beside the outputs."""
 _FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
 
 
@@ -51,6 +55,7 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
     with ExitStack() as stack:
         if not places.is_address(folder):
             stack.enter_context(locked(Path(folder) / LOCK, what=folder))
+            _refuse_links(Path(folder), jobs)
         kept = [job for job in jobs if listed.is_done(job)]
         waiting = [job for job in jobs if job not in kept]
         if not waiting:
@@ -69,6 +74,14 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
                     failed.append((job, outcome.sentence))
                 bar.step(job, outcome.sentence or f"done in {outcome.seconds:.0f} s")
     return Batch(kept=tuple(kept), done=tuple(done), failed=tuple(failed))
+
+
+def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
+    """Refuse to write through links, which a folder from somebody else may hold."""
+    names = {listed.RECORDS, *(f"{listed.RECORDS}/{job.name}.json" for job in jobs), *(job.name for job in jobs), *OVERVIEW}
+    linked = next((folder / name for name in sorted(names) if (folder / name).is_symlink()), None)
+    if linked is not None:
+        raise UserError(f"{linked}: is a link, through which a batch does not write; remove it, or give the folder that it leads to")
 
 
 class _Bar:
@@ -93,7 +106,7 @@ class _Bar:
         """Tell that a job is over."""
         self._count += 1
         if self._bar is None:
-            sys.stderr.write(f"{self._count} of {self._total}: {job.name}: {said}\n")
+            sys.stderr.write(f"{self._count} of {self._total}: {printable(f'{job.name}: {said}')}\n")
             sys.stderr.flush()
         else:
             self._bar.set_description_str(f"{self._count} of {self._total}", refresh=False)

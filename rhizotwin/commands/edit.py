@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+from rhizotwin import steps
 from rhizotwin.arguments import OutputResult, Progress, ResultFolder, named
 from rhizotwin.scenes.errors import UserError
 
@@ -40,8 +41,7 @@ def edit(
     """
     if output.resolve() == result.resolve():
         raise UserError(f"{output} is the result itself, which stays as it is; choose another folder")
-    if output.is_file() or (output.is_dir() and any(output.iterdir()) and not (output / "result.json").is_file()):
-        raise UserError(f"{output} holds something that is no result; choose a new folder")
+    steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
     from rhizotwin.recon.results import result_files, result_traits
@@ -56,13 +56,11 @@ def edit(
         found = load_dataset(dataset or Path(str(session.summary["dataset"])))
         result_files.check_same_scan(session.summary["dataset_sha256"], session.summary["scene"], result, found)
         session.refit = refit.fitter(result, found)
-    with progress.bar(corrections=2.0, measure=2.0, page=1.0) as bar:
+    with progress.bar(corrections=2.0, measure=3.0) as bar:
         with bar.stage("corrections"):
             session.replay(made)
         with bar.stage("measure"):
-            summary = corrected.write(session, output, dataset=dataset)
-        with bar.stage("page"):
-            page.write(output, dataset=dataset)
+            summary = corrected.write(session, output, dataset=dataset, last=lambda folder: page.write(folder, dataset=dataset))
     print(f"{result_traits.edited(summary)}: {words.volume(summary)[0]}, in {output}")
     if not summary["volume_trusted"]:
         print(f"warning: {summary['volume_verdict']}")

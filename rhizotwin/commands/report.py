@@ -5,6 +5,7 @@ from typing import Annotated
 
 from rhizotwin.arguments import Progress, named, output
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import recover
 
 
 def report(
@@ -24,7 +25,7 @@ def report(
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct'.
+        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch'.
     page : Path, optional
         Where to write the page; needed for more than one result.
     dataset : Path, optional
@@ -37,6 +38,11 @@ def report(
     rhizotwin report my_result
     rhizotwin report day_1 day_2 day_3 -o plant.html
     """
+    if page is None:
+        recover(results[0])
+    from rhizotwin.recon.results import result_files
+
+    results = result_files.results_in(results)
     if page is None and len(results) > 1:
         raise UserError("one page for many results needs a name: give it with -o FILE.html")
     if dataset is not None and len(results) > 1:

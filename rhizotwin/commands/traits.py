@@ -23,13 +23,12 @@ def traits(
     Print a result's traits (lengths, diameters, depth, width, angles, ...) with their units, each with its 90 %
     interval, or "not reliable" or "not assessed". With -o they go to a file: .csv has one row a result (one a plant,
     where several share a canister) and one column a trait, its unit in the head, then intervals and verdicts; .json has
-    every number, histograms too. Traits of centre lines are empty for shapes in which no roots were found, such as
-    spheres.
+    every number, histograms too. Traits of centre lines are empty where no roots were found, as for spheres.
 
     Parameters
     ----------
     results : list of Path
-        Folders made by 'rhizotwin reconstruct'.
+        Folders made by 'rhizotwin reconstruct', or that hold some, as of 'rhizotwin batch'.
     mass_g : tuple of float, optional
         Mass of the roots, one a result in their order; default: as given to 'rhizotwin reconstruct'.
     table : Path, optional
@@ -42,15 +41,16 @@ def traits(
     rhizotwin traits my_result my_other_result -o traits.csv
     rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
     """
+    from rhizotwin.recon.results import result_files, result_traits
+    from rhizotwin.scenes import atomic
+
+    results = result_files.results_in(results)
     if mass_g is not None and len(mass_g) != len(results):
         raise UserError(f"--mass-g has {len(mass_g)} masses for {len(results)} results; give one for each, in their order")
     if table is not None and table.suffix.lower() not in (".csv", ".json"):
         raise UserError(f"{table} must end in .csv or .json")
     if table is not None and table.exists():
         raise UserError(f"{table} exists already; choose another name")
-    from rhizotwin.recon.results import result_files, result_traits
-    from rhizotwin.scenes import atomic
-
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
     masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]

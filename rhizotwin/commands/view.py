@@ -7,6 +7,7 @@ from typing import Annotated
 from rhizotwin import steps
 from rhizotwin.arguments import Page, named
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.folders import check_readable
 
 
 def view(
@@ -39,6 +40,7 @@ def view(
     datasets = [path for path in paths if path not in results and (path / "dataset.json").is_file()]
     strange = [path for path in paths if path not in results and path not in datasets]
     if strange:
+        check_readable(strange[0], deep=False)
         raise UserError(f"{strange[0]} is neither a result nor a dataset; give the folder that `rhizotwin reconstruct` wrote")
     if not results or len(datasets) > 1:
         raise UserError(f"{len(results)} results and {len(datasets)} datasets given; give one result or more, and at most one dataset")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,9 @@ def share(before_mm3: float, after_mm3: float) -> float:
     return after_mm3 / before_mm3 - 1.0 if before_mm3 > 0.0 else 0.0
 
 
-def write(session: Session, output: Path, *, dataset: Path | None = None) -> dict[str, Any]:
+def write(
+    session: Session, output: Path, *, dataset: Path | None = None, last: Callable[[Path], object] = lambda _: None
+) -> dict[str, Any]:
     """Write a corrected result as a folder; return the content of its ``result.json``.
 
     The causes of uncertainty keep their size relative to the volume: a correction makes no measurement more certain.
@@ -47,6 +50,8 @@ def write(session: Session, output: Path, *, dataset: Path | None = None) -> dic
         Folder to write: new, empty or an earlier result.
     dataset : path, optional
         The dataset, if it is not where the result says.
+    last : callable
+        Gets the folder before it appears, to add to it.
 
     Raises
     ------
@@ -70,6 +75,7 @@ def write(session: Session, output: Path, *, dataset: Path | None = None) -> dic
             atomic.write_text(building / name, text)
         summary |= {"traits": to_plain(traits)}
         atomic.write_json(building / "result.json", summary)
+        last(building)
     return summary
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import sha256_of
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 
 SCHEMA_VERSION = 1
 LOG_NAME = "edits.json"
@@ -94,21 +95,22 @@ def read(path: Path, result_folder: Path) -> Log:
     if not path.is_file():
         raise UserError(f"{path} does not exist; `rhizotwin view RESULT` writes one when you save corrections")
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = json.loads(read_file(path).decode())
         if not isinstance(stored, dict) or stored.get("schema_version") != SCHEMA_VERSION:
             raise ValueError(f"its schema_version is not {SCHEMA_VERSION}")
         log = Log(shape_sha256=str(stored["shape_sha256"]), edits=tuple(_edit(entry) for entry in stored["edits"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise UserError(f"{path} is no readable log of corrections ({error})") from None
     if log.shape_sha256 != sha256_of(result_folder / "shape.npz"):
         raise UserError(f"{path} belongs to another result than {result_folder}: reconstructing again makes other voxels and roots")
     return log
 
 
-def write(path: Path, log: Log) -> None:
-    """Write a log; it appears whole or not at all."""
+def write(path: Path, log: Log, *, follow: bool = True) -> None:
+    """Write a log; it appears whole or not at all; see `scenes.atomic.write_bytes`."""
     listed = [{key: value for key, value in asdict(entry).items() if value not in ((), None, False)} for entry in log.edits]
-    atomic.write_json(path, {"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
+    text = atomic.json_bytes({"schema_version": SCHEMA_VERSION, "shape_sha256": log.shape_sha256, "edits": listed})
+    atomic.write_bytes(path, text, follow=follow)
 
 
 def _edit(entry: Any) -> Edit:

@@ -155,7 +155,7 @@ class Session:
         """Write the log beside the result; the result itself stays as it is."""
         with self.lock:
             path = self.folder / logs.LOG_NAME
-            logs.write(path, self.log)
+            logs.write(path, self.log, follow=False)
             self._saved = self.log.edits
             return path
 

@@ -74,10 +74,9 @@ def read_all(sources: Sequence[Path]) -> list[Measured]:
         elif (source / "result.json").is_file():
             found += _of_folder(source)
         else:
-            inside = sorted(path.parent for path in source.glob("*/result.json"))
-            if not inside:
+            if not source.is_dir():
                 raise UserError(f"{source}: is no result, no folder of results, and no table (.csv) of traits")
-            found += [one for folder in inside for one in _of_folder(folder)]
+            found += [one for folder in result_files.results_in([source]) for one in _of_folder(folder)]
     return found
 
 

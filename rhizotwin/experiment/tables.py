@@ -10,8 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import read_file
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 
 SHIPPED = ("kliman_2022_masses.csv", "kliman_2022_volumes.csv")
 """Tables A.1 and 4.1 of the thesis; each names its source in its first lines."""

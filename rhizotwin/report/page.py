@@ -96,7 +96,8 @@ def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output:
     """
     read = _Read.of(Path(result_folder), dataset)
     path = Path(result_folder) / "report.html" if output is None else output
-    atomic.write_bytes(path, _whole(f"Roots of {read.name}", [_one(read)]).encode("utf-8", "backslashreplace"))
+    text = _whole(f"Roots of {read.name}", [_one(read)]).encode("utf-8", "backslashreplace")
+    atomic.write_bytes(path, text, follow=output is not None)
     return path
 
 

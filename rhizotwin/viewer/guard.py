@@ -96,11 +96,11 @@ def _guarded(token: str, is_open: threading.Event) -> Iterator[None]:
 
 def answer(token: str, inner: Answer, connection: Any, request: Request) -> Response | None:
     """Refuse a request without the token, turn one in the address into a cookie, and let ``inner`` answer the rest."""
-    host = request.headers.get("Host", "")
+    host = _only(request, "Host")
     name = f"rhizotwin_{host.rpartition(':')[2]}"
     asked = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-    is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
-    if is_socket and urlsplit(request.headers.get("Origin", "")).netloc != host:
+    is_socket = _only(request, "Upgrade").lower() == "websocket"
+    if not host or (is_socket and _netloc(_only(request, "Origin")) != host):
         return _refused()
     if not (_same(asked, token) or _same(_cookie(request, name), token)):
         return _refused()
@@ -115,13 +115,26 @@ def answer(token: str, inner: Answer, connection: Any, request: Request) -> Resp
     return found
 
 
+def _only(request: Request, name: str) -> str:
+    """Return a header's value; empty where it is missing or there several times, which no browser sends."""
+    values = request.headers.get_all(name)
+    return values[0] if len(values) == 1 else ""
+
+
+def _netloc(address: str) -> str:
+    try:
+        return urlsplit(address).netloc
+    except ValueError:
+        return ""
+
+
 def _same(given: str, token: str) -> bool:
     return hmac.compare_digest(given.encode(), token.encode())
 
 
 def _cookie(request: Request, name: str) -> str:
     try:
-        found = SimpleCookie(request.headers.get("Cookie", "")).get(name)
+        found = SimpleCookie(_only(request, "Cookie")).get(name)
     except CookieError:
         return ""
     return "" if found is None else found.value

@@ -201,6 +201,10 @@ def parse_fault(text: str) -> Fault:
                 values[key] = float(number)
             except ValueError:
                 raise UserError(f'fault "{text}": {key} must be a number, not {number!r}') from None
+            counts = key in ("at_message", "count", "joint")
+            if not int(counts) <= values[key] <= FOR_GOOD or (counts and values[key] % 1.0):
+                must = f"a whole number from 1 to {FOR_GOOD}" if counts else f"a number from 0 to {FOR_GOOD}"
+                raise UserError(f'fault "{text}": {key} must be {must}, not {number}')
         else:
             raise UserError(
                 f'fault "{text}": {word!r} is not understood; after {name} come {" or ".join(kind.devices)} and '

@@ -8,23 +8,24 @@ import argparse
 import collections
 import json
 import os
-import resource
 import shutil
-import signal
+import stat
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from rhizotwin import cli, command_line, engine
+from rhizotwin import command_line
+from tests.fuzz import folders
 from tests.fuzz.mutate import STRANGE, mutated
+from tests.fuzz.process import load, run
 
 CORPUS = Path(__file__).parent / "corpus"
-LIMIT_S = 60.0  # by the clock: on a machine with eight runs a processor, pages of results took 15
-LIMIT_MIB = 2048
+SIMULATE = ("simulate", "{corpus}/scene.toml", "--views", "1", "--image-wh", "32x24", "-o", "{out}/simulated")
 CHEAP = ("--part", "canister_ring")
 """The part whose drawing takes least: all of them take 45 s."""
 COMMANDS: dict[str, tuple[str, ...]] = {  # by the file that is damaged, its last word
@@ -42,11 +43,27 @@ COMMANDS: dict[str, tuple[str, ...]] = {  # by the file that is damaged, its las
     "result/shape.npz": ("export", "{corpus}/result", "-o", "{out}/root.nrrd"),
     "result/roots.rsml": ("export", "{corpus}/result", "-o", "{out}/root.rsml"),
     "result/traits.json": ("export", "{corpus}/result", "-o", "{out}/root.csv"),
+    "edits.json": ("edit", "{corpus}/result", "--apply", "{file}", "-o", "{out}/edited"),
+    "masses.csv": ("biomass", "fit", "{corpus}/traits.csv", "{file}", "-o", "{out}/model.json"),
+    "traits.csv": ("growth", "{file}", "-o", "{out}/growth"),
+    "specimen of result/roots.rsml": (*SIMULATE, "--specimen", "{file}"),
+    "specimen of result/shape.ply": (*SIMULATE, "--specimen", "{file}"),
+    "pictures of dataset/dataset.json": ("reconstruct", "{corpus}/dataset", "-o", "{out}/result"),
     **dict.fromkeys(
         ("eight.png", "sixteen.png", "colour.png", "picture.jpg", "deflate.tiff", "lzw.tiff", "bare.tif"),
         ("import", "{pictures}", "--scene", "{corpus}/scene.toml", "-o", "{out}/set"),
     ),
 }
+SPECIAL: tuple[Callable[[Path], object], ...] = (
+    os.mkfifo,
+    Path.mkdir,
+    lambda path: path.symlink_to(path.name),
+    lambda path: path.symlink_to("/dev/zero"),
+    lambda path: path.symlink_to("/dev/full"),
+    lambda path: os.truncate(os.open(path, os.O_WRONLY | os.O_CREAT), 2**36),
+)
+"""What stands in place of a file now and then: no file, or a huge one."""
+SPECIAL_SHARE = 0.07
 WORDS = (
     ("reconstruct", "{corpus}/dataset", "-o", "{out}/r", "--voxel-mm=1", "--mass-g=1"),
     ("simulate", "{corpus}/scene.toml", "-o", "{out}/d", "--seed=1", "--views=8", "--image-wh=32x24", "--samples=1"),
@@ -57,69 +74,21 @@ WORDS = (
 """Command lines whose words are damaged; they are read, and not carried out."""
 
 
-@dataclass(frozen=True)
-class Ended:
-    """How one command ended."""
-
-    code: int
-    seconds: float
-    mib: float
-    said: str
-
-    @property
-    def wrong(self) -> str:
-        """What must not be; empty where all is well."""
-        lines = [line for line in self.said.splitlines() if line.strip()]
-        if self.seconds >= LIMIT_S:
-            return "hangs"
-        if self.code not in (0, cli.EXIT_MISTAKE):
-            return f"exit {self.code}"
-        if "Traceback" in self.said or "unexpected error" in self.said:
-            return "traceback"
-        if self.mib > LIMIT_MIB:
-            return "memory"
-        strange = [line for line in lines if not line.startswith("rhizotwin: ") and "%|" not in line]
-        return "strange lines" if self.code == cli.EXIT_MISTAKE and strange else ""
-
-
-def run(words: list[str], work: Path, *, only_read: bool) -> Ended:
-    """Run a command line in a child of this process."""
-    begun_s = time.monotonic()
-    said = work / "stderr"
-    child = os.fork()
-    if child == 0:
-        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        os.dup2(os.open(work / "stdout", os.O_WRONLY | os.O_CREAT), 1)
-        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT), 2)
-        code = 70
-        try:
-            if only_read:
-                bind = command_line.bind
-                command_line.bind = lambda given: (bind(given) and (lambda: None), _Nothing())
-            code = cli.main(words)
-        except SystemExit as leaving:
-            code = leaving.code if isinstance(leaving.code, int) else 70
-        except BaseException:  # noqa: BLE001 - what passes the command line's own last line is a find
-            sys.excepthook(*sys.exc_info())
-        finally:
-            os._exit(code)
-    while True:
-        ended, status, used = os.wait4(child, os.WNOHANG)
-        seconds = time.monotonic() - begun_s
-        if ended:
-            break
-        if seconds > LIMIT_S:
-            os.kill(child, signal.SIGKILL)
-            os.wait4(child, 0)
-            return Ended(-9, seconds, 0.0, "")
-        time.sleep(0.002)
-    per_mib = 2**10 if sys.platform == "linux" else 2**20
-    return Ended(os.waitstatus_to_exitcode(status), seconds, used.ru_maxrss / per_mib, said.read_text(errors="replace"))
-
-
 class _Nothing:
     args = ()
     kwargs: dict[str, object] = {}  # noqa: RUF012 - empty for ever
+
+
+def _special(top: str, names: list[str]) -> list[str]:
+    """Return what cannot be kept: pipes, and files of many GiB."""
+    found = [(name, os.lstat(Path(top, name))) for name in names]
+    return [name for name, status in found if stat.S_ISFIFO(status.st_mode) or status.st_size > 2**30]
+
+
+def _only_read() -> None:
+    """Let commands end when their words are read."""
+    bind = command_line.bind
+    command_line.bind = lambda given: (bind(given) and (lambda: None), _Nothing())
 
 
 def prepared(name: str, seed: int, work: Path) -> tuple[list[str], bool]:
@@ -138,11 +107,13 @@ def prepared(name: str, seed: int, work: Path) -> tuple[list[str], bool]:
             strange = STRANGE[rng.integers(len(STRANGE))][:2000].decode().replace("\0", "")
             words[at] = words[at].split("=")[0] + "=" + strange if "=" in words[at] else strange
         return words, True
-    damaged = mutated((CORPUS / file).read_bytes(), rng)
-    if (CORPUS / file).suffix in (".png", ".jpg", ".tiff", ".tif"):
-        (pictures / f"view_9{(CORPUS / file).suffix}").write_bytes(damaged)
+    is_picture = (CORPUS / file).suffix in (".png", ".jpg", ".tiff", ".tif")
+    place = pictures / f"view_9{(CORPUS / file).suffix}" if is_picture else corpus / file
+    if rng.random() < SPECIAL_SHARE:
+        place.unlink(missing_ok=True)
+        SPECIAL[rng.integers(len(SPECIAL))](place)
     else:
-        (corpus / file).write_bytes(damaged)
+        place.write_bytes(mutated((CORPUS / file).read_bytes(), rng))
     return [word.format(**places) for word in COMMANDS[name]], False
 
 
@@ -153,8 +124,11 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=1_000_000, help="at most")
     parser.add_argument("--seed", type=int, default=0, help="of the first input; default: %(default)s")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "rhizotwin-fuzz", help="for finds; default: %(default)s")
+    parser.add_argument("--folders", action="store_true", help="folders from somebody hostile instead of damaged files")
     options = parser.parse_args()
-    _load()
+    if options.folders:
+        return folders.campaign(options.inputs)
+    load()
     names = [*COMMANDS, "words"]
     codes: collections.Counter[int] = collections.Counter()
     finds: collections.Counter[str] = collections.Counter()
@@ -166,12 +140,12 @@ def main() -> int:
         name = names[seed % len(names)]
         with tempfile.TemporaryDirectory(prefix="rhizotwin-fuzz-") as place:
             words, only_read = prepared(name, seed, Path(place))
-            ended = run(words, Path(place), only_read=only_read)
+            ended = run(words, Path(place), before=_only_read if only_read else partial(folders.stand_ins, save=False))
             if ended.wrong:
                 finds[ended.wrong] += 1
                 kept = options.keep / f"{seed}_{name.replace('/', '_').replace(' ', '_')}"
                 shutil.rmtree(kept, ignore_errors=True)
-                shutil.copytree(place, kept)
+                shutil.copytree(place, kept, symlinks=True, ignore=_special)
                 print(f"{ended.wrong}: seed {seed}, {name}, kept in {kept}: {ended.said[-300:]}", flush=True)
         inputs += 1
         codes[ended.code] += 1
@@ -179,18 +153,6 @@ def main() -> int:
     print(json.dumps({"inputs": inputs, "exit codes": dict(codes), "finds": dict(finds)}))
     print(f"longest {longest_s:.2f} s, most memory {most_mib:.0f} MiB")
     return 1 if finds or not inputs else 0
-
-
-def _load() -> None:
-    """Load what the commands need once, before the children."""
-    import rhizotwin.building.write
-    import rhizotwin.exports
-    import rhizotwin.importer
-    import rhizotwin.rig.bench  # noqa: F401
-
-    os.environ.pop(cli.DEBUG_VARIABLE, None)
-    engine.start = lambda *_: "no engine"  # its threads do not survive a fork, and files need none
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Kill a writer before each of its file operations in turn, and look at what it leaves. Run by test_folders.py in a process of one thread.
 
-python kill_points.py SCENARIO FOLDER prints the number of points; anything lost or left over ends it with a traceback.
+python kill_points.py SCENARIO FOLDER [STEP] kills at every STEP-th point and prints how many these were; anything lost or left
+over ends it with a traceback.
 """
 
 import os
@@ -8,6 +9,8 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from rhizotwin.scenes import atomic, folders
 from rhizotwin.scenes.errors import UserError
@@ -70,12 +73,27 @@ def write(work: Path) -> int:
 
 def new(work: Path) -> int:
     """Make a folder: there is nothing or all of it."""
-    return every(lambda: None, lambda: make(work / "goal", "new"), work, reader=lambda: folders.tidy(work / "goal"))
+    return every(lambda: None, lambda: make(work / "goal", "new"), work, reader=lambda: look(work / "goal"))
 
 
 def replace(work: Path) -> int:
     """Make a folder anew: there is the old or the new."""
-    return every(lambda: make(work / "goal", "old"), lambda: make(work / "goal", "new"), work, reader=lambda: folders.tidy(work / "goal"))
+    return every(lambda: make(work / "goal", "old"), lambda: make(work / "goal", "new"), work, reader=lambda: look(work / "goal"))
+
+
+def look(goal: Path) -> None:
+    """Read the folder as commands do: nothing is changed, what has its head is whole, and what has none is said to be unfinished."""
+    if not goal.exists():
+        return
+    before = texts(goal)
+    if any((goal / head).is_file() for head in folders.HEADS):
+        folders.check_readable(goal)
+        whole = {text for name, text in before.items() if name.partition("/")[0] in ("deep", "old", "new", "result.json")}
+        assert len(whole) < 2, before
+    elif any((goal / mark).is_dir() for mark in (folders.OLD, folders.WHOLE)):
+        with pytest.raises(UserError, match="run that command again"):
+            folders.check_readable(goal)
+    assert texts(goal) == before
 
 
 def import_(work: Path) -> int:
@@ -91,7 +109,7 @@ def import_(work: Path) -> int:
     width, height = scene.camera.image_wh
     for k in range(3):
         atomic.write_image(pictures / f"view_{k}.png", np.full((height, width), 100 + k, np.uint8))
-    return every(lambda: None, lambda: import_pictures(pictures, scene, work / "goal"), work, reader=lambda: folders.tidy(work / "goal"))
+    return every(lambda: None, lambda: import_pictures(pictures, scene, work / "goal"), work, reader=lambda: look(work / "goal"))
 
 
 def scan(work: Path) -> int:
@@ -127,15 +145,61 @@ def scan(work: Path) -> int:
     return every(lambda: None, action, work, reader=look, in_part=True)
 
 
+def command(name: str, work: Path, step: int) -> int:
+    """Kill a command line: its folder is old or new, or can be gone on with, and the same command finishes it."""
+    from rhizotwin import cli
+    from tests.fuzz.folders import Given, prepared, stand_ins
+    from tests.fuzz.process import load
+
+    load()
+    stand_ins(save=False)
+    words, base, in_part = COMMANDS[name]
+    line = prepared(Given(words, base=base), lambda *_: None, work.parent / "place", name=b"goal")
+    goal = work.parent / "place" / "here" / "goal"
+    line = [word.replace(str(goal), str(work / "goal")) for word in line]
+
+    def before() -> None:
+        if base:
+            shutil.copytree(goal, work / "goal", ignore=shutil.ignore_patterns("edits.json"))
+
+    def action() -> None:
+        code = cli.main(line)
+        if code == cli.EXIT_MISTAKE:
+            raise UserError("exists already")
+        assert code == 0, line
+
+    return every(before, action, work, reader=lambda: look(work / "goal"), in_part=in_part, step=step)
+
+
+COMMANDS = {
+    "edit": ("edit {r} --apply {log} -o {f}", "", False),
+    "edit over a result": ("edit {r} --apply {log} -o {f}", "result", False),
+    "reconstruct": ("reconstruct {d} -o {f}", "", False),
+    "reconstruct over a result": ("reconstruct {d} -o {f}", "result", False),
+    "report": ("report {f}", "result", False),
+    "export": ("export {r} --dataset {d} -o {f}", "", False),
+    "growth": ("growth {growth} -o {f}", "", False),
+    "batch": ("batch {d} -o {f}", "", True),
+    "simulate": ("simulate {scene} --views 2 --image-wh 32x24 -o {f}", "", True),
+}
+"""Command lines of the fuzzer (`tests.fuzz.folders`), what their folder holds before, and whether it may be seen in part."""
+
+
 def every(
-    before: Callable[[], object], action: Callable[[], object], work: Path, *, reader: Callable[[], None], in_part: bool = False
+    before: Callable[[], object],
+    action: Callable[[], object],
+    work: Path,
+    *,
+    reader: Callable[[], None],
+    in_part: bool = False,
+    step: int = 1,
 ) -> int:
-    """Kill ``action`` at each of its operations, look, then do it again; return how many there were.
+    """Kill ``action`` at each ``step``-th of its operations, look, then do it again; return how many there were.
 
     Where the action may leave a part of what it does, the reader alone judges that.
     """
     states = []
-    for point in range(1, 10000):
+    for point in range(1, 100_000, step):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
         before()
@@ -145,14 +209,16 @@ def every(
             states.append(texts(work))
             break
         reader()  # whoever opens it next
+        folders.recover(work / "goal")  # the first that the same command does
         states.append({name: text for name, text in texts(work).items() if not name.rpartition("/")[2].startswith(".")})
         try:
-            action()  # the same command again
+            action()
         except UserError as error:  # it was done before the kill
             if "exists already" not in str(error):
                 raise
         states.append(texts(work))
-        assert not list(work.rglob(".*")), sorted(work.rglob(".*"))
+        left = [path for path in work.rglob(".*") if path.name != ".rhizotwin-jobs"]
+        assert not left, left
     done = states[-1]
     assert old != done
     for k, state in enumerate(states):
@@ -180,5 +246,7 @@ if __name__ == "__main__":
     if sys.argv[1] == "race":
         race(work / "race", sys.argv[3])
     else:
-        points = {"write": write, "new": new, "replace": replace, "import": import_, "scan": scan}[sys.argv[1]](work / "work")
+        functions = {"write": write, "new": new, "replace": replace, "import": import_, "scan": scan}
+        function = functions.get(sys.argv[1], lambda folder: command(sys.argv[1], folder, int(sys.argv[3])))
+        points = function(work / "work")
         sys.stdout.write(f"{points} points\n")

@@ -141,7 +141,7 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     with folders.held(out):
         with pytest.raises(UserError, match=rf"out: process {os.getpid()} on .* works in it; wait"), folders.new_folder(out):
             pass
-        folders.tidy(out)  # a reader does not mind
+        folders.check_readable(out)  # a reader does not mind
     assert names(tmp_path) == []
 
 
@@ -154,6 +154,18 @@ def test_a_lock_of_a_run_that_is_over_is_taken_over_with_a_word(tmp_path: Path, 
         assert names(out / "view") == ["a"]
     assert "process 7 on gone (since then) left it unfinished; taken over" in caplog.text
     assert names(out) == ["view"]
+
+
+def test_what_a_kill_left_is_said_to_readers_and_finished_by_the_writer(tmp_path: Path) -> None:
+    whole, half = made(tmp_path / "whole" / folders.WHOLE, dataset_json="x").parent, made(tmp_path / "half" / folders.OLD, a="1").parent
+    with pytest.raises(UserError, match=r"holds .rhizotwin-whole, .* run that command again"):
+        folders.check_readable(whole)
+    with pytest.raises(UserError, match="is whole, although the run that made it was stopped"), folders.new_folder(whole):
+        pass
+    with pytest.raises(UserError, match="exists already"), folders.new_folder(half):
+        pass
+    assert names(whole) == ["dataset.json"]
+    assert names(half) == ["a"]
 
 
 def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,12 +182,12 @@ def test_without_locks_of_the_file_system_the_words_tell(tmp_path: Path, monkeyp
         pass
 
 
-@pytest.mark.parametrize("scenario", ["write", "new", "replace", "import", "scan"])
+@pytest.mark.parametrize("scenario", ["write", "new", "replace", "import", "scan", "edit over a result"])
 def test_a_kill_at_any_file_operation_leaves_the_old_or_the_new(scenario: str, tmp_path: Path) -> None:
-    words = [sys.executable, str(KILL_POINTS), scenario, str(tmp_path)]
+    words = [sys.executable, str(KILL_POINTS), scenario, str(tmp_path), "17"]  # of a whole command some points only
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"})
     assert done.returncode == 0, done.stdout + done.stderr
-    assert int(done.stdout.split()[0]) >= 6, done.stdout
+    assert int(done.stdout.splitlines()[-1].split()[0]) >= 6, done.stdout
 
 
 def test_two_processes_on_one_output(tmp_path: Path) -> None:

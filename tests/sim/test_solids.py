@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.monitor import Cancelled, Monitor
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.specimens import GrownSpecimen
 from rhizotwin.sim import growth, solids
@@ -97,6 +98,18 @@ def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> No
     mesh = mesh_of([tube(line, np.array([2.0, 2.0, 1.0, 0.0]))])
     assert mesh.is_watertight
     assert mesh.volume > np.pi / 3.0 * 20.0
+
+
+def test_many_tubes_are_united_by_twos_with_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    roots = [straight((k, 0, -20), (-k, k, -40), 1.0) for k in range(1, 8)]
+    whole, heard = solids.union_of_roots(roots).volume(), []
+    monkeypatch.setattr(solids, "MOST_AT_ONCE", 3)
+    monitor = Monitor(lambda *step: heard.append(step))
+    assert solids.union_of_roots(roots, monitor=monitor).volume() == pytest.approx(whole, rel=1e-9)
+    assert [done for _, done, _ in heard] == [1, 2, 3, 4, 5, 6]
+    monitor.cancel()
+    with pytest.raises(Cancelled):
+        solids.union_of_roots(roots, monitor=monitor)
 
 
 def test_nothing_to_unite_is_refused() -> None:

@@ -175,6 +175,39 @@ def test_specimen_and_scene_file(tmp_path: Path, command: Command) -> None:
     nothing_left(tmp_path, "mine.toml", "open.stl")
 
 
+def test_what_is_no_regular_file_or_too_much_is_refused_before_it_is_read(
+    found: Any, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trimesh.creation.icosphere(subdivisions=2, radius=8.0).export(tmp_path / "many.stl")
+    monkeypatch.setattr("rhizotwin.sim.meshes.MOST_FACES", 100)
+    monkeypatch.setattr("rhizotwin.recon.results.result_files.MOST_SHAPE_MIB", 0)
+    with (tmp_path / "huge.rsml").open("wb") as stream:
+        stream.truncate(2**36)
+    end = ("--views", "1", "-o", tmp_path / "out", "--device", "cpu")
+    command.fails("simulate", "/dev/full", *end, named=["/dev/full", "pipe or device"])
+    command.fails("simulate", "sphere_20mm", "--specimen", tmp_path / "huge.rsml", *end, named=["huge.rsml", "65536 MiB", "32 MiB"])
+    command.fails("simulate", "sphere_20mm", "--specimen", tmp_path / "many.stl", *end, named=["many.stl", "triangles", "simplify"])
+    command.fails("export", found.folder, "-o", tmp_path / "a.nrrd", named=["shape.npz", "unpacked", "larger voxels"])
+    nothing_left(tmp_path, "many.stl", "huge.rsml")
+
+
+def test_places_that_cannot_be_written_are_named_at_once(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    simulate = ("simulate", "sphere_20mm", "--device", "cpu", "-o")
+    command.fails(*simulate, tmp_path / "loop" / "out", named=["loop", "no path"])
+    command.fails(*simulate, tmp_path / ("d/" * 2000), named=["--output", "folders deep", "250"])
+    monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2**30, 2**30 - 300_000, 300_000))
+    monkeypatch.setattr("rhizotwin.sim.simulate.draw_world", None)
+    command.fails(*simulate, tmp_path / "out", named=["out", "the disk is full"])
+    nothing_left(tmp_path, "loop")
+
+
+def test_growth_of_masses_alone(tmp_path: Path, command: Command) -> None:
+    (tmp_path / "t.csv").write_text("result,plant,day,mass (g)\na,p,1,2\nb,p,2,3\n")
+    command.fails("growth", tmp_path / "t.csv", "-o", tmp_path / "g", named=["the results have none of the traits", "total_length"])
+    nothing_left(tmp_path, "t.csv")
+
+
 def test_voxels_too_small_for_the_memory(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     monkeypatch.setattr(carve.os, "sysconf", lambda _: 1000)  # pages of as many bytes
     words = ("reconstruct", dataset, "-o", tmp_path / "result", "--voxel-mm", "0.1", "--device", "cpu")

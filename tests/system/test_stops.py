@@ -209,15 +209,20 @@ def test_ctrl_c_while_reconstruct_writes(moment: Moment, scan: Path, command: An
 
 
 @pytest.mark.usefixtures("quick_shape")
-def test_a_move_that_ctrl_c_stops_is_finished_by_who_reads_next(scan: Path, command: Any, fault: Any) -> None:
-    """Between the two renames the earlier result is going and the new one is whole: the next command puts it in place."""
+@pytest.mark.parametrize("late", [False, True], ids=["before all is whole", "too late"])
+def test_ctrl_c_while_files_are_moved(late: bool, scan: Path, command: Any, fault: Any) -> None:
+    """The earlier result's files are moved away, the new folder is renamed, its files are moved in: what was begun before comes back."""
     fault.patch.setattr(report, "write_pictures", lambda *_, **__: [])
-    fault.stop(Path, "rename", at=2)
-    command.fails("reconstruct", scan / "dataset", "-o", scan / "result", *FAST, named=["stopped"], code=130)
-    fault.mend()
-    command.works("traits", scan / "result")
-    assert (scan / "result" / "result.json").is_file()
-    no_temporary(scan)
+    before = bytes_of(scan / "result")
+    fault.stop(Path, "rename", at=len(before) + (2 if late else 1))
+    words = ("reconstruct", scan / "dataset", "-o", scan / "result", *FAST)
+    if late:
+        command.works(*words)
+    else:
+        command.fails(*words, named=["stopped", "nothing was written"], code=130)
+    assert (bytes_of(scan / "result") == before) is not late
+    assert (scan / "result" / "report.html").is_file()
+    assert not list(scan.rglob(".rhizotwin-*"))
 
 
 @pytest.mark.usefixtures("quick_shape")

@@ -49,7 +49,6 @@ def test_datasets_are_found_in_folders_and_patterns_each_once(tmp_path: Path) ->
 def test_scans_of_one_name_are_told_apart_by_the_folder_above() -> None:
     assert jobs.named(["/x/day1/scan", "/x/day2/scan", "/x/other"]) == ["day1-scan", "day2-scan", "other"]
     assert jobs.named(["s3://bucket/a/scan"]) == ["scan"]
-    assert jobs.named(["/x/jobs"]) == ["jobs-scan"]  # the folder of the records is called so
 
 
 def test_what_cannot_be_run_is_one_sentence(tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +133,7 @@ def test_a_damaged_scan_fails_with_its_sentence_and_a_killed_process_is_replaced
     killer.join()
     assert {outcome.state for outcome in outcomes.values()} == {"failed"}
     assert all("the picture is missing" in outcome.sentence for outcome in outcomes.values())
-    record = json.loads((tmp_path / "jobs" / "job1.json").read_text(encoding="utf-8"))
+    record = json.loads((tmp_path / jobs.RECORDS / "job1.json").read_text(encoding="utf-8"))
     assert (record["state"], record["key"]) == ("failed", "k")
 
 
@@ -211,6 +210,31 @@ def test_series_name_plants_days_and_treatments() -> None:
     assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)
     with pytest.raises(UserError, match="has no grown plant"):
         series.vary(files.load_scene("sphere_20mm"), plants=2)
+
+
+def test_what_lies_in_the_way_of_a_batch_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
+    pytest.importorskip("dask_jobqueue")
+    scan = dataset(tmp_path / "scans" / "ball")
+    monkeypatch.setenv("PATH", "")
+    command.fails("batch", scan, "-o", tmp_path / "r", "--cluster", "slurm", named=["there is no sbatch"])
+    (scan / "dataset.json").unlink()
+    os.mkfifo(scan / "dataset.json")  # it fails by itself, and holds nobody up
+    (one,) = collect.reconstructions([str(scan)], str(tmp_path / "r"), voxel_mm=None, settings=None, device="cpu")
+    places.write(one.record, b"[" * 100_000)
+    assert not jobs.is_done(one)
+    (tmp_path / "r" / "ball").symlink_to(tmp_path)
+    command.fails("batch", scan, "-o", tmp_path / "r", named=["is a link"])
+
+
+def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Callable[..., Path], command: Command) -> None:
+    ball_result("r/one")
+    ball_result(os.fsdecode(b"r/\xff\x1b"))
+    jobs.note(job("one", tmp_path / "r"), Outcome(name="one", state="done"))
+    printed = command.works("traits", tmp_path / "r")
+    command.works("traits", tmp_path / "r", "-o", tmp_path / "t.csv")
+    assert len((tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()) == 3
+    written = command.works("report", tmp_path / "r", "-o", tmp_path / "p.html")
+    assert "\x1b" not in printed.out + printed.err + written.out + written.err
 
 
 def test_slurm_asks_for_the_memory_of_the_largest_job(tmp_path: Path) -> None:

@@ -185,6 +185,7 @@ def edit(**changes: object) -> dict[str, object]:
         (edit(file="/etc/passwd"), "unknown key 'file'"),
         (edit(do="delete roots", roots=["x"]), "'x'"),
         (edit(point_mm=[0, 0, float("nan")]), "no point"),
+        (edit(do="delete box", box_mm=[]), "no readable log"),
         ({"schema_version": 99}, "schema_version"),
     ],
 )

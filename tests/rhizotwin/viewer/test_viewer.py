@@ -8,6 +8,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from websockets.datastructures import Headers
+from websockets.http11 import Request
 
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.results.result_files import read_summary
@@ -202,6 +204,14 @@ def test_traits_follow_corrections(viewer: Viewer):
     assert viewer.shown.traits().roots == 3
     assert "<td>3<br>" in told[-1]
     viewer.undo()
+
+
+@pytest.mark.parametrize("twice", ["Host: a", "Origin: http://a", "Cookie: a=b", "Upgrade: x"])
+def test_a_header_that_is_there_twice_is_no_error(twice: str):
+    headers = Headers([("Host", "here:1"), ("Upgrade", "websocket"), ("Origin", "http://here:1"), ("Cookie", "rhizotwin_1=t")])
+    headers[twice.partition(":")[0]] = twice.partition(": ")[2]
+    refused = guard.answer("t", lambda *_: None, None, Request("/", headers))
+    assert twice[0] == "U" or (refused is not None and refused.status_code == 403)
 
 
 def test_pages_wait_for_what_is_shown():

@@ -156,7 +156,14 @@ def test_faults_are_read_from_words() -> None:
 
 
 def test_words_that_are_no_fault_are_refused() -> None:
-    for text, named in (("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')):
+    for text, named in (
+        ("rest", '"reset"'),
+        ("reset arm", "'arm'"),
+        ("stalled joint=x", "joint"),
+        ("", '""'),
+        ("reset at_s=nan", "at_s"),
+        ("reset amount=inf", "amount"),
+    ):
         with pytest.raises(UserError, match=named):
             parse_fault(text)
     with pytest.raises(UserError, match="there is no fault"):

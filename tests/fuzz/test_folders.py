@@ -1,0 +1,53 @@
+"""Folders as somebody hostile would send them: nothing outside is touched, and commands that read change nothing at all."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rhizotwin import cli
+from tests.fuzz.folders import MARKS, Given, prepared, snapshot, variants
+
+READING = ("traits {f}", "export {f} -o {out}/x.stl", "score {f} --volume-ml 1", "report {f} -o {out}/p.html", "growth {f} -o {out}/g")
+HOSTILE = {
+    ".rhizotwin-whole: files of paths": 0,
+    ".rhizotwin-moving: link to a folder": 0,
+    ".rhizotwin-lock: link to a file": 0,
+    ".rhizotwin-old: links in it": 0,
+    "lock: text 7, half moved": 2,
+    "images: link to a folder": 2,
+    "roots.rsml: pipe": 2,
+}
+"""Variants, and how `traits` ends: with its numbers, or with a sentence."""
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_commands_that_read_leave_a_foreign_folder_and_all_else_alone(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for number, words in enumerate(READING):
+        place = tmp_path / str(number)
+        line = prepared(Given(words, base="all"), variants()[name], place)
+        (place / "out").rename(tmp_path / f"out{number}")
+        line = [word.replace(str(place / "out"), str(tmp_path / f"out{number}")) for word in line]
+        before = snapshot(place)
+        code = cli.main(line)
+        assert snapshot(place) == before, words
+        assert code in (0, cli.EXIT_MISTAKE), words
+        assert number or code == HOSTILE[name]
+        assert "\x1b" not in "".join(capfd.readouterr())
+
+
+@pytest.mark.parametrize("mark", MARKS[:5])
+@pytest.mark.parametrize("shape", ["link to a folder", "link to a file", "files", "links in it", "other link"])
+def test_a_command_that_writes_a_foreign_folder_touches_nothing_outside(mark: str, shape: str, tmp_path: Path) -> None:
+    line = prepared(Given("export {r} --dataset {d} -o {f}"), variants()[f"{mark}: {shape}"], tmp_path)
+    before = snapshot(tmp_path / "outside")
+    assert cli.main(line) in (0, cli.EXIT_MISTAKE)
+    assert snapshot(tmp_path / "outside") == before
+
+
+def test_a_sample_of_every_command() -> None:
+    """The campaign itself (./run fuzz --folders), which also hears what is opened, on some of its ten thousand pairs."""
+    words = [sys.executable, "-m", "tests.fuzz", "--folders", "--inputs", "30"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, cwd=Path(__file__).parents[2])
+    assert done.returncode == 0, done.stdout + done.stderr
