@@ -4,7 +4,7 @@ A main root with three laterals and a thick beginning; its voxels are painted as
 the water's closed form.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -135,7 +135,7 @@ def make(folder: Path, *, fibre: bool = False, name: str = "plant") -> Plant:
         silhouettes=silhouettes,
     )
     (folder / "result").mkdir()
-    replace(result).save(folder / "result")
+    result.save(folder / "result")
     return Plant(dataset, folder / "result", found)
 
 

@@ -1,5 +1,7 @@
 """The reconstruction finds what another renderer draws: pictures that `sim` did not make, of a root whose size is known in closed form."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -24,25 +26,10 @@ ROOT = [
 ]
 
 
-def test_rays_bend_as_snell_says_in_a_plane() -> None:
-    """In the level plane through the camera, the angles at both walls follow from the sine rule."""
-    height = 20.0  # of the ray over the axis, at the outer wall
-    rays = np.array([[-1.0, 0.0, 0.0]])
-    wet, into, _, _ = snell.into_water(np.array([[400.0, height, -50.0]]), rays)
-    inside = height / snell.N_WATER  # Bouguer: n r sin(angle) stays
-    assert abs(wet[0, 0] * into[0, 1] - wet[0, 1] * into[0, 0]) == pytest.approx(inside, rel=1e-12)
-
-
-def test_a_union_counts_overlaps_once() -> None:
-    rng = np.random.default_rng(1)
-    one = snell.Capsule((0.0, 0.0, 0.0), (0.0, 0.0, -30.0), 2.0)
-    half = snell.Capsule((0.0, 0.0, -10.0), (0.0, 0.0, -20.0), 2.0)
-    assert snell.union_mm3([one, half], rng=rng) == pytest.approx(one.volume_mm3, rel=0.01)
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    folder, rng = tmp_path_factory.mktemp("other") / "scan", np.random.default_rng(7)
+@pytest.fixture
+def result(tmp_path: Path) -> Result:
+    """Reconstruct pictures that the other renderer drew."""
+    folder, rng = tmp_path / "scan", np.random.default_rng(7)
     frames = []
     for k in range(VIEWS):
         ring, place = k % 2, k // 2
@@ -59,14 +46,11 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return reconstruct(folder)
 
 
-def test_the_volume_and_its_interval(result: Result) -> None:
+def test_volume_interval_and_place_are_those_of_what_was_drawn(result: Result) -> None:
     true_mm3 = snell.union_mm3(ROOT, rng=np.random.default_rng(2))
     low, high = result.interval_mm3
     assert result.volume_mm3 == pytest.approx(true_mm3, rel=0.06)
     assert low < true_mm3 < high
-
-
-def test_it_stands_where_it_was_drawn(result: Result) -> None:
     ends = np.array([[capsule.start_mm, capsule.end_mm] for capsule in ROOT]).reshape(-1, 3)
     radii = np.repeat([capsule.radius_mm for capsule in ROOT], 2)[:, None]
     assert result.solid.extents_min_mm == pytest.approx((ends - radii).min(axis=0), abs=0.6)  # a half of a pixel's width
