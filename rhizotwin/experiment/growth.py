@@ -56,7 +56,7 @@ def measure(found: Sequence[Measured]) -> Growth:
     notes += [f"plant {plant}: no roots were found on two days, so that none can be followed" for plant in plants if plant not in followed]
     seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
     if not seen and not followed:
-        raise UserError("; ".join(notes) or f"the results have none of the traits {', '.join(CURVES)}")
+        raise UserError("; ".join(left_out(found, CURVES)) or f"the results have none of the traits {', '.join(CURVES)}")
     unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
     notes += [f"not assessed, so that their errors are not known: {', '.join(unassessed)}"] if unassessed else []
     notes += [f"{trait}: treatments are not compared: {why}" for trait, values in seen.items() if (why := too_few(values))]
