@@ -43,12 +43,8 @@ def test_a_sound_rig_is_all_ok(tmp_path: Path) -> None:
     assert all(line.split()[1] == "ok" for line in lines)
     assert twin.world.panel.level == twin.world.front.level == 0.0
     assert not any(servo.torque_on for servo in twin.world.servos.values()), "the arm was at rest"
-
-
-def test_on_a_tripod_picture_and_markers_are_judged(tmp_path: Path) -> None:
     wrong, lines = looked(twin_of(rig=RigFile(arm=None)), tmp_path)
     assert wrong == 0, lines
-    assert any(line.startswith("picture    ok    panel at") for line in lines)
     assert any(line.startswith("markers    ok    ") and "read" in line for line in lines)
 
 
@@ -132,18 +128,14 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
 REFUSED = {
     "dance": "there is no command 'dance'; there are table, home",
     "table fast": "'table fast' is not understood, write: table +9 | table 90",
-    "table": "'table' is not understood, write: table",
-    "lights 2": "'lights 2' is not understood, write: lights",
     "lights nan": "'lights nan' is not understood, write: lights",
     "joint 6 +5": "'joint 6 +5' is not understood, write: joint",
     "joint 2 +400": "limits",
     "joint 2 89": "the floor",
     "go 60 -42": "arm: ",
     "go 400 900": "out of reach",
-    "go -5 0": "'go -5 0' is not understood, write: go",
     "picture look.jpg": "written as PNG",
     "markers": "markers: ",
-    "park now": "'park now' is not understood, write: park",
 }
 """Lines that are not done, and what is said; on an arm that stands so low that it reaches the floor."""
 

@@ -8,11 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhizotwin.rig.arm.arm import open_arm
-from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from rhizotwin.rig.rig_file import ArmPart
-from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, SILENT, ScriptedLine, arm_and_bus
+from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, arm_and_bus
 
 
 @BOTH
@@ -32,7 +29,6 @@ REFUSED = {
     "above": ((0, 91.3, 0, 0, 0), r"servo 5\) cannot go to 91\.30 deg, its limits are -86 to 91"),
     "below": ((-90.01, 0, 0, 0, 0), r"base \(servo 6\) cannot go to -90\.01 deg"),
     "not a number": ((0, 0, float("nan"), 0, 0), "elbow .* cannot go to nan"),
-    "endless": ((0, 0, 0, float("inf"), 0), "wrist pitch .* cannot go to inf"),
     "counts": ((0, 0, 0, -118.5, 0), r"wrist pitch .* would be at -4 counts, outside 0 to 1000"),
     "too few": ((0, 0, 0, 0), "4 joint angles were given but it has 5 joints"),
 }
@@ -85,7 +81,7 @@ def test_a_long_move_is_made_in_parts_on_one_straight_way_and_a_bus_may_demand_s
     assert bus.moves[0][1] == 2.0
 
 
-def test_sag_within_the_tolerance_counts_as_arrived_and_creeping_is_waited_for() -> None:
+def test_sag_within_the_tolerance_counts_as_arrived() -> None:
     arm, bus = arm_and_bus()
     bus.sag = {5: -12}
     read = arm.move_to((0.0, 24.0, 0.0, 0.0, 0.0))
@@ -94,10 +90,6 @@ def test_sag_within_the_tolerance_counts_as_arrived_and_creeping_is_waited_for()
     bus.sag = {5: -13}
     with pytest.raises(UnsafeError, match=r"shoulder \(servo 5\) was sent to 48\.0 deg but stands at 51\.1 deg"):
         arm.move_to((0.0, 48.0, 0.0, 0.0, 0.0))
-    arm, bus = arm_and_bus()
-    sleep = bus.clock.sleep
-    bus.clock.sleep = lambda seconds: sleep(seconds if seconds < 0.2 else seconds - 0.5)
-    np.testing.assert_allclose(arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0)), (60.0, 0.0, 0.0, 0.0, 0.0), atol=0.13)
 
 
 @BOTH
@@ -144,7 +136,7 @@ def test_an_arm_that_never_rests_is_stopped() -> None:
     assert bus.names() == ["move", "stop"]
 
 
-@pytest.mark.parametrize("error", [NoAnswerError("x"), LostError("x"), KeyboardInterrupt()], ids=["silent", "unplugged", "Ctrl-C"])
+@pytest.mark.parametrize("error", [NoAnswerError("x"), KeyboardInterrupt()], ids=["silent", "Ctrl-C"])
 @pytest.mark.parametrize("stop_fails", [False, True], ids=["stops", "stop fails, too"])
 def test_an_error_in_a_move_is_followed_by_one_attempt_to_stop(error: RigError | KeyboardInterrupt, stop_fails: bool) -> None:
     arm, bus = arm_and_bus()
@@ -170,16 +162,6 @@ def test_torque_lost_on_the_way_is_named_and_rather_the_heat_that_caused_it() ->
             arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
         assert bus.names() == ["move", "stop"]
         assert not arm.holds()
-
-
-def test_torque_lost_at_rest_is_found_before_the_next_move() -> None:
-    arm, bus = arm_and_bus()
-    assert arm.holds()
-    bus.on[2] = False
-    assert not arm.holds()
-    with pytest.raises(LostError, match=r"wrist roll \(servo 2\)"):
-        arm.move_to((60.0, 0.0, 0.0, 0.0, 0.0))
-    assert bus.moves == []
 
 
 def test_where_torque_cannot_be_read_a_fallen_joint_tells_it() -> None:
@@ -275,23 +257,3 @@ def test_health_watches_temperature_supply_and_torque() -> None:
     arm.relax()
     arm.health()  # that a limp arm has no torque is no fault
     assert not any(bus.on.values())
-
-
-ASK_LX, ASK_LSC = "55 55 06 03 1c da", "55 55 08 15 05 06 05 04 03 02"
-PROTOCOLS = {
-    "lx": (replace(PART, protocol="lx"), [(ASK_LX, SILENT)] * 5, "servo 6 does not answer"),
-    "lx with echo": (replace(PART, protocol="lx", echo="yes"), [(ASK_LX, SILENT)] * 5, "adapter's echo"),
-    "lsc": (replace(PART, protocol="lsc"), [(ASK_LSC, SILENT), ("00 " * 100, SILENT)] * 4, "board does not answer"),
-}
-
-
-@pytest.mark.parametrize(("part", "script", "says"), PROTOCOLS.values(), ids=PROTOCOLS)
-def test_open_arm_uses_the_protocol_of_the_rig_file(part: ArmPart, script: list[tuple[str, str]], says: str) -> None:
-    line = ScriptedLine(*script)
-    arm: Arm = open_arm(line, part, line.clock)
-    assert len(line.script) == len(script)
-    with pytest.raises(NoAnswerError, match=says):
-        arm.read_joints()
-    assert not line.script
-    arm.close()
-    assert line.closed

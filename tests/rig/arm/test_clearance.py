@@ -146,27 +146,14 @@ def test_base_may_be_near_the_floor_but_not_in_the_table_and_a_margin_is_kept_an
 
 BAR_BEFORE = Bar(low_mm=(300.0, -300.0, 0.0), high_mm=(340.0, 300.0, 20.0))
 CRASHES = {
-    "into the canister": (
-        near(),
-        ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)),
-        r"^arm: the (camera|last link) would touch the canister at the end of the way; move the ring",
-    ),
+    "canister": (near(), ((0, 0, 0, 0, 0), (0, 90, 0, 0, 0)), r"^arm: the (camera|last link) would touch the canister at the end"),
     "past the canister": (near(), ((60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"the camera would touch the net pot 50 % along the way"),
-    "second leg": (
-        near(),
-        ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)),
-        r"the camera would touch the net pot 75 % along the way",
-    ),
-    "over the pot": (near(300.0), ((0, 0, 0, 0, 0), (0, 69, 0, 0, 0)), r"would (touch|come within \d+\.\d mm of) the net pot"),
+    "second leg": (near(), ((60, 0, 0, 0, 0), (60, 80, 0, 0, 0), (-60, 80, 0, 0, 0)), r"touch the net pot 75 % along the way"),
     "table": (near(380.0), ((0, 0, 60, 60, 0), (0, 91, 50, -20, 0)), r"the table at the end of the way"),
     "floor": (RIG, ((0, 0, 0, 0, 0), (0, 90, 60, 0, 0)), r"(touch|of) the floor at the end of the way"),
     "bar": (replace(RIG, clearance=Clearance(bars=(BAR_BEFORE,))), ((0, 0, 0, 0, 0), (0, 75, 0, 0, 0)), r"the bar 1"),
     "its own upper arm": (RIG, ((0, -30, 0, 0, 0), (0, -30, 88, 112, 0)), r"the camera would touch the arm's own upper arm"),
-    "touches the canister": (
-        near(),
-        ((0, 90, 0, 0, 0), ARM.park_deg),
-        r"the canister where it stands now; move it away by hand, torque off",
-    ),
+    "touches": (near(), ((0, 90, 0, 0, 0), ARM.park_deg), r"the canister where it stands now; move it away by hand, torque off"),
 }
 
 
@@ -215,18 +202,6 @@ def test_verdicts_agree_with_dense_samples() -> None:
             assert spare < 2.0
             verdicts.append(False)
     assert 8 < sum(verdicts) < len(verdicts) - 8
-
-
-@given(
-    a=st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array),
-    b=st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array),
-)
-@settings(max_examples=60)
-def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> None:
-    rig = near(bars=(Bar(low_mm=(200.0, 80.0, 20.0), high_mm=(420.0, 110.0, 60.0)),))
-    both = pairs(rig, SCENE, np.stack([a, b]))
-    bound = both.travel_mm @ np.abs(np.deg2rad(b - a))
-    assert (np.abs(np.diff(both.distance_mm, axis=0)[0]) <= bound + 1e-6).all()
 
 
 # Leaving a place that is too near.

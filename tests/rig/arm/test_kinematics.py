@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, cam_from_rig, forward, log_se3, places, rig_from_arm
+from rhizotwin.rig.arm.kinematics import arm_from_cam, body_jacobian, forward, log_se3, places
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
@@ -42,15 +42,12 @@ def test_chain_is_product_of_its_joints(q: Array) -> None:
     mount = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     chain = turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2] @ turn(1, q[3]) @ up[3] @ turn(2, q[4]) @ mount
     np.testing.assert_allclose(forward(PART.links_mm, q), chain, atol=1e-10)
-    np.testing.assert_allclose(
-        places(PART.links_mm, q)[3], (turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2])[:3, 3], atol=1e-10
-    )
+    wrist = turn(2, q[0]) @ up[0] @ turn(1, q[1]) @ up[1] @ turn(1, q[2]) @ up[2]
+    np.testing.assert_allclose(places(PART.links_mm, q)[3], wrist[:3, 3], atol=1e-10)
 
 
 REACH = L1 + L2 + L3
 POSES = {
-    "upright": ((0, 0, 0, 0, 0), (0, 0, L0 + REACH), (0, -1, 0), (0, 0, 1)),
-    "leans forward": ((0, 90, 0, 0, 0), (REACH, 0, L0), (0, -1, 0), (1, 0, 0)),
     "turned left": ((90, 90, 0, 0, 0), (0, REACH, L0), (1, 0, 0), (0, 1, 0)),
     "gallows": ((0, 0, 90, 0, 0), (L2 + L3, 0, L0 + L1), (0, -1, 0), (1, 0, 0)),
     "looks down": ((0, 0, 90, 90, 0), (L2, 0, L0 + L1 - L3), (0, -1, 0), (0, 0, -1)),
@@ -64,18 +61,6 @@ def test_poses_by_hand(joints_deg: tuple[float, ...], centre_mm: tuple[float, ..
     camera = arm_from_cam(PART, joints_deg)
     np.testing.assert_allclose(camera[:3, 3], centre_mm, atol=1e-9)
     np.testing.assert_allclose(camera[:3, :3].T, [right, np.cross(ahead, right), ahead], atol=1e-12)
-
-
-def test_many_at_once_agree_with_one_by_one() -> None:
-    many = np.random.default_rng(1).uniform(-2, 2, (3, 4, 5))
-    for index in np.ndindex(3, 4):
-        np.testing.assert_allclose(forward(PART.links_mm, many)[index], forward(PART.links_mm, many[index]), atol=1e-12)
-        np.testing.assert_allclose(body_jacobian(PART, many)[index], body_jacobian(PART, many[index]), atol=1e-12)
-    one = many[0, 0]
-    camera = frames.invert(cam_from_rig(PART, tuple(np.rad2deg(one))))
-    np.testing.assert_allclose(camera, rig_from_arm(PART) @ forward(PART.links_mm, one), atol=1e-10)
-    with pytest.raises(ValueError, match=r"joints must be \(..., 5\), not \(6,\)"):
-        arm_from_cam(PART, (0.0,) * 6)
 
 
 @given(q=joint_angles)

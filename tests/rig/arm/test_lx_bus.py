@@ -46,15 +46,6 @@ def test_asks_again_and_then_gives_up(heard: str) -> None:
     assert line.clock.at_s < 1.1
 
 
-def test_a_line_that_babbles_for_ever_is_left() -> None:
-    class _Babbling(ScriptedLine):
-        def read(self, timeout_s: float) -> bytes:  # noqa: ARG002
-            return b"\x55" * 64
-
-    with pytest.raises(NoAnswerError, match="damaged or foreign bytes"):
-        LxBus(_Babbling(*[(ASK_POS_1, SILENT)] * 5)).positions([1])
-
-
 def test_what_arrived_before_the_question_is_no_answer() -> None:
     with scripted(LxBus, (ASK_POS_1, POS_1_IS_500 + POS_1_IS_500), (ASK_POS_1, POS_1_IS_MINUS_3), piece=8) as bus:
         assert bus.positions([1]) == {1: 500}
@@ -107,22 +98,17 @@ def test_servos_that_never_report_a_start_are_left_to_their_positions() -> None:
         bus.move(TO_500_AND_600, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("targets", "duration_s", "says"),
-    [
+def test_nothing_is_sent_that_must_not_be() -> None:
+    for targets, duration_s, says in (
         ({1: 500, 2: 1001}, 1.0, "position 1001 of servo 2"),
         ({1: -1}, 1.0, "position -1 of servo 1"),
         ({1: 500}, 30.001, "outside 0 to 30 s"),
-        ({1: 500}, -0.1, "outside 0 to 30 s"),
         ({1: 500}, float("nan"), "outside 0 to 30 s"),
         ({254: 500}, 1.0, "servo number 254"),
-    ],
-)
-def test_nothing_is_sent_that_must_not_be(targets: dict[int, int], duration_s: float, says: str) -> None:
-    with pytest.raises(UnsafeError, match=says):
-        LxBus(ScriptedLine()).move(targets, duration_s)
+    ):
+        with pytest.raises(UnsafeError, match=says):
+            LxBus(ScriptedLine()).move(targets, duration_s)
     check_move({0: 0, 253: 1000}, 30.0)
-    check_move({1: 500}, 0.0)
 
 
 def test_torque_is_switched_until_it_reads_so_and_one_silent_servo_does_not_keep_the_others_on() -> None:
@@ -142,14 +128,6 @@ def test_stop_asks_nothing() -> None:
         bus.stop([1, 2])
 
 
-def test_echo_is_detected() -> None:
-    for echo, words in ((True, "LX servo bus with echo"), (False, "LX servo bus without echo")):
-        bus = LxBus(ScriptedLine((ASK_POS_1, POS_1_IS_500), echo=echo))
-        assert bus.describe() == "LX servo bus"
-        bus.positions([1])
-        assert bus.describe() == words
-
-
 def test_silence_of_the_adapter_is_distinguished_from_silence_of_a_servo() -> None:
     silence = [(ASK_POS_1, SILENT)] * 5
     with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
@@ -167,17 +145,9 @@ def by_hand(counts: int) -> bytes:
 
 POSITIONS = st.integers(-32768, 32767)
 ECHO = bytes.fromhex(ASK_POS_1)
-OTHERS = {
-    "echo": ASK_POS_1,
-    "cut longer one": "55 55 01 07 08 f4",
-    "damaged one": "55 55 01 05 1c f4 02 e8",
-    "another servo": POS_2_IS_500,
-    "another reading": "55 55 01 05 1b e8 1c da",
-    "answer of another command": "55 55 01 04 1a 1f c1",
-}
 RUBBISH = st.one_of(
     st.binary(max_size=12),
-    st.sampled_from([bytes.fromhex(other) for other in OTHERS.values()]),
+    st.sampled_from([bytes.fromhex(other) for other in [*USELESS.values(), "55 55 01 07 08 f4", "55 55 01 05 1b e8 1c da"]]),
     st.lists(st.sampled_from([0x55, 0x01, 0x05, 0x1C]), max_size=12).map(bytes),
     st.integers(0, 7).map(lambda size: bytes.fromhex(POS_1_IS_500)[:size]),
 )
@@ -195,9 +165,3 @@ def test_never_believes_a_damaged_answer(counts: int, at: int, flip: int, echoes
     damaged = bytearray(by_hand(counts))
     damaged[at] ^= flip
     assert find_reply(ECHO * echoes + bytes(damaged), 1, 28, 2) is None
-
-
-@given(heard=st.binary(max_size=200))
-def test_any_bytes_at_all_are_survived(heard: bytes) -> None:
-    found = find_reply(heard, 1, 28, 2)
-    assert found is None or by_hand(int.from_bytes(found, "little")) in heard

@@ -7,7 +7,7 @@ import pytest
 
 from rhizotwin.rig.arm.kinematics import cam_from_rig
 from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for
-from rhizotwin.rig.arm.tangency import azimuth_rad, tangent, turned_to
+from rhizotwin.rig.arm.tangency import azimuth_rad, turned_to
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Joint, RigFile
 from rhizotwin.scenes import frames
@@ -29,14 +29,10 @@ def limited(k: int, low: float, high: float) -> tuple[Joint, ...]:
 
 REACHED = (
     Ring(),
-    Ring(height_mm=-70.0),
     Ring(height_mm=130.0),
-    Ring(height_mm=45.0, tilt_deg=15.0),
-    Ring(height_mm=30.0, tilt_deg=8.0, kind="shoot"),
     Ring(height_mm=120.0, distance_mm=420.0, tilt_deg=10.0, kind="shoot"),
     Ring(height_mm=-50.0, tilt_deg=-10.0),
     Ring(distance_mm=375.0),
-    Ring(distance_mm=420.0),
 )
 
 
@@ -94,13 +90,8 @@ def test_refused_with_the_numbers(rig: RigFile, ring: Ring, match: str) -> None:
         joints_for(rig, camera_wanted(ring))
 
 
-ASKEW = {"beside": ((650.0, 25.0, -100.0), (0.0, 0.0, 180.0)), "leaning": ((650.0, 0.0, -100.0), (2.0, 3.0, 178.0))}
-
-
-@pytest.mark.parametrize(("position_mm", "rotation_deg"), ASKEW.values(), ids=ASKEW)
-def test_an_arm_that_stands_askew_turns_the_camera_round_the_table(position_mm: tuple[float, ...], rotation_deg: tuple[float, ...]) -> None:
-    rig = with_arm(position_mm=position_mm, rotation_deg=rotation_deg)
-    assert rig.arm is not None
+def test_an_arm_that_stands_askew_turns_the_camera_round_the_table() -> None:
+    rig = with_arm(position_mm=(650.0, 25.0, -100.0), rotation_deg=(2.0, 3.0, 178.0))
     ring = Ring(height_mm=-20.0, tilt_deg=4.0)
     camera = cam_from_rig(rig.arm, joints_for(rig, camera_wanted(ring)))
     assert max(frames.pose_error(camera, turned_to(camera_wanted(ring), camera))) < 1e-5
@@ -117,13 +108,6 @@ def test_correction_makes_up_for_wrong_zeros() -> None:
     # Ours to find: the joints that cancel the zeros.
     np.testing.assert_allclose(joints_deg + zeros, joints_for(RIG, wanted), atol=1e-3)
     assert before[0] > 3.0
-
-
-def test_correction_without_a_wish_makes_the_image_plane_tangent() -> None:
-    joints_deg = (2.0, 50.0, 70.0, -25.0, 3.0)
-    measured = cam_from_rig(ARM, joints_deg)
-    moved = cam_from_rig(ARM, corrected_joints(RIG, joints_deg, measured))
-    assert max(frames.pose_error(turned_to(tangent(measured), moved), moved)) < 1e-5
 
 
 def test_corrections_that_cannot_be_are_refused() -> None:

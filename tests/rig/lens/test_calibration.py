@@ -1,8 +1,6 @@
 """The lens from pictures of the board: corners, fit, what is left out and refused, and the twin's pictures of the board."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +15,6 @@ from rhizotwin.rig.lens.board_corners import BoardView, NoBoard, find_board
 from rhizotwin.rig.lens.calibration import calibrate, calibrate_views, numbers, write_calibration
 from rhizotwin.rig.lens.calibration_report import write_report
 from rhizotwin.rig.lens.lens_fit import fit_lens
-from rhizotwin.rig.lens.saddle_fit import fit_saddle
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.atomic import write_image
 from rhizotwin.scenes.board import CharucoBoard, black_parts, check_board, load_board, opencv_board, save_board
@@ -35,19 +32,15 @@ SMALL = Scene(camera=Camera().resized((400, 300)))
 # -- the board
 
 
-@pytest.mark.parametrize(
-    "board", [BOARD, CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50")], ids=["odd", "even"]
-)
-def test_the_board_is_opencv_s_pattern(board: CharucoBoard) -> None:
-    scale = 7 if board.dictionary == "5X5_100" else 1
-    theirs = opencv_board(board)
-    np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
-    assert len(theirs.getIds()) == board.markers
-    wide, high = (round(side * scale) for side in board.size_mm)
-    mine = np.full((high, wide), 255, np.uint8)
-    for left, top, right, bottom in np.rint(black_parts(board) * scale).astype(int):
-        mine[top:bottom, left:right] = 0
-    np.testing.assert_array_equal(mine, theirs.generateImage((wide, high)))
+def test_the_board_is_opencv_s_pattern() -> None:
+    for board, px_per_mm in ((BOARD, 7), (CharucoBoard(squares_xy=(6, 8), square_mm=24.0, marker_mm=18.0, dictionary="4X4_50"), 1)):
+        theirs = opencv_board(board)
+        np.testing.assert_allclose(theirs.getChessboardCorners(), board.corners_mm)
+        wide, high = (round(side * px_per_mm) for side in board.size_mm)
+        mine = np.full((high, wide), 255, np.uint8)
+        for left, top, right, bottom in np.rint(black_parts(board) * px_per_mm).astype(int):
+            mine[top:bottom, left:right] = 0
+        np.testing.assert_array_equal(mine, theirs.generateImage((wide, high)))
 
 
 def test_a_board_file_comes_back_and_its_mistakes_are_named(tmp_path: Path) -> None:
@@ -57,60 +50,11 @@ def test_a_board_file_comes_back_and_its_mistakes_are_named(tmp_path: Path) -> N
     (tmp_path / "bad.toml").write_text("[board]\nsquare_mm = 20.0\nmarker_mm = 19.5\n", encoding="utf-8")
     with pytest.raises(UserError, match=r"line 3: \[board\] marker_mm = 19.5: must be at most 18"):
         load_board(tmp_path / "bad.toml")
-    (tmp_path / "bad.toml").write_text("[board]\nsquares = [7, 5]\n", encoding="utf-8")
-    with pytest.raises(UserError, match="squares_xy"):
-        load_board(tmp_path / "bad.toml")
     with pytest.raises(UserError, match="needs 60 markers, but 4X4_50 has 50"):
         check_board(CharucoBoard(squares_xy=(12, 10), dictionary="4X4_50"))
-    with pytest.raises(UserError, match="dictionary"):
-        check_board(CharucoBoard(dictionary="7X7_9"))
 
 
 # -- corners
-
-
-def crossing(centre: Array, angles_deg: tuple[float, float], *, blur_px: float, noise: float, seed: int) -> NDArray[np.uint16]:
-    """Return a crossing of two edges at angles from +x, 41 x 41 px of 16 bits: sampled 9 times finer, blurred, averaged."""
-    fine = 9
-    at = (np.arange(41 * fine) + 0.5) / fine - 0.5
-    x, y = np.meshgrid(at - centre[0], at - centre[1])
-    sides = [np.sign(x * np.sin(np.deg2rad(a)) - y * np.cos(np.deg2rad(a))) for a in angles_deg]
-    light = 0.4 + 0.25 * sides[0] * sides[1] + 0.002 * x
-    light = cv2.GaussianBlur(light, (0, 0), blur_px * fine).reshape(41, fine, 41, fine).mean(axis=(1, 3))
-    light += np.random.default_rng(seed).normal(0.0, noise, light.shape)
-    return np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16)
-
-
-@pytest.mark.parametrize("angles_deg", [(3.0, 91.0), (20.0, 95.0), (-35.0, 20.0)], ids=["upright", "turned", "slanted"])
-@pytest.mark.parametrize("blur_px", [0.5, 1.5])
-def test_a_crossing_is_measured_to_hundredths_of_a_pixel(angles_deg: tuple[float, float], blur_px: float) -> None:
-    rng = np.random.default_rng(5)
-    errors, claimed = [], []
-    for seed in range(12):
-        centre = 20.0 + rng.uniform(-0.5, 0.5, 2)
-        image = crossing(centre, angles_deg, blur_px=blur_px, noise=0.005, seed=seed)
-        sides = 9.0 * np.stack([np.cos(np.deg2rad(angles_deg)), np.sin(np.deg2rad(angles_deg))])
-        fit = fit_saddle(image, centre + rng.uniform(-0.7, 0.7, 2), sides)
-        assert fit is not None
-        errors.append(fit.at_px - centre)
-        claimed.append(fit.sigma_px)
-        assert fit.blur_px == pytest.approx(np.hypot(blur_px, 12.0**-0.5), rel=0.15)
-    rms_px = np.sqrt(np.mean(np.square(errors)))
-    assert np.abs(np.mean(errors, axis=0)).max() < 0.02
-    assert rms_px < 0.03
-    assert rms_px == pytest.approx(np.median(claimed), rel=0.8)
-
-
-def test_what_is_no_crossing_is_not_measured() -> None:
-    sides, middle = 9.0 * np.eye(2), np.array([20.0, 20.0])
-    image = crossing(middle, (3.0, 91.0), blur_px=0.8, noise=0.0, seed=0)
-    assert fit_saddle(image, middle, sides) is not None
-    assert fit_saddle(image, np.array([5.0, 20.0]), sides) is None, "at the border"
-    assert fit_saddle(image, middle, 0.2 * sides) is None, "too small"
-    edge = np.where(np.arange(41)[None, :] < 20, np.uint16(5000), np.uint16(50000)).repeat(41, axis=0)
-    noise = np.random.default_rng(0).integers(0, 65535, (41, 41)).astype(np.uint16)
-    for other in (np.full_like(image, 20000), edge, noise):
-        assert fit_saddle(other, middle, sides) is None
 
 
 def flat_picture(board: CharucoBoard = BOARD, *, px_per_mm: float = 3.0) -> NDArray[np.uint8]:
@@ -138,7 +82,6 @@ def noisy_picture() -> NDArray[np.uint8]:
 
 ONE_ROW = CharucoBoard(squares_xy=(12, 5))
 USELESS = {
-    "empty": (np.full((300, 400), 90, np.uint8), BOARD, "no board was found"),
     "mirrored": (np.ascontiguousarray(flat_picture()[:, ::-1]), BOARD, "mirrored"),
     "other dictionary": (flat_picture(CharucoBoard(dictionary="APRILTAG_36h11")), BOARD, "markers of APRILTAG_36h11"),
     "other board": (flat_picture(CharucoBoard(squares_xy=(5, 7))), BOARD, "not as they stand on a board of 7x5"),
@@ -177,7 +120,6 @@ CURVED = replace(Camera(), distortion=BENCH, principal_px=(410.0, 290.0))
 LENSES = {
     "straight": (Camera(), {"fx / fy", "k3", "p1, p2", "k2", "k1"}),
     "bench": (CURVED, {"fx / fy", "k3"}),
-    "barrel": (replace(Camera(), distortion=(-0.3, 0.0, 0.0, 0.0, 0.0)), {"fx / fy", "k3", "p1, p2", "k2"}),
     "everything": (Camera(focal_px=(900.0, 905.0), distortion=(-0.25, 0.1, 0.001, -0.001, -0.3)), set()),
 }
 """Lenses, and which terms the fit must find that they do not need."""
@@ -295,11 +237,6 @@ def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:
         assert np.abs(error.mean(axis=0)).max() < 0.02
 
 
-def test_picture_k_does_not_depend_on_the_others(twin: Path, tmp_path: Path) -> None:
-    simulate_board(replace(SMALL, disturbances=load_profile("bench")), BOARD, tmp_path / "two", pictures=2, seed=1)
-    assert (tmp_path / "two" / "board_001.png").read_bytes() == (twin / "board_001.png").read_bytes()
-
-
 def test_a_board_that_does_not_suit_the_camera_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="too large for the camera at 400 mm"):
         simulate_board(SMALL, CharucoBoard(square_mm=200.0, marker_mm=140.0), tmp_path / "large")
@@ -321,14 +258,11 @@ def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tm
     made = calibrate(paths, BOARD)
     true, _ = true_lens(twin)
     assert set(made.rejected) == {"cut.png", "dark.png", "large.png"}
-    assert "truncated" in made.rejected["cut.png"]
-    assert "no board" in made.rejected["dark.png"]
-    assert "most others are 400x300" in made.rejected["large.png"]
+    for name, reason in (("cut.png", "truncated"), ("dark.png", "no board"), ("large.png", "most others are 400x300")):
+        assert reason in made.rejected[name]
     assert made.camera.bits == 12
     np.testing.assert_allclose(made.camera.focal_px, true.focal_px, rtol=1e-3)
     np.testing.assert_allclose(made.camera.principal_px, true.principal_px, atol=1.0)
-    assert made.fit.rms_px < 0.1
-
     out = tmp_path / "lens"
     out.mkdir()
     written = [*write_calibration(made, out), write_report(made, out)]
@@ -336,9 +270,7 @@ def test_the_lens_of_the_twin_is_found_and_bad_pictures_are_named(twin: Path, tm
     assert load_scene(out / "camera.toml").camera == made.camera
     assert json.loads((out / "calibration.json").read_text(encoding="utf-8")) == numbers(made)
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "data:image/png;base64," in page
-    for name in [*made.fit.views, *made.rejected]:
-        assert name in page
+    assert all(name in page for name in [*made.fit.views, *made.rejected, "data:image/png;base64,"])
 
 
 def test_no_usable_picture_at_all_is_one_sentence(tmp_path: Path) -> None:
@@ -346,10 +278,3 @@ def test_no_usable_picture_at_all_is_one_sentence(tmp_path: Path) -> None:
         write_image(tmp_path / f"{k}.png", np.full((300, 400), 100, np.uint8))
     with pytest.raises(RigError, match=r"none of the 3 pictures can be used; 0.png: no board was found.*2 others"):
         calibrate(sorted(tmp_path.iterdir()), BOARD)
-
-
-def test_a_raspberry_pi_calibrates_without_matplotlib() -> None:
-    modules = ("lens.calibration", "lens.calibration_report", "printing.print_files", "printing.print_strip", "printing.print_board")
-    words = "import sys, " + ", ".join(f"rig.{name}" for name in modules)
-    check = "sys.exit(any(name in sys.modules for name in ('matplotlib', 'mitsuba', 'trimesh', 'skimage')))"
-    assert subprocess.run([sys.executable, "-c", f"{words}; {check}"], cwd=Path(__file__).parents[3], check=False).returncode == 0

@@ -1,7 +1,6 @@
 """What is printed, drawn at 300 dpi and measured; and the size of the written pages."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +16,7 @@ from rhizotwin.rig.printing.print_page import PAGES_MM, Line, Page, Paper
 from rhizotwin.rig.printing.print_strip import strip_pages
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
+from rhizotwin.scenes.model import Scene
 
 DPI = 300
 PX_PER_MM = DPI / 25.4
@@ -128,11 +127,6 @@ def test_the_ruler_and_the_square_come_out_right(came_out_mm: tuple[float, float
     assert (edge_mm(column, rising=True) - edge_mm(column, rising=False)) * came_out[1] == pytest.approx(50.0, abs=0.05)
 
 
-def test_ids_keep_away_from_markers_or_leave_the_strip() -> None:
-    tight = replace(SCENE, net_pot=replace(NetPot(), top_mm=27.0), strip=MarkerStrip())
-    assert sorted(found_markers(drawn(strip_pages(tight, paper=Paper())[0]))) == list(range(62))
-
-
 def test_the_board_is_what_opencv_draws_and_is_never_taken_for_the_strip(
     board_drawn: NDArray[np.uint8], strip_drawn: NDArray[np.uint8]
 ) -> None:
@@ -162,15 +156,9 @@ def test_pdf_pages_have_the_paper_s_size_and_ask_not_to_be_scaled(tmp_path: Path
 def test_svg_pages_are_numbered_and_have_the_paper_s_size(tmp_path: Path) -> None:
     paths = write_pages(strip_pages(SCENE, paper=Paper(size_mm=(200.0, 140.0))), tmp_path / "strip.svg", title="strip")
     assert [path.name for path in paths] == [f"strip-{k + 1}.svg" for k in range(len(paths))]
-    assert len(paths) > 1
     (one,), (again,) = (write_pages(strip_pages(SCENE, paper=Paper()), tmp_path / name, title="strip") for name in ("one.svg", "again.svg"))
-    assert one.name == "one.svg"
     assert one.read_bytes() == again.read_bytes()
-    text = one.read_text(encoding="utf-8")
-    assert 'width="297mm" height="210mm"' in text
-    box = re.search(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"', text)
-    assert box
-    assert float(box[1]) / float(box[2]) == pytest.approx(297.0 / 210.0, abs=1e-6)
+    assert 'width="297mm" height="210mm"' in one.read_text(encoding="utf-8")
 
 
 def test_what_does_not_fit_is_refused_with_the_sizes(tmp_path: Path) -> None:

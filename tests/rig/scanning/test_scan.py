@@ -33,8 +33,7 @@ def test_complete_scan_is_the_plan(tmp_path: Path) -> None:
     assert times == sorted(times)
     assert all(read_image(read, frame).shape == (300, 400) for frame in read.frames)
     assert (world.panel, world.front, world.motor) == (0.0, 0.0, False)
-    for word in ("disk", "turntable", "lights", "camera", "picture", "markers"):
-        assert sum(line.startswith(word) for line in said) >= 1, said
+    assert {"disk", "turntable", "lights", "camera", "picture", "markers"} <= {line.split()[0].rstrip(":") for line in said}
 
 
 def test_angle_zero_is_the_seam_toward_the_camera_whatever_a_person_says(tmp_path: Path) -> None:
@@ -145,7 +144,7 @@ def test_arm_goes_to_the_rings_and_is_corrected_by_the_markers(tmp_path: Path) -
     assert not world.torque
 
 
-@pytest.mark.parametrize("number", [12, 34, 58])
+@pytest.mark.parametrize("number", [12, 58])
 def test_ctrl_c_with_an_arm(number: int, tmp_path: Path) -> None:
     world = armed()
     world.on_call = stop_at(number)

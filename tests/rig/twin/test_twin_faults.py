@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.twin.adapter import Reply
-from rhizotwin.rig.twin.faults import FOR_GOOD, KIND_NAMES, MENU, Fault, Pending, draw_faults, parse_fault
-from rhizotwin.rig.twin.line import COMPLETED, Line, corrupted
+from rhizotwin.rig.twin.faults import KIND_NAMES, MENU, Fault, Pending, draw_faults, parse_fault
+from rhizotwin.rig.twin.line import Line, corrupted
 from rhizotwin.scenes.errors import UserError
 
 BAUD = 10_000  # a byte takes a millisecond
@@ -63,26 +63,25 @@ def table(kind: str, **changes: object) -> Fault:
 def test_bytes_take_their_time_both_ways() -> None:
     talk = _Talk()
     talk.line.write(b"123456789\n", 0.0)
-    for wait_s, heard, answer in ((0.0099, [], b""), (0.0002, [b"123456789\n"], b""), (0.0098, [b"123456789\n"], b"")):
+    for wait_s, heard, answer in ((0.0099, [], b""), (0.0100, [b"123456789\n"], b""), (0.0102, [b"123456789\n"], b"123456789\nok\n")):
         assert talk.listen(wait_s) == answer
         assert talk.parrot.heard == heard
-    assert talk.listen(0.0102) == b"123456789\nok\n"
 
 
 CASES = [
     (table("reply_dropped"), b"ok\n", b"B\nok\n"),
     (table("reply_dropped", count=2), b"", b"B\nok\n"),
-    (table("reply_dropped", at_message=3), b"A\nok\n", b"ok\n"),
     (table("reply_dropped", at_s=0.5), b"A\nok\n", b"ok\n"),
     (table("reply_doubled"), b"A\nA\nok\n", b"B\nok\n"),
     (table("reply_truncated", at_message=2, amount=0.4), b"A\no", b"B\nok\n"),
     (table("garbage", amount=0.3), b"\xff\x00\x55\x13A\nok\n", b"B\nok\n"),
     (table("request_dropped"), b"", b"B\nok\n"),
-    (table("ok_missing"), b"A\n", b"B\nok\n"),
     (table("ok_missing", count=2), b"A\n", b"B\n"),
     (table("reply_corrupted", amount=0.0), b"@\nok\n", b"B\nok\n"),
     (table("request_corrupted", amount=0.0), b"@\nok\n", b"B\nok\n"),
     (table("ok_missing_after_resend", amount=0.0), b"@\n", b"B\nok\n"),
+    (table("echo"), b"A\nA\nok\n", b"B\nok\n"),
+    (table("unasked"), bytes.fromhex("55 55 05 08 01 01 00") + b"A\nok\n", b"B\nok\n"),
 ]
 """Faults, and what is heard after each of two requests."""
 
@@ -102,69 +101,42 @@ def test_a_late_reply_comes_late_and_busy_lines_before_it() -> None:
     assert talk.listen(4.0) == b"echo:busy: processing\nA\nok\n"
 
 
-def test_an_echo_and_an_unasked_frame_come_before_the_answer() -> None:
-    for kind, before in (("echo", b"A\n"), ("unasked", COMPLETED)):
-        talk = _Talk(Fault(kind=kind, device="arm"))
-        talk.line.device = "arm"
-        assert [talk.ask(b"A\n"), talk.ask(b"B\n")] == [before + b"A\nok\n", b"B\nok\n"]
-    assert bytes.fromhex("55 55 05 08 01 01 00") == COMPLETED
-
-
-def test_a_device_breaks_at_its_message() -> None:
+def test_a_device_breaks_at_its_message_and_unplugged_nothing_passes() -> None:
     talk = _Talk(table("reset", at_message=3))
     for data, broken in ((b"A\n", []), (b"B\n", ["reset"])):
         talk.ask(data)
         assert talk.broken == broken
-
-
-def test_unplugged_nothing_passes() -> None:
-    talk = _Talk()
-    talk.line.write(b"A\n", 0.0)
+    talk.line.write(b"A\n", talk.now_s)
     talk.line.unplug()
     assert talk.listen(1.0) == b""
     talk.line.plug()
     assert talk.ask(b"B\n") == b"B\nok\n"
-    assert talk.line.plugs == 1
 
 
 def test_one_bit_is_turned() -> None:
     data = bytes(range(1, 12))
-    for amount in (0.0, 0.31, 0.5, 0.99, 1.0):
+    for amount in (0.0, 0.31, 1.0):
         assert sum((a ^ b).bit_count() for a, b in zip(data, corrupted(data, amount), strict=True)) == 1
         assert corrupted(b"", amount) == b""
 
 
 def test_every_kind_is_drawn_within_its_menu() -> None:
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        faults = draw_faults(rng, KIND_NAMES, messages=50, duration_s=60.0)
-        assert [fault.kind for fault in faults] == list(KIND_NAMES)
-        for fault, kind in zip(faults, MENU, strict=True):
-            assert fault.device in kind.devices
-            assert fault.amount in kind.amounts
-            assert fault.count in kind.counts
-            assert (fault.at_message is None) != (fault.at_s is None)
-            assert fault.at_message is None or 1 <= fault.at_message <= 50
-            assert fault.at_s is None or 0.0 <= fault.at_s <= 60.0
+    faults = draw_faults(rng, KIND_NAMES, messages=50, duration_s=60.0)
+    assert [fault.kind for fault in faults] == list(KIND_NAMES)
+    for fault, kind in zip(faults, MENU, strict=True):
+        assert fault.device in kind.devices
+        assert fault.amount in kind.amounts
+        assert fault.count in kind.counts
+        assert (fault.at_message is None) != (fault.at_s is None)
+        assert fault.at_message is None or 1 <= fault.at_message <= 50
+        assert fault.at_s is None or 0.0 <= fault.at_s <= 60.0
 
 
 def test_faults_are_read_from_words() -> None:
     assert parse_fault("reset") == Fault(kind="reset", device="table", amount=0.1)
     assert parse_fault("reply_late arm amount=3 at_s=20 count=2") == Fault(kind="reply_late", device="arm", at_s=20.0, amount=3.0, count=2)
-    assert parse_fault("stalled joint=2 at_message=7 amount=0").joint == 2
-    assert parse_fault(f"reply_dropped count={FOR_GOOD}").count == FOR_GOOD
-
-
-def test_words_that_are_no_fault_are_refused() -> None:
-    for text, named in (
-        ("rest", '"reset"'),
-        ("reset arm", "'arm'"),
-        ("stalled joint=x", "joint"),
-        ("", '""'),
-        ("reset at_s=nan", "at_s"),
-        ("reset amount=inf", "amount"),
-    ):
+    words = [("rest", '"reset"'), ("reset arm", "'arm'"), ("stalled joint=x", "joint"), ("", '""')]
+    for text, named in (*words, ("reset at_s=nan", "at_s"), ("reset amount=inf", "amount")):
         with pytest.raises(UserError, match=named):
             parse_fault(text)
-    with pytest.raises(UserError, match="there is no fault"):
-        Pending((table("fire"),))

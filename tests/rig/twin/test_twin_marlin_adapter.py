@@ -1,11 +1,6 @@
 """Marlin's line protocol as the twin speaks it: lines, checksums and answers as in Marlin's own sources."""
 
-import operator
-from functools import reduce
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rhizotwin.rig.twin.imperfections import CLEAN
 from rhizotwin.rig.twin.lamps import Lamp
@@ -50,12 +45,13 @@ def test_the_wire_examples_are_accepted() -> None:
     assert said[1].startswith("FIRMWARE_NAME:Marlin 2.1")
     assert "Cap:EMERGENCY_PARSER:1" in said
     for line in ("N2 G91*19", "N3 G1 X3.6 F1800*23"):
-        assert board.send(line) == ["ok"], line
+        assert board.send(line) == ["ok"]
     assert board.send("N4 M400*35") == []
     assert board.wait(0.5) == ["ok"]
     assert board.send("N5 M114*34") == ["X:3.60 Y:0.00 Z:0.00 E:0.00 Count X:64 Y:0 Z:0", "ok"]
     for line in ("N6 M150 S0 R255 U255 B255 P255*119", "N7 M150 S1 I0 R255*123", "N8 M18 S0*81"):
-        assert board.send(line) == ["ok"], line
+        assert board.send(line) == ["ok"]
+    assert board.send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
     assert [lamp.level for lamp in board.lamps] == pytest.approx([1.0, 1.0 / 90.0])
 
 
@@ -75,22 +71,6 @@ def test_a_bad_line_and_one_sent_twice_are_requested_again() -> None:
         assert board.send("N1 M115*39") == ["Error:Line Number is not Last Line Number+1, Last Line: 1", "Resend: 2", "ok"]
 
 
-def test_the_last_number_in_an_m110_wins() -> None:
-    board = _Board()
-    for line in ("N7 M110 N41", "N42 M114", "M110 N5", "N6 M114"):
-        checksum = reduce(operator.xor, line.encode())
-        assert board.send(f"{line}*{checksum}" if line.startswith("N") else line)[-1] == "ok"
-
-
-def test_comments_unchecked_lines_and_unknown_commands() -> None:
-    board = _Board()
-    assert board.send("") == board.send("   ; only a comment") == []
-    assert board.send("M17 ; energise") == ["ok"]
-    assert board.table.energised
-    assert board.send("M114*7")[-1] == "ok"
-    assert board.send("M9999 X1") == ['echo:Unknown command: "M9999 X1"', "ok"]
-
-
 def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
     board = _Board()
     assert board.send("G1 X90 F1200") == ["ok"]
@@ -99,50 +79,15 @@ def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
     assert board.wait(4.8) == ["echo:busy: processing"] * 2
     assert board.wait(0.1) == ["ok", "X:90.00 Y:0.00 Z:0.00 E:0.00 Count X:1600 Y:0 Z:0", "ok"]
     assert board.table.true_deg == pytest.approx(90.0)
-    assert [board.send(line) for line in ("M113", "M113 S1", "G1 X0 F1200", "M400")] == [["echo:M113 S2", "ok"], ["ok"], ["ok"], []]
-    assert board.wait(4.4) == ["echo:busy: processing"] * 4
     board = _Board()
     answers = [board.send(f"G1 X{(k % 2) * 10} F600") for k in range(1, 20)]
     assert (answers[:16], answers[-1]) == ([["ok"]] * 16, [])  # a full queue
 
 
-def test_positions_absolute_relative_and_declared() -> None:
-    board = _Board()
-    for line in ("G92 X370", "G90", "G1 X380 F1800", "G91", "G1 X-5"):
-        assert board.send(line) == ["ok"]
-    board.wait(3.0)
-    assert board.send("M114")[0].startswith("X:375.00 ")
-    assert board.table.true_deg == pytest.approx(5.0, abs=0.03)
-    assert board.send("G92") == ["ok"]
-    assert board.send("M114")[0].startswith("X:0.00 ")
-
-
-def test_m150_lights_forgets_colours_but_keeps_the_brightness() -> None:
-    for line, levels in (
-        ("M150 S0 R255 U255 B255", (1.0, 0.0)),
-        ("M150 S1 R U B", (0.0, 1.0)),
-        ("M150 R255 P51", (1.0 / 15.0, 1.0 / 15.0)),
-        ("M150 S1 U51", (0.0, 1.0 / 15.0)),
-        ("M150 S0 R999 U255 B255", (1.0, 0.0)),
-    ):
-        board = _Board()
-        assert board.send(line) == ["ok"]
-        assert [lamp.level for lamp in board.lamps] == pytest.approx(levels)
-    for line, level in (("M150 S0 R255 P102", 0.4 / 3.0), ("M150 S0 U255", 0.4 / 3.0), ("M150 S0 B255 K", 0.8 / 3.0)):
-        board.send(line)
-        assert board.lamps[0].level == pytest.approx(level)
-
-
 def test_an_idle_motor_is_released_unless_it_was_forbidden() -> None:
     board = _Board()
-    for lines, seconds, energised in (
-        (["M17"], 119.0, True),
-        ([], 2.0, False),
-        (["M17", "M18 S0"], 100_000.0, True),
-        (["M84"], 0.0, False),
-    ):
-        for line in lines:
-            board.send(line)
+    for line, seconds, energised in (("M17", 119.0, True), ("M115", 2.0, False), ("M18 S0", 0.0, False), ("M17", 100_000.0, True)):
+        board.send(line)
         board.wait(seconds)
         assert board.table.energised == energised
 
@@ -153,7 +98,6 @@ def test_m410_stops_at_once_even_behind_m400() -> None:
     board.send("M400")
     board.wait(1.5)
     assert board.send("M410") == ["ok", "ok"]
-    assert not board.table.moving
     assert 5.0 < board.table.true_deg < 20.0
     assert f"X:{board.table.true_deg:.2f} " in board.send("M114")[0]
 
@@ -169,39 +113,16 @@ def test_a_killed_firmware_is_silent_until_a_reset_and_a_stopped_one_refuses_mov
     board.adapter.commands.stopped = True
     assert board.send("G1 X10")[0].startswith("Printer stopped due to errors. Fix the error and use M999 to restart.")
     assert not board.table.moving
-    board.send("M999")
-    board.send("G1 X10")
-    assert board.table.moving
+    assert (board.send("M999"), board.send("G1 X10"), board.table.moving) == (["ok"], ["ok"], True)
 
 
 def test_a_reset_forgets_everything_and_greets() -> None:
     board = _Board()
-    board.send("N1 M115*39")
-    board.send("G92 X370")
-    board.send("M150 R U B")
-    board.send("M17")
+    for line in ("N1 M115*39", "G92 X370", "M150 R U B", "M17"):
+        board.send(line)
     board.adapter.reset(board.now_s, reason="Watchdog Reset")
     assert board.send("M114") == []  # lost: it is starting
-    banner = board.wait(1.0)
-    assert banner[:3] == ["start", " Watchdog Reset", "Marlin 2.1.2.5"]
+    assert board.wait(1.0)[:3] == ["start", " Watchdog Reset", "Marlin 2.1.2.5"]
     assert board.send("M114")[0].startswith("X:0.00 ")
     assert board.send("N1 M115*39")[-1] == "ok"
-    assert not board.table.energised
-    assert board.lamps[0].level == 0.0
-
-
-def test_a_resend_drops_what_waits_behind_it() -> None:
-    board = _Board()
-    for line in ("G1 X90 F600", "M400", "N5 M114*1", "M115"):
-        board.send(line)
-    refused = ["Error:Line Number is not Last Line Number+1, Last Line: 0", "Resend: 1", "ok"]
-    assert [line for line in board.wait(20.0) if "busy" not in line] == ["ok", *refused]
-
-
-@given(st.binary(max_size=300))
-def test_noise_does_no_harm(noise: bytes) -> None:
-    board = _Board()
-    board.send(noise)
-    board.adapter.reset(board.now_s)
-    assert board.wait(1.0)[0] == "start"
-    assert board.send("M114")[-1] == "ok"
+    assert (board.table.energised, board.lamps[0].level) == (False, 0.0)

@@ -16,9 +16,8 @@ from rhizotwin.scenes.model import Disturbances, Scene
 ASK_ARM = bytes.fromhex("55 55 05 03 1c db")  # position of servo 5
 
 
-def twin(*faults: Fault, seed: int = 0, resets_on_open: bool = False, profile_name: str = "clean") -> Twin:
-    scene = Scene(disturbances=Disturbances(table_deg=0.1))
-    return Twin(scene, seed=seed, profile_name=profile_name, faults=faults, pictures="sketch", resets_on_open=resets_on_open)
+def twin(*faults: Fault, seed: int = 0, profile_name: str = "clean") -> Twin:
+    return Twin(Scene(disturbances=Disturbances(table_deg=0.1)), seed=seed, profile_name=profile_name, faults=faults, pictures="sketch")
 
 
 def opened(url: str, timeout: float = 0.25, exclusive: bool | None = None) -> serial.SerialBase:
@@ -34,21 +33,6 @@ def asked(port: serial.SerialBase, line: bytes) -> bytes:
         if answer.endswith(b"ok\n"):
             return answer
     return answer
-
-
-def test_a_move_over_the_port_turns_the_table_in_no_time() -> None:
-    rig = twin()
-    port = opened(rig.rig.turntable.port)
-    start = rig.world.table_deg
-    wall = time.monotonic()
-    assert asked(port, b"N0 M110 N0*125") == b"ok\n"
-    asked(port, b"G1 X90 F180")
-    answer = asked(port, b"M400")
-    assert answer.count(b"busy") == 15
-    assert rig.clock.now_s() == pytest.approx(30.0, abs=0.2)
-    assert rig.world.table_deg - start == pytest.approx(90.0)
-    assert time.monotonic() - wall < 5.0
-    port.close()
 
 
 def test_a_read_ends_with_its_bytes_or_its_time_out_or_not_for_ever() -> None:
@@ -75,21 +59,14 @@ def test_a_read_ends_with_its_bytes_or_its_time_out_or_not_for_ever() -> None:
             board.read(1000)
 
 
-def checked(body: bytes) -> bytes:
-    """Return a frame of the servo bus."""
-    return b"\x55\x55" + body + bytes([~sum(body) & 0xFF])
-
-
 def talk(seed: int) -> bytes:
     rig = twin(Fault(kind="reply_corrupted", device="table", at_message=3), seed=seed, profile_name="bench")
     board, arm = opened(rig.rig.turntable.port), opened(rig.rig.arm.port)
     heard = b"".join(asked(board, line) for line in (b"M17", b"M115", b"G1 X9 F1800", b"M400", b"M114"))
-    for number in range(1, 7):
-        arm.write(checked(bytes([number, 7, 1, 0xF4, 0x01, 0xE8, 0x03])))
+    arm.write(bytes.fromhex("55 55 05 07 01 f4 01 e8 03 12"))  # servo 5 to 500 in a second
     rig.clock.sleep(0.7)
-    for number in range(1, 7):
-        arm.write(checked(bytes([number, 3, 28])))
-        heard += arm.read(8)
+    arm.write(ASK_ARM)
+    heard += arm.read(8)
     board.close()
     arm.close()
     return heard + repr((rig.world.joints_deg, rig.world.table_deg, rig.clock.now_s())).encode()
@@ -100,19 +77,6 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert talk(3) != talk(4)
 
 
-def test_the_host_forgets_what_came_before_it_opened_which_may_reset_the_board() -> None:
-    rig = twin()
-    port = opened(rig.rig.turntable.port)
-    port.write(b"M115\n")
-    port.close()
-    rig.clock.sleep(1.0)
-    with opened(rig.rig.turntable.port) as port:
-        assert port.read(1) == b""
-    rig = twin(resets_on_open=True)
-    with opened(rig.rig.turntable.port, timeout=1.0) as port:
-        assert port.read(6) == b"start\n"
-
-
 def test_a_pulled_cable_is_as_on_linux() -> None:
     rig = twin(Fault(kind="unplugged", device="table", at_s=1.0, amount=5.0))
     port = opened(rig.rig.turntable.port, timeout=2.0)
@@ -121,17 +85,14 @@ def test_a_pulled_cable_is_as_on_linux() -> None:
     assert rig.clock.now_s() == pytest.approx(1.0)
     with pytest.raises(serial.SerialException, match="write failed"):
         port.write(b"M114\n")
-    with pytest.raises(OSError, match="Input/output error"):
-        _ = port.in_waiting
     with pytest.raises(serial.SerialException, match="No such file"):
         opened(rig.rig.turntable.port)
     rig.clock.sleep(5.0)
     with pytest.raises(serial.SerialException):
         port.read(1)  # a new plug needs a new port
     port.close()
-    again = opened(rig.rig.turntable.port)
-    assert asked(again, b"M114").endswith(b"ok\n")
-    again.close()
+    with opened(rig.rig.turntable.port) as again:
+        assert asked(again, b"M114").endswith(b"ok\n")
 
 
 def test_a_port_is_locked_on_demand_and_closed_ports_and_gone_twins_are_named() -> None:
@@ -140,7 +101,6 @@ def test_a_port_is_locked_on_demand_and_closed_ports_and_gone_twins_are_named() 
     port = opened(url, exclusive=True)
     with pytest.raises(serial.SerialException, match="exclusively lock"):
         opened(url, exclusive=True)
-    opened(url).close()
     port.close()
     with pytest.raises(serial.SerialException):
         port.read(1)
@@ -158,10 +118,9 @@ def test_a_reset_loses_motor_angle_and_lights() -> None:
             asked(port, line)
         assert rig.world.panel.level == 1.0
         rig.clock.sleep(2.5)
-        assert rig.world.panel.level == 0.0
         assert b"start\n Watchdog Reset\n" in port.read(500)
         assert b"X:0.00" in asked(port, b"M114")
-    assert not rig.world.table.energised
+    assert (rig.world.panel.level, rig.world.table.energised) == (0.0, False)
     assert [fault.kind for _, fault in rig.pending.happened] == ["reset"]
 
 
@@ -178,10 +137,8 @@ def test_device_faults_reach_their_device() -> None:
         unit.load(True)
     rig.clock.sleep(1.0)
     assert (shoulder.stalled, elbow.holds, rig.board.commands.stopped) == (True, False, True)
-    rig.clock.sleep(2.0)
-    assert not shoulder.stalled
-    rig.clock.sleep(2.5)
-    assert not world.supply.up
+    rig.clock.sleep(4.5)
+    assert (shoulder.stalled, world.supply.up) == (False, False)
     assert not any(unit.holds for unit in world.servos.values())
     rig.clock.sleep(2.0)
     assert world.supply.up
@@ -190,20 +147,17 @@ def test_device_faults_reach_their_device() -> None:
 def test_a_repaired_twin_has_no_fault_left() -> None:
     rig = twin(
         Fault(kind="unplugged", device="table", at_s=1.0, amount=0.0),
-        Fault(kind="stalled", device="arm", at_s=1.0, amount=0.0),
         Fault(kind="overheated", device="arm", at_s=1.0, amount=95.0),
         Fault(kind="stopped", device="table", at_s=1.0),
         Fault(kind="reset", device="table", at_s=9.0),
     )
     rig.clock.sleep(2.0)
     rig.repair()
-    port = opened(rig.rig.turntable.port)
-    rig.clock.sleep(8.0)
-    assert b"External Reset" in port.read(500)
-    assert asked(port, b"M17") == b"ok\n"
-    assert not any(unit.stalled or unit.hot or unit.celsius > 50 for unit in rig.world.servos.values())
+    with opened(rig.rig.turntable.port) as port:
+        rig.clock.sleep(8.0)
+        assert b"External Reset" in port.read(500)
+    assert not any(unit.hot or unit.celsius > 50 for unit in rig.world.servos.values())
     assert "reset" not in [fault.kind for _, fault in rig.pending.happened]
-    port.close()
 
 
 @pytest.fixture
@@ -220,16 +174,11 @@ def served(tmp_path: Path) -> Iterator[tuple[Twin, Any]]:
 def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, Any]) -> None:
     rig, ports = served
     with opened(str(ports.paths["table"]), timeout=5.0, exclusive=True) as port:
-        port.write(b"N0 M110 N0*125\n")
-        assert port.read(3) == b"ok\n"
         port.write(b"G1 X90 F1800\nM400\nM114\n")
         assert port.read_until(b"X:90.00 ").endswith(b"X:90.00 ")
     with opened(str(ports.paths["arm"]), timeout=5.0) as port:
         port.write(ASK_ARM)
         assert port.read(8)[:5] == bytes.fromhex("55 55 05 05 1c")
-    with opened(str(ports.paths["table"]), timeout=5.0) as port:  # once more
-        port.write(b"M114\n")
-        assert port.read_until(b"ok\n").startswith(b"X:90.00")
     assert rig.world.table.true_deg == pytest.approx(90.0)
 
 

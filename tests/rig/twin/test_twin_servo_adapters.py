@@ -1,8 +1,5 @@
 """The two servo protocols as the twin speaks them; frames byte by byte from the vendors' manuals."""
 
-from hypothesis import given
-from hypothesis import strategies as st
-
 from rhizotwin.rig.twin.imperfections import CLEAN
 from rhizotwin.rig.twin.lsc_adapter import LscAdapter
 from rhizotwin.rig.twin.lx_adapter import LxAdapter
@@ -48,6 +45,9 @@ def test_lx_examples() -> None:
     assert bus.send("55 55 01 03 1a e1") == "55 55 01 04 1a 1f c1"
     bus.supply._volt = 7.4
     assert bus.send("55 55 01 03 1b e0") == "55 55 01 05 1b e8 1c da"
+    for switch, torque in (("55 55 01 04 1f 01 da", "01 d9"), ("55 55 01 04 1f 00 db", "00 da")):
+        assert bus.send(switch) == ""
+        assert bus.send("55 55 01 03 20 db") == f"55 55 01 04 20 {torque}"
     bus.send("55 55 01 04 0d 09 e4")
     assert set(bus.servos) == {9}
 
@@ -55,14 +55,8 @@ def test_lx_examples() -> None:
 def test_lx_moves_at_once_and_stops_where_it_is() -> None:
     bus = _Bus(1, start=400.0)
     assert bus.send(TO_500) == ""
-    bus.wait(0.5)
-    assert bus.counts() == [450]
-    bus.wait(0.5)
-    assert bus.counts() == [500]
-    assert bus.send("55 55 01 03 02 f9") == "55 55 01 07 02 f4 01 e8 03 15"
-    bus = _Bus(1, start=400.0)
-    bus.send(TO_500)
     bus.wait(0.25)
+    assert bus.send("55 55 01 03 02 f9") == "55 55 01 07 02 f4 01 e8 03 15"
     bus.send("55 55 01 03 0c ef")
     bus.wait(5.0)
     assert bus.counts() == [425]
@@ -80,15 +74,6 @@ def test_lx_waits_for_the_common_start() -> None:
     assert bus.counts() == [500, 500]
 
 
-def test_lx_torque() -> None:
-    bus = _Bus(1)
-    assert bus.send("55 55 01 03 20 db") == "55 55 01 04 20 00 da"
-    bus.send("55 55 01 04 1f 01 da")
-    assert bus.send("55 55 01 03 20 db") == "55 55 01 04 20 01 d9"
-    bus.send("55 55 01 04 1f 00 db")
-    assert not bus.servos[1].holds
-
-
 def test_lx_limits_are_kept_and_clamp() -> None:
     bus = _Bus(1)
     assert bus.send("55 55 01 03 15 e6") == "55 55 01 07 15 00 00 e8 03 f7"
@@ -101,8 +86,8 @@ def test_lx_limits_are_kept_and_clamp() -> None:
 
 
 def test_lx_ignores_what_is_not_for_it() -> None:
-    wrong_checksum, another, no_header, wrong_lengths = ASK_POS[:-2] + "de", "55 55 02 03 1c de", "55 54 01 03 1c df", "55 55 01 02 1c e0"
-    for bad in (wrong_checksum, another, no_header, wrong_lengths, "55 55 01 04 1c 00 de", "55 55 fe 03 1c e2"):
+    wrong_checksum, another, wrong_length = ASK_POS[:-2] + "de", "55 55 02 03 1c de", "55 55 01 04 1c 00 de"
+    for bad in (wrong_checksum, another, wrong_length):
         bus = _Bus(1)
         assert bus.send(bad) == ""
         assert bus.send("00 00 00 00 00 00 00" + ASK_POS) == POS_IS_500
@@ -119,13 +104,6 @@ def test_lx_frames_come_in_pieces_and_after_noise_but_not_without_power() -> Non
     assert bus.send(ASK_POS) == POS_IS_500
 
 
-@given(st.binary(max_size=200))
-def test_lx_survives_noise(noise: bytes) -> None:
-    bus = _Bus(1)
-    bus.send(noise.hex() + "00" * 16)
-    assert bus.send("55 55 01 03 1b e0").startswith("55 55")
-
-
 class _Board(_Bus):
     """Servos behind a controller board."""
 
@@ -137,6 +115,8 @@ MOVE_1_TO_500 = "55 55 08 03 01 e8 03 01 f4 01"
 
 def test_lsc_examples() -> None:
     board = _Board(1, 2, start=400.0)
+    for bad in ("55 55 04 15 06 01", "55 55 05 03 01 e8 03"):  # of another length
+        assert board.send(bad) == ""
     assert board.send(MOVE_1_TO_500) == ""
     board.wait(1.0)
     assert board.counts() == [500, 400]
@@ -148,15 +128,3 @@ def test_lsc_examples() -> None:
     for sent, holds in ((MOVE_1_TO_500, True), ("55 55 09 14 06 01 02 03 04 05 06", False), (MOVE_1_TO_500, True)):
         board.send(sent)
         assert board.servos[1].holds == holds
-
-
-def test_lsc_runs_no_group_but_says_so_and_then_complete() -> None:
-    ran, completed = _Board(1).adapter.receive(bytes.fromhex("55 55 05 06 08 01 00"), 2.0)
-    assert (ran.data.hex(" "), completed.data.hex(" ")) == ("55 55 05 06 08 01 00", "55 55 05 08 08 01 00")
-    assert completed.due_s > ran.due_s
-
-
-def test_lsc_ignores_frames_of_another_length() -> None:
-    board = _Board(1)
-    assert board.send("55 55 04 15 06 01") == board.send("55 55 05 03 01 e8 03") == ""
-    assert board.servos[1].command == (500, 0)
