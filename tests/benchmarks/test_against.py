@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import against
 from benchmarks.__main__ import main
-from benchmarks.against import Job, Used
+from benchmarks.against import Job
 from rhizotwin.scenes.errors import UserError
 
 
@@ -37,13 +37,6 @@ def test_a_run_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(against, "checked_out", lambda _: folder)
     with pytest.raises(UserError, match=r"--wrong.* ended with code 1"):
         against.compare("old", jobs=[Job("fails", ("--wrong",), makes=False)], repeats=1, device="cpu", say=str)
-
-
-def test_pairs_are_divided_before_the_median() -> None:
-    pairs = [(Used(cpu_s=a, wall_s=1.0, memory_mib=a), Used(cpu_s=b, wall_s=1.0, memory_mib=b)) for a, b in ((1, 2), (10, 5), (4, 1))]
-    ratio = against._ratio(Job("x", ()), pairs)
-    assert ratio.cpu == ratio.memory == 0.5
-    assert (ratio.before.cpu_s, ratio.after.cpu_s) == (4.0, 2.0)
 
 
 def test_an_unknown_commit_and_missing_files_are_mistakes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,17 +2,15 @@
 
 import json
 import math
-from dataclasses import replace
 
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import accuracy, cases, datasets, gate, speed, worker
+from benchmarks import accuracy, cases, gate, speed, worker
 from benchmarks.cases import Case, Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run
 from benchmarks.targets import TARGETS
-from rhizotwin.scenes.model import Ring
 
 PLANT = Pictures(scene="radish_day05a", rings=2, views=3, image_wh=(80, 60))
 CASES = [Case(pictures=PLANT), Case(pictures=PLANT, method="thesis")]
@@ -33,35 +31,6 @@ def test_targets_name_measured_things():
     full = {case.name for case in cases.ladder()}
     others = ("render/", "reconstruct/", "projection/", "rig/", "ladder/")
     assert [key for key in TARGETS if not key.startswith(others) and key.rpartition("/")[0] not in full] == []
-
-
-def test_the_ladder_is_what_was_promised():
-    found = {(case.pictures.scene, case.pictures.profile) for case in cases.ladder()}
-    radishes = {scene for scene, _ in found if scene.startswith("radish_day")}
-    assert len(radishes) == 18
-    assert {(scene, profile) for scene in radishes for profile in cases.PROFILES} <= found
-    assert ("fallen_plant", "harsh") not in found
-    assert {(scene, profile) for scene in cases.FAMILIES for profile in ("clean", "bench")} <= found
-    larger = [case.pictures for case in cases.ladder() if case.pictures.image_wh != (800, 600)]
-    assert [(pictures.scene, pictures.image_wh) for pictures in larger] == [("bean", (1014, 760)), ("bean", (2028, 1520))]
-    assert len(cases.ladder()) == 2 * len(found) + len(larger)
-    assert not {case.pictures.scene for case in cases.quick()} & set(cases.FAMILIES)
-    assert {case.pictures.rings for case in cases.ladder(scenes=("printed_8ml", "sphere*"))} == {1}
-    assert {case.pictures.rings for case in cases.ladder(scenes=("radish*", "fallen*"))} == {2}
-
-
-def test_the_second_ring_looks_from_above_at_the_scenes_distance():
-    low, high = PLANT.scene_to_render().plan.rings
-    assert low == replace(Ring(), views=3)
-    assert high == Ring(views=3, height_mm=10.0, tilt_deg=8.0, first_deg=4.5, distance_mm=low.distance_mm)
-
-
-def test_a_seed_is_another_plant_but_the_same_print():
-    first, second = (Pictures(scene="radish_day05a", seed=seed).scene_to_render().specimen for seed in (0, 101))
-    assert first.seed == 501
-    assert second == replace(first, seed=501 + 101 * cases.PLANT_SEEDS_APART)
-    assert len({Pictures(scene="printed_8ml", seed=seed).scene_to_render().specimen for seed in (0, 101)}) == 1
-    assert not set(cases.SEED_SETS["first"]) & set(cases.SEED_SETS["second"])
 
 
 def test_clean_prints_are_not_repeated_for_each_seed():
@@ -166,13 +135,9 @@ def test_update_then_gate_then_fail(fake_speed, capsys, tmp_path):
     ("words", "said"),
     [
         (["--scenes", "sphere*", "--gate"], "part of the ladder"),
-        (["--profiles", "clean", "--update-baseline"], "part of the ladder"),
-        (["--seeds", "second", "--gate"], "part of the ladder"),
-        (["--methods", "thesis", "--gate"], "part of the ladder"),
         (["--quick", "--scenes", "sphere*", "--update-baseline"], "cannot become the baseline"),
         (["--quick", "--change", "rounded:1", "--update-baseline"], "changed pictures"),
         (["--scenes", "fallen_plant", "--profiles", "harsh"], "no case of the ladder"),
-        (["--quick", "--scenes", "fallen_plant"], "no case of the ladder"),
         (["--quick", "--seeds", "1"], "the quick set has no seeds"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -180,36 +145,3 @@ def test_update_then_gate_then_fail(fake_speed, capsys, tmp_path):
 def test_part_of_the_cases_is_no_baseline_and_nothing_is_none(words, said, capsys):
     assert command.main(["accuracy", *words]) == 2
     assert said in capsys.readouterr().err
-
-
-def test_mistyped_selections_are_refused():
-    for words in (["--profiles", "dirty"], ["--seeds", "third"], ["--seeds", "1,-2"], ["--methods", "magic"], ["--change", "blurred:1"]):
-        with pytest.raises(SystemExit):
-            command.main(["accuracy", *words])
-
-
-def test_a_selection_is_listed(capsys):
-    words = ["--scenes", "radish_day0*", "--profiles", "clean,bench", "--seeds", "0,1", "--methods", "coverage", "--list"]
-    assert command.main(["accuracy", *words]) == 0
-    names = capsys.readouterr().out.split()
-    assert len(names) == 12
-    assert names[0] == "radish_day05a/clean/2x40x800x600/0.27/coverage"
-    assert names[-1] == "radish_day05c/bench/2x40x800x600/seed1/0.27/coverage"
-
-
-def test_a_failing_job_is_reported_with_its_output(monkeypatch, tmp_path):
-    def broken(arguments, *, device):
-        raise RuntimeError(f"{arguments} on {device} ended with code 3")
-
-    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
-    monkeypatch.setattr(datasets, "is_ready", lambda _pictures: True)
-    monkeypatch.setattr(worker, "start", broken)
-    run = speed.measure(quick=True, device="cpu", say=lambda _line: None)
-    assert set(run.crashed) == {"render/backlit/800x600", "reconstruct/40x800x600/0.27"}
-    assert "code 3" in next(iter(run.crashed.values()))
-
-
-def test_a_worker_that_cannot_do_its_job_raises_and_pictures_survive_the_way_to_it(tmp_path):
-    assert worker.pictures_of(worker.pictures_as_text(PLANT)) == PLANT
-    with pytest.raises(RuntimeError, match="ended with code"):
-        worker.start(["reconstruct", str(tmp_path), "0.27"], device="cpu")

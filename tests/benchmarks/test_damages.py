@@ -12,7 +12,7 @@ import trimesh
 
 from benchmarks import __main__ as command
 from benchmarks import damages
-from benchmarks.damaged_scan import EVERY, Damage, Light, Scan
+from benchmarks.damaged_scan import Damage, Light, Scan
 from rhizotwin import engine
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, save_dataset, sha256_of
@@ -76,18 +76,6 @@ def is_spoilt(scan: Scan, damage: Damage) -> bool:
 
 def differs(one: Light, other: Light) -> bool:
     return one.shape != other.shape or float(np.abs(one - other).max()) > 1e-3
-
-
-def test_a_patch_of_the_wall_is_seen_from_before_it_and_through_the_water(scan: Scan) -> None:
-    ahead = scan.azimuth_rad(0)
-    near = scan.wall_patch(0, (ahead - 0.2, ahead + 0.2), (-75.0, -60.0))
-    far = scan.wall_patch(0, (ahead + math.pi - 0.2, ahead + math.pi + 0.2), (-75.0, -60.0))
-    # OpenCV fills a polygon with its outline, half a pixel to each side and more where it is smoothed
-    focal = scan.dataset.scene.camera.focal_px[0]
-    width = 2.0 * 76.2 * math.sin(0.2) * focal / (400.0 - 76.2 * math.cos(0.2))
-    assert near.max(axis=0).sum() == pytest.approx(width, abs=2.0)
-    assert 0.0 < far.sum() < 3.0 * near.sum()
-    assert EVERY * scan.count == VIEWS
 
 
 def record(error: float, interval: tuple[float, float], *, trusted: bool) -> dict[str, Any]:

@@ -37,19 +37,13 @@ def test_the_same_run_passes(baseline):
 
 CHANGES = {
     "error grows on its own side": (ERROR, -0.013, "WORSE"),
-    "error changes its sign and grows": (ERROR, 0.013, "WORSE"),
     "error changes its sign only": (ERROR, 0.010, "same"),
-    "error within tolerance": (ERROR, -0.0119, "same"),
     "error shrinks": (ERROR, 0.001, "better"),
     "iou falls": (IOU, 0.88, "WORSE"),
-    "iou rises": (IOU, 0.95, "better"),
-    "iou falls a little": (IOU, 0.895, "same"),
     "time doubles": (WALL, 20.0, "WORSE"),
     "time grows by a third": (WALL, 13.3, "same"),
-    "time is a third": (WALL, 3.3, "better"),
     "not a number": (IOU, math.nan, "NOT A NUMBER"),
     "infinite, though larger is better": (IOU, math.inf, "NOT A NUMBER"),
-    "minus infinite, though smaller is better": (WALL, -math.inf, "NOT A NUMBER"),
 }
 
 
@@ -61,24 +55,21 @@ def test_a_change_is_judged_by_its_direction(baseline, name):
     assert gate.passes(gate.compare(changed, baseline)) == (verdict in ("same", "better"))
 
 
-def test_a_run_that_lacks_adds_or_repeats_a_number_or_measured_nothing_fails(baseline, tmp_path):
+def test_a_run_that_crashed_lacks_adds_or_repeats_a_number_or_measured_nothing_fails(baseline, tmp_path):
     findings = gate.compare(RUN[:2], baseline)
     assert not gate.passes(findings)
     assert "MISSING" in gate.table(findings)
     assert "ball/wall" in gate.table(findings)
     extra = replace(IOU, key="ball/new")
     assert verdicts([*RUN, extra], baseline)["ball/new"] == "UNKNOWN"
+    crashed = gate.compare(RUN, baseline, crashed={"ball": "Traceback\nZeroDivisionError: division by zero\n"})
+    assert not gate.passes(crashed)
+    assert "division by zero" in gate.table(crashed)
     for run in ([*RUN, extra], [ERROR, IOU, replace(WALL, unit="min")], [*RUN, IOU], []):
         assert not gate.passes(gate.compare(run, baseline))
     (tmp_path / "empty.json").write_text(json.dumps({"schema_version": 1, "metrics": {}}))
     assert not gate.passes(gate.compare([], gate.read_baseline(tmp_path / "empty.json")))
     assert not gate.passes([])
-
-
-def test_a_crash_fails_even_where_every_number_is_there(baseline):
-    findings = gate.compare(RUN, baseline, crashed={"ball": "Traceback\nZeroDivisionError: division by zero\n"})
-    assert not gate.passes(findings)
-    assert "division by zero" in gate.table(findings)
 
 
 def test_a_failed_run_never_becomes_the_baseline(tmp_path):
@@ -108,9 +99,5 @@ def test_a_missed_target_shuts_the_gate_whatever_the_baseline() -> None:
     findings = gate.compare([metric], baseline, crashed={})
     assert [finding.verdict for finding in findings] == ["MISSED"]
     assert not gate.passes(findings)
-
-
-def test_a_share_must_be_large_and_an_error_small() -> None:
-    share, error = TARGETS["ladder/all/clean/interval_holds"], TARGETS["ladder/plants/clean/length_mean"]
-    assert [share.reached(value) for value in (0.84, 0.85, 1.0, math.nan)] == [False, True, True, False]
-    assert [error.reached(value) for value in (0.03, -0.03, 0.031, math.nan)] == [True, True, False, False]
+    share = TARGETS["ladder/all/clean/interval_holds"]
+    assert [share.reached(value) for value in (0.84, 0.85, math.nan)] == [False, True, False]

@@ -31,23 +31,3 @@ def test_profiles_come_as_they_are_and_all_that_real_adds_to_camera_is_mixed() -
     assert Mixture(number=6).scene_to_render().disturbances == real
     mixed = {name for names in (*TROUBLES.values(), *mixtures.WITH.values()) for name in names}
     assert mixed == {one.name for one in fields(Disturbances) if getattr(camera, one.name) != getattr(real, one.name)}
-
-
-def test_counts_and_errors() -> None:
-    def record(profile: str, error: float, *, trusted: bool, holds: bool) -> dict[str, object]:
-        about = {"number": 0, "troubles": ["sway"], "length_error": None, "checks": [{"name": "motion", "value": 0.05}]}
-        return about | {"profile": profile, "volume_error": error, "trusted": trusted, "holds": holds}
-
-    records = [
-        record("camera", 0.01, trusted=True, holds=True),
-        record("mixture", -0.03, trusted=True, holds=False),
-        record("mixture", 0.9, trusted=False, holds=False),
-        {"number": 3, "profile": "real", "troubles": [], "crashed": "why"},
-    ]
-    found = mixtures.summary(records)
-    counts = {"scans": 3, "crashed": 1, "trusted": 2, "intervals_that_hold": 1}
-    assert found["all"] == counts | {"median_error": pytest.approx(0.02), "worst_error": pytest.approx(0.03)}
-    assert found["real"]["median_error"] is None
-    text = mixtures.table(records)
-    assert "| all | 3 | 2 | 1 of 2 | 2.0 % | 3.0 % |" in text
-    assert "crashed" in text

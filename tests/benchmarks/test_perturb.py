@@ -1,8 +1,5 @@
 """Rounding played on one machine, a real loss, and the gate between them."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +15,6 @@ from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, read_image, s
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 
-ROOT = Path(__file__).resolve().parents[2]
 VIEWS = 40
 POSE = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 2.0), (0.0, 0.0, 1.0, 400.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -62,35 +58,6 @@ def test_rounding_moves_few_pixels_by_one_step_of_the_converter_each_seed_others
     assert (found.folder / "truth" / "masks" / "0.png").is_file()
 
 
-def test_other_vectors_round_otherwise() -> None:
-    """Asked in processes of their own, because a width once chosen stays."""
-    code = """
-from rhizotwin import engine
-engine.start("cpu")
-from benchmarks import perturb
-print(perturb.other_vectors() if {other} else "as they are")
-import drjit as dr, mitsuba as mi, numpy as np
-x = dr.linspace(mi.Float, 0.1, 1.0, 10001)
-print(np.array(dr.sin(3.0 * x) * dr.exp(-x) + dr.rsqrt(x) + dr.sqrt(1.7 * x * x + 0.3 * x)).tolist())
-"""
-    run = [sys.executable, "-c"]
-    lines = [subprocess.run([*run, code.format(other=other)], capture_output=True, text=True, check=True, cwd=ROOT).stdout.splitlines()
-             for other in (False, True)]  # fmt: skip
-    assert lines[1][0].startswith("vectors of ")
-    as_they_are, otherwise = (np.array(json.loads(values)) for _, values in lines)
-    assert 0.0 < np.abs(as_they_are - otherwise).max() < 1e-5
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_numbers_stay_in_their_range(dtype: type) -> None:
-    full = np.iinfo(dtype).max
-    picture = np.tile(np.array([0, full], dtype), (500, 500))
-    found = perturb.round_otherwise(picture, np.random.default_rng(0))
-    assert found.dtype == dtype
-    assert set(np.unique(found)) <= {0, 1, full - 1, full}
-    assert (found != picture).any()
-
-
 def test_a_loss_mirrors_one_picture_in_twenty_below_the_markers(dataset: Dataset, tmp_path: Path) -> None:
     before, after = numbers(dataset), numbers(perturb.lossy(dataset.folder, tmp_path / "lossy", seed=1))
     changed = (before != after).any(axis=(1, 2))
@@ -113,12 +80,6 @@ def test_a_scatter_is_read_as_it_was_written_and_its_tolerance_is_larger_for_few
     assert scatter.read(tmp_path / "s.json").ranges == {KEY: pytest.approx(0.0006), "other": 0.5}
     few = scatter.Scatter(path=Path("s.json"), ranges={KEY: 0.001}, runs={KEY: 5})
     assert few.tolerance(KEY, 0.99, 1e-4) == pytest.approx(scatter.FACTOR * 0.001 * 3.735 / 2.326 + 1e-6, rel=1e-3)
-
-
-def test_ranges_grow_as_those_of_normal_numbers() -> None:
-    drawn = np.ptp(np.random.default_rng(1).normal(size=(20_000, 8)), axis=1).mean()
-    assert scatter.normal_range(8) == pytest.approx(drawn, rel=0.01)
-    assert [scatter.normal_range(n) for n in (2, 20)] == pytest.approx([2.0 / np.sqrt(np.pi), 3.735], rel=1e-3)
 
 
 def test_a_scatter_with_gaps_is_not_recorded_and_a_damaged_one_is_named(tmp_path: Path) -> None:
@@ -154,7 +115,7 @@ def test_the_gate_takes_its_tolerance_from_the_scatter(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, float]:
+def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Let the command line run with a recall that depends on what is done to the pictures."""
     recall = {"none": 0.99, "lossy:1": 0.98} | {f"rounded:{seed}": 0.99 + 1e-4 * (seed % 3 - 1) for seed in range(1, 21)}
 
@@ -166,18 +127,13 @@ def fake_ladder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, fl
     monkeypatch.setattr(accuracy, "measure", measure)
     monkeypatch.setattr(command, "HERE", tmp_path)
     monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path / "cache"))
-    return recall
 
 
-def test_the_command_measures_the_scatter_and_gates_by_it(
-    fake_ladder: dict[str, float], capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("fake_ladder")
+def test_the_command_measures_the_scatter_and_gates_by_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     gated = ["accuracy", "--quick", "--gate"]
     assert command.main(["accuracy", "--quick", "--update-baseline"]) == 0
     assert command.main([*gated, "--change", "rounded:3"]) == 1
-    assert "of 5 of them is an estimate" in capsys.readouterr().out
-    assert command.main(["scatter", "--quick", "--scenes", "sphere*", "--runs", "5"]) == 0
-    assert command.main(gated) == 0
     assert "of 5 of them is an estimate" in capsys.readouterr().out
     assert command.main(["scatter", "--quick", "--scenes", "sphere*"]) == 0
     assert command.main(gated) == 0
@@ -188,43 +144,17 @@ def test_the_command_measures_the_scatter_and_gates_by_it(
     assert command.main(["scatter", "--quick", "--change", "lossy", "--runs", "1"]) == 0
     assert capsys.readouterr().out.count("open in 0 of 1 runs") == 5
     assert (tmp_path / "scatter_accuracy_quick.json").read_bytes() == before
-    assert command.main(gated) == 0
-    assert "estimate" not in capsys.readouterr().out
     assert command.main([*gated, "--change", "rounded:3"]) == 0
     assert command.main([*gated, "--change", "lossy:1"]) == 1
-    part = ["--scenes", "sphere*"]
-    assert command.main([*gated, *part]) == 0
-    assert "1 numbers" in capsys.readouterr().out
-    fake_ladder["none"] = 0.98
-    assert command.main([*gated, *part]) == 1
-
-
-def against_the_baseline(found: list[Metric]) -> list[gate.Finding]:
-    folder = Path(accuracy.__file__).parent
-    baseline = gate.read_baseline(folder / "baseline_accuracy_quick.json")
-    measured = {metric.key for metric in found}
-    values = {key: value for key, value in baseline.values.items() if key in measured}
-    return gate.compare(found, replace(baseline, values=values), scatter=scatter.read(folder / "scatter_accuracy_quick.json"))
-
-
-def printed(method: cases.Method) -> cases.Case:
-    """Not the ball: on the axis it is its own mirror image."""
-    (case,) = cases.quick(scenes=("printed_8ml",), profiles=("clean",), methods=(method,))
-    return case
 
 
 def test_the_gate_shuts_under_a_real_loss() -> None:
     """By the thesis's method, in a tenth of the time of ours. That it opens under rounding is a step of its own."""
-    case = printed("thesis")
-    findings = against_the_baseline(accuracy.metrics(case, accuracy.record_of(case, device="cpu", change="lossy:1")))
+    (case,) = cases.quick(scenes=("printed_8ml",), profiles=("clean",), methods=("thesis",))  # not the ball, which is its own mirror image
+    found = accuracy.metrics(case, accuracy.record_of(case, device="cpu", change="lossy:1"))
+    folder = Path(accuracy.__file__).parent
+    baseline = gate.read_baseline(folder / "baseline_accuracy_quick.json")
+    values = {key: value for key, value in baseline.values.items() if key in {metric.key for metric in found}}
+    findings = gate.compare(found, replace(baseline, values=values), scatter=scatter.read(folder / "scatter_accuracy_quick.json"))
     assert len(findings) > 10
     assert not gate.passes(findings), gate.table(findings)
-
-
-def test_each_number_that_our_method_lost_is_outside_its_committed_tolerance() -> None:
-    """Measured with ``accuracy --quick --scenes printed_8ml --profiles clean --methods coverage --change lossy:1``."""
-    lost = {"volume_error": -0.226, "recall": 0.7465, "precision": 0.9544, "iou": 0.7208, "hull_recall": 0.591, "surface_p95_mm": 6.75}
-    case = printed("coverage")
-    score = {"score": lost | {"surface": {"p95_mm": lost["surface_p95_mm"]}, "hull": {"recall": lost["hull_recall"]}}}
-    found = [metric for metric in accuracy.metrics(case, score) if metric.key.rpartition("/")[2] in lost]
-    assert [finding.verdict for finding in against_the_baseline(found)] == ["WORSE"] * len(lost)

@@ -41,8 +41,3 @@ def test_pictures_are_rendered_once_and_each_point_is_run_twice(
     assert growth["cpu"] == pytest.approx(2.0)
     assert growth["memory"] == pytest.approx(0.0)
     assert "| 1/voxel_mm |" in capsys.readouterr().out
-
-
-def test_an_unknown_axis_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scaling", "--axes", "colours"]) == 2
-    assert "none of views, megapixels, root length, 1/voxel_mm" in capsys.readouterr().err

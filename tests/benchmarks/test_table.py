@@ -1,12 +1,10 @@
 """The ladder's table and figure from chosen runs."""
 
-import csv
-import io
 import math
 
 import pytest
 
-from benchmarks import figure, table
+from benchmarks import table
 from benchmarks.cases import FAMILIES, ladder
 from benchmarks.targets import TARGETS
 
@@ -62,25 +60,3 @@ def test_a_run_without_a_number_cannot_reach_the_goal(records):
     assert found["ladder/radish_day05-15/clean/volume_worst"].verdict == "NO"
     assert found["ladder/plants/clean/length_mean"].verdict == "NO"
     assert "| none |" in table.markdown(table.lines(records), records)
-
-
-def test_markdown_has_a_row_for_each_number_and_each_run_of_ours_and_csv_for_each(records):
-    text = table.markdown(table.lines(records), records)
-    head, _, runs = text.partition("\n\n")
-    assert len(head.splitlines()) == 2 + len(table.lines(records))
-    assert len(runs.splitlines()) == 2 + sum(record["case"]["method"] == "coverage" for record in records)
-    assert len({line.count("|") for line in head.splitlines()}) == len({line.count("|") for line in runs.splitlines()}) == 1
-    assert "| radish_day05-15 | clean | volume error, median | 9 | 2.0 % | 3 % | yes | 900.0 % |" in head
-    assert "**+10 to +20 %**" in runs  # an interval that misses
-    rows = list(csv.DictReader(io.StringIO(table.comma_separated(records))))
-    assert len(rows) == len(records)
-    ours = next(row for row in rows if row["scene"] == "radish_day30a" and row["method"] == "coverage")
-    assert (ours["seed"], ours["age_days"], ours["roots_tip_recall"], ours["wall_s"]) == ("0", "30.0", "0.97", "30.0")
-    assert next(row for row in rows if row["method"] == "thesis")["roots_length_mm"] == ""
-
-
-def test_a_figure_is_drawn_of_radishes_only(records, tmp_path):
-    assert figure.draw(records, tmp_path / "ladder.png")
-    assert (tmp_path / "ladder.png").stat().st_size > 20_000
-    assert not figure.draw([r for r in records if r["case"]["scene"] == "printed_8ml"], tmp_path / "none.png")
-    assert not (tmp_path / "none.png").exists()

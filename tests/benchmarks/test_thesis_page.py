@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import assumptions, thesis_page
+from benchmarks import thesis_page
 from benchmarks.assumptions import Assumptions, Counted, Level
-from benchmarks.cases import Pictures
 
 
 def score(mm3: float) -> dict[str, object]:
@@ -31,12 +30,6 @@ def test_the_thesiss_plants_are_the_librarys_in_its_order() -> None:
         assert plant.grams == pytest.approx(scene.specimen.volume_ml)  # the twin's plant has the thesis's mass at 1 g/ml
 
 
-def test_every_combination_of_assumptions_once_the_thesiss_first() -> None:
-    every = assumptions.every()
-    assert every[0] == Assumptions()
-    assert len(set(every)) == len(every) == 18
-
-
 def test_the_page_shows_numbers_and_dashes_and_what_was_not_measured(tmp_path: Path) -> None:
     found = thesis_page.plants([{"case": {"scene": "radish_day05a", "method": "coverage"}, "score": score(35.0)}])
     levels = [Level(voxel_mm=0.54, thesis_ml=14.0, thesis_s=1.0, ours_ml=9.0, ours_s=0.5)]
@@ -49,22 +42,3 @@ def test_the_page_shows_numbers_and_dashes_and_what_was_not_measured(tmp_path: P
     page, *figures = thesis_page.write(tmp_path / "empty.md", thesis_page.plants([]), [], [])
     assert [file.name for file in figures] == ["empty_growth.png"]
     assert page.read_text().count("Not measured.") == 3
-
-
-def test_nothing_is_run_where_only_what_is_kept_is_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RHIZOTWIN_CACHE", str(tmp_path))
-    two = thesis_page.plant_cases("clean")[:2]
-    monkeypatch.setattr(thesis_page, "plant_cases", lambda _: two)
-    pictures = Pictures(scene="printed_8ml", image_wh=(400, 300))
-    assert assumptions.measure(pictures, say=str, only_kept=True) == assumptions.levels(pictures, say=str, only_kept=True) == []
-    assert thesis_page.measure("clean", device="cpu", say=str, only_kept=True) == []
-
-
-def test_the_committed_ladder_has_all_plants_by_both_methods() -> None:
-    found = thesis_page.plants(thesis_page.committed("clean"))
-    assert len(found) == 18
-    for one in found:
-        assert one.ours is not None
-        assert one.ours["volume_mm3"] / 1000.0 == pytest.approx(one.grams, rel=0.05)  # grown at 1 g/ml
-        assert one.redone is not None
-        assert one.redone["volume_mm3"] > 4.0 * one.ours["volume_mm3"]

@@ -111,28 +111,17 @@ def _write_result(result, dataset, files, poses, radius_mm, centre_mm, voxel_mm,
             atomic.write_image(result / "silhouettes" / Path(file).name, np.round(65535.0 * cover).astype(np.uint16))
             atomic.write_image(result / "seen" / Path(file).name, seen)
     volume = float(mesh.volume)
-    summary = {
-        "schema_version": 1,
-        "dataset": "scan",
-        "dataset_sha256": sha256_of(dataset / "dataset.json"),
-        "scene": "ball",
-        "voxel_mm": voxel_mm,
-        "volume_mm3": volume,
-        "volume_interval_mm3": [0.95 * volume, 1.05 * volume],
-        "volume_bounds_mm3": [0.9 * volume, 1.2 * volume],
-        "volume_trusted": True,
-        "volume_verdict": "the true volume lies near with 90 % confidence",
-        "volume_budget": [{"name": "outlines", "less_mm3": 0.05 * volume, "more_mm3": 0.05 * volume, "why": "outlines"}],
-        "extents_min_mm": mesh.bounds[0].tolist(),
-        "extents_max_mm": mesh.bounds[1].tolist(),
-        "hull_mm3": 600.0,
-        "untrimmed_mm3": 0.0,
-        "blind_mm3": 12.5,
-        "views": views,
-        "warnings": ["view 3 is <dark>"] if lost else [],
+    about = {"schema_version": 1, "dataset": "scan", "dataset_sha256": sha256_of(dataset / "dataset.json"), "scene": "ball"}
+    run = {
         "timings_s": {"poses": 1.5, "carve": 2.25},
         "peak_memory_mib": 512.0,
         "settings": {"method": "coverage"},
         "versions": {"numpy": "2"},
     }
-    atomic.write_json(result / "result.json", summary)
+    found = {"views": views, "warnings": ["view 3 is <dark>"] if lost else [], "voxel_mm": voxel_mm, "volume_mm3": volume}
+    interval = {"volume_interval_mm3": [0.95 * volume, 1.05 * volume], "volume_bounds_mm3": [0.9 * volume, 1.2 * volume]}
+    verdict = {"volume_trusted": True, "volume_verdict": "the true volume lies near with 90 % confidence"}
+    budget = {"volume_budget": [{"name": "outlines", "less_mm3": 0.05 * volume, "more_mm3": 0.05 * volume, "why": "outlines"}]}
+    extents = {"extents_min_mm": mesh.bounds[0].tolist(), "extents_max_mm": mesh.bounds[1].tolist()}
+    other = {"hull_mm3": 600.0, "untrimmed_mm3": 0.0, "blind_mm3": 12.5}
+    atomic.write_json(result / "result.json", about | run | found | interval | verdict | budget | extents | other)

@@ -1,34 +1,10 @@
-"""Memory of the device: halves, parts of an array, and what is given back."""
-
-import os
-import sys
-from pathlib import Path
+"""Arrays on the device: halves and parts."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import pytest
 
 from rhizotwin.recon import device
-
-MIB = 2**20
-
-
-def held_mib() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / MIB
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the kernel tells what a process holds on Linux only")
-def test_what_is_used_no_more_is_given_back() -> None:
-    device.release()
-    before = held_mib()
-    large = dr.arange(mi.Float, 50 * MIB) + 1.0
-    dr.eval(large)
-    dr.sync_thread()
-    assert held_mib() - before > 190
-    del large
-    device.release()
-    assert held_mib() - before < 30
 
 
 def test_halves_and_parts_of_arrays() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.device import numbers
-from rhizotwin.recon.stages import STAGES, StageFolder
+from rhizotwin.recon.stages import StageFolder
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,3 @@ def test_what_has_no_open_format_is_refused(tmp_path: Path) -> None:
         StageFolder.begin(tmp_path).keep("solid", Made("", None, (0.0, 0.0), {}, seen=object()))
     StageFolder.begin(None).keep("cameras", Part(1.0, ()))  # nobody asked for anything
     assert not any(tmp_path.iterdir())
-
-
-def test_an_earlier_reconstruction_leaves_nothing(tmp_path: Path) -> None:
-    for stage in STAGES:
-        StageFolder(tmp_path).keep(stage, Part(1.0, ()))
-    StageFolder.begin(tmp_path).keep("cameras", Part(1.0, ()))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["cameras.json", "cameras.npz"]

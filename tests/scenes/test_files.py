@@ -21,24 +21,16 @@ MISTAKES: list[tuple[str, str, tuple[str, ...]]] = [
     ("above the limit", "# rig\n[canister]\nwall_mm = 900", ("line 3", "[canister] wall_mm = 900", "between 0.2 and 50")),
     ("number as text", '[water]\nn_water = "1.33"', ("line 2", '[water] n_water = "1.33"', "must be a number")),
     ("bool is no number", "[water]\nn_water = true", ("[water] n_water = true", "must be a number, not true or false")),
-    ("bool is no whole number", "[camera]\nbits = true", ("[camera] bits = true", "whole number")),
     ("fraction is no whole number", "[camera]\nbits = 12.0", ("[camera] bits = 12.0", "whole number")),
     ("not a number", "[water]\nn_water = nan", ("[water] n_water = nan", "finite")),
-    ("infinite", "[water]\nlevel_mm = -inf", ("[water] level_mm", "finite")),
-    ("number as name", "name = 5", ("line 1", "name = 5", "text")),
     ("tuple too short", "[camera]\nimage_wh = [800]", ("line 2", "[camera] image_wh = [800]", "2 elements, not 1")),
-    ("tuple too long", "[camera]\nfocal_px = [1.0, 2.0, 3.0]", ("[camera] focal_px", "2 elements, not 3")),
-    ("tuple as number", "[camera]\nimage_wh = 800", ("[camera] image_wh = 800", "a list of 2")),
     ("element beyond its limit", "[camera]\nimage_wh = [800, 15]", ("line 2", "image_wh element 2 = 15", "between 16 and 20000")),
     ("none of the choices", "[turntable]\ndirection = 2", ("[turntable] direction = 2", "one of 1, -1")),
-    ("true is not the choice 1", "[turntable]\ndirection = true", ("[turntable] direction = true", "one of 1, -1")),
     ("section as a value", "camera = 3", ("line 1", "camera = 3", "table")),
-    ("rings as a table", "[plan.rings]\nviews = 3", ("line 1", "[plan] rings", "list")),
     ("second ring", "[[plan.rings]]\n[[plan.rings]]\nviews = 0", ("line 3", "[plan.rings 2] views = 0", "between 1")),
     ("no kind", "[specimen]\ndiameter_mm = 2.0", ("line 1", "[specimen] kind", "missing", '"sphere", "mesh", "rsml", "grown"')),
     ("unknown kind", '[specimen]\nkind = "spher"', ("line 2", '[specimen] kind = "spher"', 'did you mean "sphere"')),
     ("key of another kind", '[specimen]\nkind = "mesh"\nfile = "a.stl"\nseed = 1', ("line 4", "[specimen] seed", "unknown key")),
-    ("missing without default", '[specimen]\nkind = "mesh"', ("[specimen] file", "missing")),
     ("order of a plant", '[specimen]\nkind = "grown"\n[[specimen.orders]]\ntaper = 2', ("line 4", "specimen.orders 1] taper = 2")),
     ("not TOML", "[camera\nbits = 12", ("not valid TOML", "line 1")),
 ]
@@ -68,10 +60,8 @@ def test_files_of_any_editor_are_read_and_whole_numbers_serve_as_floats(tmp_path
 
 UNREADABLE = {
     "UTF-16": (b"\xff\xfe\x00", "UTF-8"),
-    "Latin-1": (b"name = '\xe4'", "UTF-8"),
     "5000 digits": (b"views = " + b"9" * 5000, "is not valid TOML"),
     "deep": (b"a = " + b"[" * 100_000, "is not valid TOML"),
-    "NUL": (b"\x00", "is not valid TOML"),
 }
 
 
@@ -144,13 +134,6 @@ def test_none_is_the_default_wherever_it_is_allowed() -> None:
             if NoneType in get_args(hint):
                 assert f.default is None, f"{kind.__name__}.{f.name}"
             todo += [h for h in (hint, *get_args(hint)) if is_dataclass(h)]
-
-
-def test_json_scene_names_its_origin() -> None:
-    plain = files.scene_to_dict(Scene())
-    plain["camera"]["bits"] = 99
-    with pytest.raises(UserError, match=r"run 7: \[camera\] bits = 99: must be between 8 and 16"):
-        files.scene_from_dict(plain, where="run 7")
 
 
 def test_unknown_scene_and_profile_suggest_the_nearest(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import time
 
 import pytest
-from tqdm import tqdm
 
 from rhizotwin.scenes.monitor import Cancelled, Monitor
 
@@ -40,12 +39,6 @@ def test_stages_are_timed_and_add_up_and_their_end_is_reported() -> None:
     assert told == ["end", "end"]
     assert list(monitor.timings_s) == ["sleep"]
     assert 0.04 <= monitor.timings_s["sleep"] < 1.0
-
-
-def test_a_bar_counts_what_is_done(capsys: pytest.CaptureFixture[str]) -> None:
-    Monitor(tqdm).each(str, "letters", "abc")
-    assert "letters" in (shown := capsys.readouterr().err)
-    assert "3/3" in shown
 
 
 def test_an_error_in_the_work_is_handed_on() -> None:

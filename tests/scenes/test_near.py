@@ -10,11 +10,8 @@ from rhizotwin.scenes.near import nearest
     [
         ("radish_day5", ["radish_day15a", "radish_day15b", "radish_day05a", "radish_day05b", "radish_day30a"], "radish_day05a"),
         ("radish_day15", ["radish_day05a", "radish_day15b", "radish_day15a"], "radish_day15b"),
-        ("wall", ["n_wall", "wall_mm", "fall"], "wall_mm"),
         ("spere_20mm", ["sphere_20mm", "sphere_2mm"], "sphere_20mm"),
-        ("day1", ["day15"], "day15"),
         ("s", ["sphere", "spere"], None),
-        ("xyz", ["wall_mm"], None),
         ("", ["wall_mm"], None),
     ],
 )

@@ -113,22 +113,6 @@ def test_flipped_bytes_in_a_compressed_tiff() -> None:
             decode_grey(flipped(flipped(data, at, by=0x41), at + 1, by=0x41), where="a.tiff")
 
 
-@pytest.mark.parametrize("compression", ["LZW", "PackBits"])
-def test_strips_without_a_checksum_hold_exactly_their_pixels(compression: str) -> None:
-    """Damage that decodes: of flipped bytes few leave the length of what is unpacked as it was."""
-    rng = np.random.default_rng(0)
-    grey = (180.0 - 60.0 * np.abs(np.linspace(-1.0, 1.0, 160)) + rng.normal(0.0, 2.0, (120, 160))).astype(np.uint8)
-    data = encoded(grey, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, COMPRESSIONS[compression])
-    assert not is_sealed(data)
-    refused = 0
-    for at in rng.integers(200, len(data) - 500, 40):
-        try:
-            decode_grey(data[:at] + rng.bytes(8) + data[at + 8 :], where="a.tiff")
-        except UserError:
-            refused += 1
-    assert refused >= {"LZW": 30, "PackBits": 12}[compression]  # of 40; most bytes of PackBits are bare pixels
-
-
 def test_what_has_a_checksum_is_known() -> None:
     tiffs = {name: encoded(GREY, ".tiff", cv2.IMWRITE_TIFF_COMPRESSION, COMPRESSIONS[name]) for name in ("bare", "LZW", "Deflate")}
     assert [name for name, data in (WHOLE | tiffs).items() if is_sealed(data)] == ["png", "Deflate"]

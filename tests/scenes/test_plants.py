@@ -1,14 +1,11 @@
 """Several plants in a scene: where they hang, whose they are, and what is refused."""
 
-from dataclasses import replace
-
 import pytest
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_scene, save_scene, scene_from_dict, scene_to_dict
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.specimens import GrownSpecimen, MeshSpecimen, SphereSpecimen
-from rhizotwin.scenes.subject import Subject
 
 
 def test_specimens_stand_where_their_plants_hang() -> None:
@@ -17,12 +14,6 @@ def test_specimens_stand_where_their_plants_hang() -> None:
     moved = Plant(plant="A", at_mm=(5.0, 0.0), specimen=MeshSpecimen(file="a.stl", shift_mm=(1.0, 0.0, -9.0))).placed()
     assert moved == MeshSpecimen(file="a.stl", shift_mm=(6.0, 0.0, -9.0))
     assert Plant(plant="A").placed() is None
-
-
-def test_a_plant_has_the_canisters_day_and_its_own_treatment() -> None:
-    whole = Subject(species="Raphanus sativus", treatment="control", day=5.0)
-    assert Plant(plant="A").subject(whole) == replace(whole, plant="A")
-    assert Plant(plant="A", species="Lactuca sativa", treatment="salt").subject(whole).species == "Lactuca sativa"
 
 
 def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
@@ -39,12 +30,10 @@ def test_the_librarys_scene_is_written_and_read_again(tmp_path) -> None:
     ("changes", "sentence"),
     [
         ({"plants": [{"plant": "A"}, {"plant": "A", "at_mm": [9, 0]}]}, "is the name of another plant"),
-        ({"plants": [{"plant": ""}]}, "must name the plant"),
         ({"plants": [{"plant": "plant"}]}, "is what files call a plant without a name"),
         ({"plants": [{"plant": "A", "at_mm": [80, 0]}]}, "inside the canister's wall"),
         ({"plants": [{"plant": "A"}, {"plant": "B", "at_mm": [1, 0]}]}, "must be 2 mm or more from A"),
         ({"plants": [{"plant": "A"}], "specimen": {"kind": "sphere"}}, r"must be left out where \[\[plants\]\]"),
-        ({"plants": [{"plant": "A"}], "subject": {"plant": "C"}}, r"must be left out where \[\[plants\]\]"),
         ({"plants": [{"plant": "A", "at_mm": [60, 0], "specimen": {"kind": "sphere", "diameter_mm": 40}}]}, "must stay in the water"),
     ],
 )

@@ -35,12 +35,6 @@ def test_cells_of_a_table_give_it_back() -> None:
     assert subject.of_cells({"plant": " P7 ", "volume (mm3)": "3"}, "x") == Subject(plant="P7")
 
 
-def test_words_for_people() -> None:
-    assert str(WHOLE) == "P7 (Raphanus sativus), treatment low N, day 15, 2022-10-16, replicate 2, fell over"
-    assert str(Subject()) == ""
-    assert str(Subject(species="Lactuca sativa", day=3.5)) == "Lactuca sativa, day 3.5"
-
-
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -53,11 +47,6 @@ def test_words_for_people() -> None:
 def test_what_cannot_be_is_one_sentence(wrong: dict[str, object], says: str) -> None:
     with pytest.raises(UserError, match=says):
         files.scene_from_dict({"subject": wrong}, where="scene.toml")
-
-
-def test_a_cell_that_is_no_number_is_named() -> None:
-    with pytest.raises(UserError, match="line 3: the day 'five' is not a number"):
-        subject.of_cells({"day": "five"}, "masses.csv, line 3")
 
 
 def test_it_is_no_part_of_what_the_pictures_are_made_with() -> None:

@@ -55,24 +55,6 @@ def test_bushiness_is_the_84th_percentile_over_the_median_count():
     assert found.bushiness == 1.0  # an eighth does: below the 84th percentile, one whorl does not decide
 
 
-def test_a_ring_of_laterals_at_a_known_angle():
-    tap = line([0.0, 0.0, 0.0], [0.0, 0.0, -60.0], 1.0, count=61)
-    slope, reach = np.deg2rad(70.0), 20.0
-    turns = np.deg2rad(np.arange(0.0, 360.0, 45.0))
-    outward = np.stack([np.sin(slope) * np.cos(turns), np.sin(slope) * np.sin(turns), np.full(8, -np.cos(slope))], axis=1)
-    ring = [line([0.0, 0.0, -20.0], np.array([0.0, 0.0, -20.0]) + reach * way, 0.3, order=1, parent=0) for way in outward]
-    skin = np.concatenate([root.points_mm for root in (tap, *ring)])
-    found = measure_traits([tap, *ring], skin, volume_mm3=60.0, surface_mm2=300.0)
-    assert found.angle_to_parent_deg == pytest.approx(70.0, abs=1e-6)
-    assert found.angle_to_gravity_deg == pytest.approx(70.0 * 160.0 / 220.0, abs=1e-5)
-    assert (found.roots, found.branch_points) == (9, 1)
-    assert found.width_mm == pytest.approx(2.0 * reach * np.sin(slope))
-    assert found.lower_length_share == pytest.approx((40.0 + 160.0) / 220.0)
-    # two pyramids over the octagon through the laterals' tips: up to the tap's top and down to its tip
-    octagon = 2.0 * np.sqrt(2.0) * (reach * np.sin(slope)) ** 2
-    assert found.convex_hull_mm3 == pytest.approx(octagon * 60.0 / 3.0)
-
-
 def test_the_angle_to_the_parent_is_that_of_the_first_five_millimetres():
     """A lateral leaves level for 5 mm and then hangs straight down."""
     level, down = line([0.0, 0.0, -20.0], [5.0, 0.0, -20.0], 0.3, count=11), line([5.0, 0.0, -20.0], [5.0, 0.0, -40.0], 0.3)
@@ -85,15 +67,6 @@ def test_a_round_diameter_falls_into_the_bin_that_begins_with_it():
     for diameter_mm in (0.1, 0.3, 0.6, 0.7, 1.2, 1.4):
         found = measure_traits([line([0, 0, 0], [0, 0, -30], diameter_mm)], BOX, volume_mm3=1.0, surface_mm2=1.0)
         assert np.flatnonzero(found.length_by_diameter_mm).tolist() == [round(10.0 * diameter_mm)]
-
-
-def test_roots_are_counted_at_planes_a_millimetre_apart():
-    """Of ten planes two meet the short root too: the 84th percentile lies at 7.56 of 0 to 9."""
-    long = line([0.0, 0.0, 0.0], [0.0, 0.0, -10.0], 1.0)
-    found = measure_traits([long, line([2.0, 0.0, 0.0], [2.0, 0.0, -2.0], 1.0)], BOX, volume_mm3=1.0, surface_mm2=1.0)
-    assert (found.max_root_count, found.median_root_count) == (pytest.approx(1.56), 1.0)
-    found = measure_traits([long, line([2.0, 0.0, 0.0], [2.0, 0.0, -0.6], 1.0)], BOX, volume_mm3=1.0, surface_mm2=1.0)
-    assert found.max_root_count == 1.0
 
 
 def test_the_lower_share_divides_pieces():

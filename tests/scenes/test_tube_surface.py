@@ -24,11 +24,6 @@ def test_a_lateral_is_hidden_as_far_as_it_runs_inside_its_parent():
     assert area[pieces.root == 0].sum() == pytest.approx(2.0 * np.pi * 3.0 * 60.0, rel=1e-3)
 
 
-def test_tubes_that_touch_nothing_hide_nothing():
-    apart = [tube([x, 0.0, 0.0], [x, 0.0, -10.0], 0.2) for x in (0.0, 0.41, 0.82)]
-    assert outside_mm2(stations(apart)).sum() == pytest.approx(3.0 * 2.0 * np.pi * 0.2 * 10.0)
-
-
 def test_of_two_in_one_place_nothing_is_outside_but_the_larger():
     same = [tube([0.0, 0.0, 0.0], [0.0, 0.0, -10.0], radius) for radius in (0.2, 0.3)]
     assert outside_mm2(stations(same)).sum() == pytest.approx(2.0 * np.pi * 0.3 * 10.0)

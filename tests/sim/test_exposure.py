@@ -5,7 +5,7 @@ import pytest
 from scipy import special, stats
 
 from rhizotwin.scenes.model import Camera, Disturbances
-from rhizotwin.sim.exposure import expose, mask_picture, photons
+from rhizotwin.sim.exposure import expose, photons
 
 
 def test_a_perfect_camera_only_rounds_and_clips() -> None:
@@ -44,7 +44,3 @@ def test_a_pixel_that_differs_in_its_last_bit_leaves_the_noise_of_all_others() -
     changed = pictures[0] != pictures[1]
     assert changed.sum() <= 3
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
-
-
-def test_masks_use_all_of_16_bits() -> None:
-    np.testing.assert_array_equal(mask_picture(np.array([[0.0, 0.5, 1.0]])), [[0, 32768, 65535]])

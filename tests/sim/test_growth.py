@@ -71,15 +71,6 @@ def test_wobble_spreads_headings_by_the_root_of_length() -> None:
     assert np.degrees(np.std(np.arcsin(headings))) == pytest.approx(expected_deg, rel=0.12)
 
 
-def test_same_seed_same_plant_and_other_seed_another() -> None:
-    specimen = GrownSpecimen(seed=5, orders=(LIVELY, LIVELY))
-    first, second = growth.grow(specimen), growth.grow(specimen)
-    assert len(first) == len(second)
-    assert all(np.array_equal(a.points_mm, b.points_mm) for a, b in zip(first, second, strict=True))
-    assert not np.array_equal(growth.grow(replace(specimen, seed=6))[0].points_mm[5:9], first[0].points_mm[5:9])
-    growth.grow(replace(specimen, seed=0))
-
-
 def test_an_older_plant_continues_the_younger_and_a_root_does_not_depend_on_its_neighbours() -> None:
     orders = (LIVELY, LIVELY, LIVELY)
     young = growth.grow(GrownSpecimen(seed=2, age_days=7.0, orders=orders))

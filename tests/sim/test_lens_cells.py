@@ -13,9 +13,3 @@ def test_any_two_coordinates_of_pixel_and_lens_are_a_full_lattice() -> None:
         coordinates = np.array([ray % side, ray // side, *lens_cells(side)])
         for a, b in combinations(coordinates, 2):
             assert len(np.unique(a * side + b)) == side * side
-
-
-def test_where_there_is_no_such_array_the_whole_lens_is_still_used() -> None:
-    for side in (2, 6, 8):
-        column, row = lens_cells(side)
-        assert len(np.unique(column * side + row)) == side * side

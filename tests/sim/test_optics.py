@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhizotwin.scenes import frames, plan
-from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, Lights, NetPot, Ring, Scene, Water
+from rhizotwin.scenes.model import Camera, Canister, CapturePlan, Disturbances, NetPot, Ring, Scene, Water
 from rhizotwin.sim.render import Renderer
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import draw_world
@@ -173,26 +173,6 @@ def test_both_fidelities_agree_on_light_and_mask() -> None:
     assert np.mean(full[mask == 1.0]) < 0.1 * scene.lights.backlight_level
     assert np.mean(fast[mask == 1.0]) < 0.1 * scene.lights.backlight_level
     np.testing.assert_allclose(full[:, 2], fast[:, 2], rtol=1e-3)
-
-
-def test_the_strip_reads_from_outside_and_lies_where_the_plan_says() -> None:
-    scene = Scene(plan=CapturePlan(rings=(Ring(views=5),)), lights=Lights())
-    world = draw_world(scene, seed=0)
-    image, _ = Renderer(scene, world, None, samples=4).view(1)
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
-    corners, ids, _ = detector.detectMarkers(np.clip(image * 255.0, 0, 255).astype(np.uint8))
-    found = dict(zip(np.ravel(ids).tolist(), [np.reshape(c, (4, 2)) for c in corners], strict=True))
-    columns = scene.strip.columns
-    assert len([i for i in found if i < columns]) >= 5, "upper row"
-    assert len([i for i in found if i >= columns]) >= 5, "lower row"
-    truth = plan.marker_corners(scene.strip, scene.net_pot)
-    camera = scene.camera
-    errors = []
-    for marker_id, pixels in found.items():
-        in_cam = frames.apply(world.cameras[1].cam_from_canister, truth[marker_id])
-        expected = np.array(camera.focal_px) * in_cam[:, :2] / in_cam[:, 2:] + np.array(camera.principal_px)
-        errors.append(np.linalg.norm(pixels - expected, axis=1))
-    assert np.median(errors) < 1.5
 
 
 def test_a_printed_corner_is_where_the_plan_says_to_a_fiftieth_of_a_pixel() -> None:

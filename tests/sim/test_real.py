@@ -66,11 +66,6 @@ def test_a_swaying_ball_is_seen_where_it_hangs() -> None:
         assert abs(column - middle) == pytest.approx(abs(0.5 * aside * px_a_mm), abs=0.12)
 
 
-def test_what_has_no_roots_has_no_hairs() -> None:
-    image, _ = picture(Disturbances(root_hair_mm=2.0, root_hair_mu_per_mm=0.1))
-    np.testing.assert_allclose(image, picture(Disturbances())[0], atol=1e-6)
-
-
 def test_a_glassy_ball_is_bright_in_its_middle_and_dark_at_its_edge() -> None:
     image, coverage = picture(Disturbances(root_n=1.365, root_mu_per_mm=0.01))
     empty, _ = picture(Disturbances(), empty=True)

@@ -44,13 +44,6 @@ def test_a_flat_blade_has_the_area_of_its_outline_and_that_times_its_thickness()
     assert thick.volume_mm3 - thin.volume_mm3 == pytest.approx(0.2 * thin.leaf_area_mm2, rel=0.02)
 
 
-def test_its_area_does_not_hang_on_its_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    coarse = build(seed=1).leaf_area_mm2
-    monkeypatch.setattr(shoots, "ALONG", 64)
-    monkeypatch.setattr(shoots, "ACROSS", 24)
-    assert build(seed=1).leaf_area_mm2 == pytest.approx(coarse, rel=0.005)
-
-
 def test_leaves_in_the_pot_are_refused() -> None:
     with pytest.raises(UserError, match=r"below the net pot's top .* raise shoot\.elevation_deg"):
         build(elevation_deg=-40.0)

@@ -99,16 +99,6 @@ def test_a_frame_alone_equals_the_frame_in_a_set() -> None:
         np.testing.assert_array_equal(mask, alone[1])
 
 
-def test_many_samples_in_several_passes_are_as_bright(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = tiny(views=1, wrong=Disturbances())
-    world = draw_world(scene, seed=0)
-    whole, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
-    monkeypatch.setattr(rhizotwin.sim.render, "MAX_PATHS", 64 * 48 * 16)
-    in_parts, _ = Renderer(scene, world, None, fidelity="path", samples=64).view(0)
-    assert np.abs(whole - in_parts).max() > 0.0
-    assert in_parts.mean() == pytest.approx(whole.mean(), rel=5e-3)
-
-
 def test_an_interrupted_set_resumes_to_the_same_bytes(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rendered: list[int] = []
     view = Renderer.view

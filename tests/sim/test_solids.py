@@ -45,16 +45,6 @@ def test_a_tapering_tube_has_the_frustum_s_volume() -> None:
     assert solids.union_of_roots([root]).volume() == pytest.approx(frustum_mm3 + caps_mm3, abs=0.1 * caps_mm3)
 
 
-def test_a_bent_tube_has_pappus_volume() -> None:
-    turn = np.linspace(0.0, np.pi / 2.0, 80)
-    line = np.stack([20.0 * np.cos(turn), 20.0 * np.sin(turn), np.full(80, -50.0)], axis=1)
-    volumes = []
-    for end in (40, 80):
-        volumes.append(solids.union_of_roots([tube(line[:end], 3.0)]).volume())
-    arc_mm = 20.0 * (turn[79] - turn[39])
-    assert volumes[1] - volumes[0] == pytest.approx(arc_mm * np.pi * 1.5**2, rel=1e-3)
-
-
 def test_crossing_tubes_share_steinmetz_s_solid() -> None:
     """Two cylinders of radius r at right angles share 16 r^3 / 3."""
     r = 4.0
@@ -84,13 +74,6 @@ def test_a_root_that_crosses_itself_counts_the_crossing_once() -> None:
         part = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
         distance = np.minimum(distance, np.linalg.norm(points - a - part[:, None] * (b - a), axis=1))
     assert np.mean(distance < 0.5) * 24.0 * 28.0 * 1.2 == pytest.approx(whole.volume(), rel=0.06)
-
-
-def test_a_kink_is_filled() -> None:
-    line = np.array([[0, 0, -20], [0, 0, -40], [15, 0, -25]], float)  # turns back by 135 degrees
-    mesh = mesh_of([tube(line, 4.0)])
-    assert mesh.is_watertight
-    assert mesh.bounds[0, 2] == pytest.approx(-42.0, abs=0.1)  # the round end goes round the outside of the kink
 
 
 def test_a_root_that_tapers_to_nothing_or_repeats_points_is_still_closed() -> None:

@@ -59,12 +59,6 @@ def test_meshes_of_every_format(tmp_path: Path, suffix: str) -> None:
     assert closed(solid)
 
 
-def test_a_united_plant_goes_through_a_file_unchanged(tmp_path: Path) -> None:
-    plant = build(GrownSpecimen(seed=1, age_days=8.0, volume_ml=0.1))
-    back = through_file(trimesh.Trimesh(plant.vertices, plant.faces, process=False), tmp_path)
-    assert back.volume_mm3 == pytest.approx(100.0, rel=1e-5)
-
-
 def test_faces_turned_the_wrong_way_are_turned_back_and_said_so(tmp_path: Path) -> None:
     solid = through_file(inside_out(box()), tmp_path, "box.stl")
     assert solid.volume_mm3 == pytest.approx(1000.0, rel=1e-6)
@@ -89,10 +83,7 @@ def test_overlapping_shells_count_once_and_cavities_are_kept(tmp_path: Path) -> 
         ("no.ply", None, "no such file"),
         ("thing.docx", b"x", "PLY, STL or OBJ"),
         ("empty.stl", b"", "cannot be read|empty"),
-        ("noise.stl", bytes(range(256)) * 3, "cannot be read|empty|not closed"),
-        ("text.obj", b"hello\n", "cannot be read|empty"),
         ("cut.ply", b"ply\nformat ascii 1.0\nelement vertex 8\n", "cannot be read|empty"),
-        ("far.obj", b"v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 7\n", "cannot be read|damaged"),
         ("nan.obj", b"v nan 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "cannot be read|not finite|empty"),
     ],
 )
@@ -118,7 +109,6 @@ MISFITS = {
     "in metres": (lambda: box(0.01), "must be in millimetres"),
     "flat": (lambda: trimesh.Trimesh(box().vertices * [1, 1, 0] - [0, 0, 50], box().faces, process=False), r"box\.ply"),
     "in the wall": (lambda: box(at_mm=(70.0, 0.0, -50.0)), r"2\.1\d mm past the inner wall .* at \(75\.0, [-\d.]+, -[45]5\.0\)"),
-    "in the floor": (lambda: box(at_mm=(0.0, 0.0, -143.0)), r"1\.60 mm below the floor"),
     "above the surface": (lambda: box(at_mm=(0.0, 0.0, -6.0)), r"3\.00 mm above the water's surface"),
 }
 
@@ -149,16 +139,6 @@ def test_rsml_becomes_tubes(tmp_path: Path) -> None:
     (tmp_path / "deep.rsml").write_text(RSML.format(depth=20))
     with pytest.raises(UserError, match=r"deep\.rsml reaches 54\.60 mm below the floor"):
         build(RsmlSpecimen(file="deep.rsml"), tmp_path)
-
-
-def test_the_printed_root_is_eight_millilitres() -> None:
-    solid = build_specimen(load_scene("printed_8ml"))
-    assert solid.volume_mm3 == pytest.approx(8000.0, rel=1e-6)
-    assert closed(solid)
-    assert -115.0 < solid.extents_min_mm[2] < -95.0
-    assert -16.0 < solid.extents_max_mm[2] < -12.0
-    assert 10.0 <= sum(root.order == 1 for root in solid.roots) <= 16
-    assert np.hypot(*solid.vertices[:, :2].T).max() < 55.0
 
 
 def test_a_radish_weighs_what_the_thesis_weighed() -> None:

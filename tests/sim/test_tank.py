@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from rhizotwin.building.measures import Measures
-from rhizotwin.building.rig_parts import parts_of, thesis_rig
 from rhizotwin.recon.optics.cameras import View, project_through_tank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes import frames
-from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import scene_from_dict
 from rhizotwin.scenes.model import CapturePlan, Disturbances, Ring, Scene, Tank
@@ -93,22 +90,3 @@ def test_the_empty_tank_lets_the_panel_through_and_keeps_the_strip_dry() -> None
 def test_a_tank_that_cannot_be_is_refused(scene: dict[str, object], words: str | None) -> None:
     with pytest.raises(UserError, match=words) if words else nullcontext():
         scene_from_dict(scene, where="a scene")
-
-
-def test_what_cannot_see_through_a_tank_says_so() -> None:
-    with pytest.raises(UserError, match="parts knows no tank"):
-        parts_of(Scene(tank=Tank()), rig=thesis_rig(), measures=Measures(), board=CharucoBoard())
-
-
-def test_both_fidelities_agree_in_the_water_and_not_at_the_wall() -> None:
-    """Fast pictures leave reflections out, by which a wide panel lights the wall's edges: `docs/decisions/tank.md`."""
-    scene = replace(Scene(tank=Tank(turn_deg=2.0), plan=CapturePlan(rings=(Ring(views=1),))), camera=Scene().camera.resized((80, 60)))
-    world, solid = draw_world(scene, seed=0), ball((5.0, 55.0, -70.0), 12.0)
-    fast, mask = Renderer(scene, world, solid).view(0)
-    full, same_mask = Renderer(scene, world, solid, fidelity="path", samples=64).view(0)
-    np.testing.assert_array_equal(mask, same_mask)
-    middle = np.s_[25:55, 25:50]
-    assert full[middle].mean() == pytest.approx(fast[middle].mean(), rel=0.01)
-    assert full[mask == 1.0].mean() < 0.1 * scene.lights.backlight_level
-    assert fast[25:55, 10:20].min() < 0.5 * fast[middle].mean()
-    assert full[25:55, 10:20].mean(axis=0).min() > 0.9 * full[middle].mean()

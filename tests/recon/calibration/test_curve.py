@@ -67,9 +67,3 @@ def test_a_curve_that_nobody_knows_is_measured_and_said() -> None:
     assert not found.is_known
     levels = np.linspace(0.3, 0.7, 9)
     np.testing.assert_allclose(found.curve.of(levels), true.of(levels), atol=0.02)
-
-
-def test_few_markers_tell_nothing() -> None:
-    found = curve.find([], LINEAR, pytest.fail)
-    assert found.bend is None
-    assert found.curve is LINEAR

@@ -13,7 +13,6 @@ from rhizotwin.recon.calibration.poses import find_poses
 from rhizotwin.recon.optics.cameras import matrix
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Frame
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, MarkerStrip, Scene
 from tests.recon.calibration.strip_pictures import render_strip
 
@@ -110,9 +109,3 @@ def test_a_picture_without_the_strip_s_markers_is_diagnosed(shot, change, strip,
     found = detect_markers(change(shot.picture), strip)
     assert len(found.ids) == 0
     assert diagnosis in found.diagnosis
-
-
-@pytest.mark.parametrize("strip", [MarkerStrip(dictionary="NO_SUCH"), MarkerStrip(first_id=580)], ids=["unknown", "too many"])
-def test_impossible_dictionary_is_refused(strip):
-    with pytest.raises(UserError, match="strip"):
-        detect_markers(np.zeros((100, 100), np.uint16), strip)

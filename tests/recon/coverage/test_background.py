@@ -96,12 +96,6 @@ def test_where_the_skirt_wobbles_the_background_is_that_of_the_views_that_look_p
     assert np.abs(found / empty - 1)[4:].max() < 1e-3
 
 
-def test_estimate_of_one_picture_bridges_roots() -> None:
-    stack, empty = turned(10, 0.0)
-    found = background.estimate_single(stack[3], np.ones(empty.shape, bool))
-    assert np.abs(found / empty - 1)[:, 10:-10].max() < 0.06
-
-
 def masked(ring: Ring) -> tuple[Scene, cameras.View, refraction.Optics, np.ndarray]:
     """Return a scene of one ring, its first view, its optics, and where that view sees water."""
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(ring,)))

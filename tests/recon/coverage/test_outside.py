@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from rhizotwin.recon.coverage import outside, wall
 from rhizotwin.recon.coverage.wall import Face
@@ -56,20 +55,3 @@ def test_what_grows_on_the_inside_noise_and_passing_roots_are_no_dirt(turn: Turn
     passing = {k: (0.5 * (rng.random(seen[k].shape) < 0.05) * seen[k]).astype(np.float32) for k in views}
     for opacity in (pictured(turn, inside, with_dust_and_scratch(inside, optics)), passing):
         assert not outside.find(opacity, seen, views, optics, face, Monitor()).any()
-
-
-def test_the_way_out_is_where_points_of_the_outside_are_seen(turn: Turn) -> None:
-    """Near and far crossings of a line of sight are the two points where it passes the outside: mirrored about the water's middle."""
-    views, optics, _ = turn
-    face = outside.face_of(optics, PX_A_MM)
-    rows, columns = face.shape(optics)
-    where = wall.crossings(views[0], optics, face)
-    level = np.argmin(np.abs(where.row[0] - where.row[1])[:, 200])  # a line that hardly climbs
-    left, right = where.column[0][level, 150], where.column[0][level, 250]
-    out_left, out_right = where.column[1][level, 150], where.column[1][level, 250]
-    x, y, _ = views[0].centre_mm
-    camera = np.arctan2(y, x) * columns / (2.0 * np.pi)
-    assert (left - camera) == pytest.approx(-(right - camera), abs=0.1 * columns)
-    assert 0.3 * columns < abs(out_left - left) < 0.7 * columns
-    assert np.sign(out_left - out_right) == -np.sign(left - right), "lines cross inside"
-    assert rows > wall.INSIDE.shape(optics)[0]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from rhizotwin.recon.coverage import evidence, level_distance, silhouettes
+from rhizotwin.recon.coverage import evidence, silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 
 
@@ -27,13 +27,6 @@ def outlined_width(coverage: np.ndarray, angle: float) -> float:
 def test_outline_keeps_the_width_of_strips(width_px: float) -> None:
     widths = [outlined_width(strip(width_px, angle, offset), angle) for angle in (0.0, 0.2, 0.6) for offset in (0.1, 0.35, 0.6)]
     assert np.mean(widths) == pytest.approx(width_px, rel=0.05 if width_px < 2 else 0.02)
-
-
-def test_a_binary_silhouette_is_told_from_a_measured_one() -> None:
-    coverage, seen = strip(40.0, 0.2, 0.3), np.ones((96, 128), bool)
-    assert not Silhouette(coverage, seen).binary
-    assert Silhouette((coverage > 0.5).astype(np.float32), seen).binary
-    assert not Silhouette(np.zeros_like(coverage), seen).binary
 
 
 def test_outline_level_matches_the_blurred_strip() -> None:
@@ -97,27 +90,3 @@ def test_thesis_silhouette_joins_thick_and_thin() -> None:
     assert found[truth > 0.9].mean() > 0.99, "the inside of the thick root is filled"
     assert found[48, 70:110].any(), "the thin, bright root is kept"
     assert found[:, :10].mean() < 0.02
-
-
-def blobs() -> np.ndarray:
-    """Smooth noise: islands, holes, necks, and insides that touch the border."""
-    noise = np.random.default_rng(0).normal(size=(70, 90)).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 4.0))
-
-
-@pytest.mark.parametrize("is_narrow", [True, False])
-def test_inside_the_nearest_sample_outside_counts(is_narrow: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(level_distance, "_LOOKS", 1e9 if is_narrow else 0.0)
-    value = blobs()
-    found, inside = level_distance.level_distance(value), value > 0
-    near = np.abs(np.where(level_distance._near(value, inside).reshape(value.shape) > 0, found, 0.0))
-    outside = np.argwhere(~inside)
-    deep = np.argwhere(inside & (near == 0))
-    away = np.linalg.norm(deep[:, None] - outside, axis=2)
-    nearest = away <= away.min(axis=1, keepdims=True) + 1e-9
-    beyond = near[tuple(outside.T)]
-    least = away.min(axis=1) - np.where(nearest, beyond, 0.0).max(axis=1)
-    most = away.min(axis=1) - np.where(nearest, beyond, 9.0).min(axis=1)
-    at = found[tuple(deep.T)]
-    assert (at > np.maximum(least, 0.5) - 1e-3).all()
-    assert (at < np.maximum(most, 0.5) + 1e-3).all()

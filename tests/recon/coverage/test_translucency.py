@@ -43,11 +43,6 @@ def test_opaque_roots_stay_opaque_and_show_their_own_brightness() -> None:
     assert attenuation.own == pytest.approx(0.05, abs=1e-3)
 
 
-def test_nothing_is_learnt_from_an_empty_picture() -> None:
-    attenuation = learned(np.zeros((60, 80), np.float32))
-    assert (attenuation.mu_per_mm, attenuation.own, attenuation.profiles) == (None, 0.0, 0)
-
-
 def test_translucent_roots_get_the_width_they_have() -> None:
     diameters = (0.2, 0.3, 0.45, 0.8, 1.5, 2.2)
     opacity, coverage = picture(2.0, diameters)
@@ -55,14 +50,6 @@ def test_translucent_roots_get_the_width_they_have() -> None:
     for k in range(len(diameters)):
         part = np.s_[60, int(36.4 * k) : int(36.4 * k) + 40]
         assert found[part].sum() == pytest.approx(coverage[part].sum(), rel=0.1)
-
-
-def test_profiles_that_fit_badly_tell_where_good_ones_are_too_few() -> None:
-    opacity, _ = picture(1.0, WIDE, noise=0.06)
-    profiles, _ = translucency._profiles(opacity, np.ones(opacity.shape, bool))
-    attenuation = learned(opacity)
-    assert 30 <= attenuation.profiles < len(profiles)
-    assert attenuation.mu_per_mm == pytest.approx(1.0, rel=0.2)
 
 
 def test_roots_that_seemed_opaque_get_the_width_they_have() -> None:

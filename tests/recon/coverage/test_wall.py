@@ -38,17 +38,6 @@ def test_films_are_given_back_and_bubbles_are_not_seen_but_roots_on_the_wall_sta
     assert after < 0.25 * before
 
 
-def test_what_is_clear_wherever_one_looks_past_the_crowd_is_no_bubble() -> None:
-    """A crowd inside darkens a place in six of ten views; in the others it is as clear as its ring, but for a true bubble."""
-    dark = np.zeros((20, 60), np.float32)
-    dark[9:12, 30:33] = 0.5
-    views = np.zeros((10, 20, 60), np.float32)
-    views[:6] = 0.5
-    assert not wall._bubbles(dark, views, 0.06).any()
-    views[6:, 9:12, 30:33] = 0.4
-    assert wall._bubbles(dark, views, 0.06)[9:12, 30:33].all()
-
-
 def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: Turn) -> None:
     views, optics, _ = turn
     rows, columns = wall.INSIDE.shape(optics)

@@ -2,15 +2,7 @@
 
 import numpy as np
 
-from rhizotwin.recon.hull.boxes import Box, Scattered
-
-
-def test_numbers_are_those_of_numpy_and_give_the_cells_back() -> None:
-    index = np.random.default_rng(0).integers(-9, 9, (200, 3)).astype(np.int32)
-    box = Box.around(index)
-    np.testing.assert_array_equal(box.number(index), np.ravel_multi_index(tuple((index - box.low).T), tuple(box.span)))
-    np.testing.assert_array_equal(box.cell(box.number(index)), index)
-    np.testing.assert_array_equal(box.number(index + np.array([0, 0, 1])) - box.number(index), 1)
+from rhizotwin.recon.hull.boxes import Scattered
 
 
 def test_scattered_cells_know_their_neighbours() -> None:
@@ -31,14 +23,6 @@ def test_scattered_cells_know_their_neighbours() -> None:
     np.testing.assert_array_equal(part[:, None] == part, together)
     asked = np.stack(np.meshgrid(*[np.arange(-9, 9)] * 3, indexing="ij"), -1).reshape(-1, 3)
     np.testing.assert_array_equal(cells.holds(asked), (asked[:, None] == index).all(axis=2).any(axis=1))
-
-
-def test_no_cells_lie_in_a_box_of_one_and_have_no_neighbours() -> None:
-    index = np.zeros((0, 3), np.int32)
-    assert len(Box.around(index).number(index)) == 0
-    none = Scattered.of(index)
-    assert not none.holds(np.zeros((2, 3), np.int32)).any()
-    assert all(len(here) == len(there) == 0 for _, here, there in none.neighbours())
 
 
 def test_faces_lie_between_cells_and_empty_ones() -> None:

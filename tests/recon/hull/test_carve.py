@@ -77,15 +77,6 @@ def test_a_ball_reaches_as_high_as_enough_views_see() -> None:
     assert top == pytest.approx(z[votes >= 5].max(), abs=0.41)
 
 
-def test_leaves_do_not_overlap_and_gather_without_loss() -> None:
-    leaves = carved((40.0, 5.0, -50.0)).leaves
-    index, size, occupancy = surface.to_voxels(leaves, 2)
-    cubes = (size * 2.0 * leaves.grid.size_mm) ** 3
-    assert float(cubes @ occupancy) == pytest.approx(leaves.volume_mm3(), rel=1e-5)
-    cells = np.concatenate([(index[size == 1]), *(index[k] + np.array(list(np.ndindex(s, s, s))) for k, s in enumerate(size) if s > 1)])
-    assert len(np.unique(cells, axis=0)) == len(cells)
-
-
 def test_surface_is_closed_and_holds_the_volume() -> None:
     leaves = carved((0.0, 0.0, -50.0)).leaves
     grid = leaves.grid

@@ -29,13 +29,3 @@ def test_halves_read_as_the_maps_they_were_made_of() -> None:
         assert (tells == told).mean() > 0.99, "a share of what is not seen is silence"
         # half of the last of eleven bits, from 256 to 512 px; the place in float32 is right to 1e-5 px
         np.testing.assert_allclose(found[tells & told], true[tells & told], atol=0.125 + 0.02)
-
-
-def test_some_views_are_those_of_all() -> None:
-    values = drawn()
-    maps = DistanceMaps.of(values)
-    some = maps.of_views([2, 0])
-    for place, view in enumerate((2, 0)):
-        np.testing.assert_array_equal(some.picture(place), maps.picture(view))
-    np.testing.assert_allclose(maps.picture(0), values[0], rtol=2.0**-11)
-    assert np.isinf(maps.picture(1)[:, 40:]).all()

@@ -60,14 +60,6 @@ def test_seen_or_blind_agrees_with_a_dense_sweep_of_traced_rays() -> None:
     np.testing.assert_array_equal(count, swept)
 
 
-def test_no_ray_passes_farther_than_the_outer_radius_over_the_index() -> None:
-    optics = refraction.Optics.of(Scene())
-    w = np.linspace(-0.999, 0.999, 101)
-    line = refraction.trace(optics, 400.0, 0.0, w, np.zeros_like(w))
-    assert np.abs(line.b_mm).max() < optics.outer_radius_mm / optics.n_water
-    np.testing.assert_allclose(line.b_mm, -line.b_mm[::-1], atol=1e-12)
-
-
 def test_with_indices_of_one_projection_is_the_pinhole() -> None:
     scene = Scene(camera=LENS, canister=Canister(n_wall=1.0), water=Water(n_water=1.0))
     view = a_view(scene, azimuth_deg=77.0, tilt_deg=5.0, height_mm=-30.0)

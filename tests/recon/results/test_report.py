@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.results import pictures, report, shading
+from rhizotwin.recon.results import report, shading
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError
@@ -33,34 +33,6 @@ def test_a_picture_of_a_ball_has_its_area_depth_and_normals_and_light_from_the_u
     assert (picture[100, 70, 3], picture[0, 0, 3]) == (1.0, 0.0), "transparent off the surface and opaque on it"
     assert 0.0 <= picture.min() <= picture.max() <= 1.0
     assert picture[75, 45, :3].mean() > picture[125, 95, :3].mean()
-
-
-def test_a_mesh_turned_inside_out_has_the_same_normals():
-    mesh = ball(4.0, (50.0, 0.0, 0.0))
-    for one in (mesh, Mesh(vertices_mm=mesh.vertices_mm, faces=mesh.faces[:, ::-1])):
-        assert np.einsum("ij,ij->i", shading.vertex_normals(one), one.vertices_mm - [50.0, 0.0, 0.0]).min() > 0.0
-
-
-def test_distances_are_those_of_the_points_that_a_picture_shows():
-    """A ball within another of the same centre but for a shift: nearest where it is shifted to, which one side sees and the other not."""
-    small, large = ball(3.0, (0.5, 0.0, 0.0)), ball(4.0)
-    box, px_mm = (-5.0, 5.0, -5.0, 5.0), 0.025
-    for side, middle in ((shading.FRONT, 0.5), (shading.SIDE, 4.0 - np.hypot(3.0, 0.5))):
-        seen = shading.rasterise(small, side, box_mm=box, px_mm=px_mm)
-        apart = pictures.distances_shown(seen, side, box, px_mm, large)
-        column = 200 if side is shading.FRONT else 220
-        assert apart[200, column] == pytest.approx(middle, abs=0.02)
-        assert (apart[seen.hit] > 0.45).all()
-        assert (apart[~seen.hit] == 0.0).all()
-
-
-def test_side_view_looks_along_y_and_keeps_the_nearer_surface():
-    near = trimesh.creation.box(bounds=[[-1.0, -5.0, -1.0], [1.0, -4.0, 1.0]])
-    far = trimesh.creation.box(bounds=[[-2.0, 4.0, -2.0], [2.0, 5.0, 2.0]])
-    seen = shading.rasterise(Mesh.of(near + far), shading.SIDE, box_mm=(-3.0, 3.0, -3.0, 3.0), px_mm=0.1)
-    assert seen.depth_mm[30, 30] == pytest.approx(5.0)
-    assert seen.depth_mm[12, 30] == pytest.approx(-4.0)
-    assert seen.hit.sum() == 40 * 40
 
 
 def test_all_pictures_of_a_result_with_roots(scan):

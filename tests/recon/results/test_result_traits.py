@@ -40,14 +40,6 @@ def test_thin_roots_are_measured_as_tubes_and_thick_ones_on_the_mesh():
     assert of(organ + eaten, [THICK, THIN]).surface_mm2 == pytest.approx(thick + 2.0 * np.pi * 0.15 * 28.0, rel=5e-3)
 
 
-def test_without_roots_the_mesh_is_all_and_without_a_mesh_the_roots_are():
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
-    assert of(ball, []).surface_mm2 == pytest.approx(4.0 * np.pi * 36.0, rel=1e-2)
-    nothing = trimesh.Trimesh()
-    assert of(nothing, [THIN]).surface_mm2 == pytest.approx(2.0 * np.pi * 0.15 * 30.0)
-    assert of(nothing, [], mass_g=1.0).depth_mm == 1.0
-
-
 def test_a_spreadsheet_of_two_results(scan):
     made = scan(voxel_mm=1.0)
     summary = result_files.read_summary(made.result)

@@ -6,7 +6,7 @@ from rhizotwin.recon.coverage.evidence import Evidence, Nodes
 from rhizotwin.recon.device import Float
 from rhizotwin.recon.roots import ghosts, proof
 from rhizotwin.recon.tubes import tube_picture, tube_profiles, tubes
-from tests.recon.strings import TRUNK, TWIG, line, pictured, strung
+from tests.recon.strings import TRUNK, line, pictured, strung
 
 
 def compared(seen: Evidence, drawn: tubes.Tubes) -> tuple[Nodes, Float, Float]:
@@ -34,15 +34,6 @@ def test_an_end_is_uncertain_where_little_shows_much_is_left_and_another_root_is
         np.testing.assert_array_equal(judged, own & expected)
 
 
-def test_proof_tells_a_root_from_a_ghost():
-    true, seen = strung(TRUNK, TWIG), pictured(strung(TRUNK))
-    weighed = proof.weigh(seen, true, *compared(seen, true), 0.0)
-    share = weighed.explained / (np.abs(weighed.explained) + weighed.left)
-    root, ghost = true.branches[0][3:-3], true.branches[1][4:-2]
-    assert np.median(share[root]) > 0.9
-    assert (share[ghost] < 0.0).all()
-
-
 def test_a_second_tube_of_a_root_is_dispensable_and_a_root_beside_it_is_not():
     def hanging(x: float) -> np.ndarray:
         return line((0.0, 0.0, -26.0), (x, 0.0, -28.0), (x, 0.0, -48.0))
@@ -58,14 +49,3 @@ def test_a_second_tube_of_a_root_is_dispensable_and_a_root_beside_it_is_not():
     for without, judged, expected in ((found.owner > 0, found.owner == 1, ()), (found.owner == 2, found.owner == 2, (2,))):
         more = unexplained(found.keep(found.staying(without))) - unexplained(found)
         np.testing.assert_array_equal(ghosts.dispensable(found, judged, more, proved.alone), np.isin(found.owner, expected))
-
-
-def test_what_stands_out_by_less_than_its_diameter_is_a_bulge_and_has_no_tip():
-    """On thick organs too; as long a lateral that is thinner has a tip."""
-    bulge, twig = (line((0.0, 0.0, z), (0.8, 0.0, z)) for z in (-30.0, -40.0))
-    system = strung(TRUNK, bulge, twig)
-    radius = np.array([0.3, 0.35, 0.15])[system.owner]
-    system, good = tubes.moved(system, system.centre_mm, radius), np.full(len(radius), 0.5)
-    for organ in (np.ones(len(radius), bool), np.zeros(len(radius), bool)):
-        judged = ghosts.uncertain_ends(system, good, proof.Proof(good, 0.02 * good, good), organ)
-        np.testing.assert_array_equal(judged, system.owner == 1)

@@ -64,13 +64,6 @@ def test_a_lateral_in_the_basal_zone_is_the_grandparents():
     assert [(one.order, one.parent) for one in arrange([TAP, LATERAL, beside, further])] == [(0, -1), (1, 0), (1, 0), (1, 0)]
 
 
-def test_several_plants_and_order_of_parents():
-    other = root([30, 0, 0], [30, 0, -20], diameters=(1.0, 1.0))
-    found = arrange([TAP, LATERAL, other, root([30, 0, -10], [40, 0, -15], order=1, parent=2)])
-    assert all(root.parent < index for index, root in enumerate(found))
-    assert sorted(root.order for root in found) == [0, 0, 1, 1]
-
-
 def test_a_tip_is_seen_where_its_line_ends_though_the_line_began_as_another():
     found = arrange(bent_aside(tip_seen=False))
     assert [(root.tip_seen, round(float(root.points_mm[-1, 0]))) for root in found] == [(True, 0), (False, 10)]

@@ -3,7 +3,6 @@
 import numpy as np
 
 from rhizotwin.recon.roots import plants
-from rhizotwin.recon.roots.rerooting import Tree
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root, length_mm, of_plant
 from tests.recon.strings import root
@@ -15,17 +14,6 @@ A, B = Plant(plant="A", at_mm=(-12.0, 0.0)), Plant(plant="B", at_mm=(12.0, 0.0))
 def tap(plant: Plant) -> Root:
     x, y = plant.at_mm
     return root([x, y, -11], [x, y, -50], diameters=(1.2, 0.4))
-
-
-def test_two_trees_are_two_plants_and_their_laterals_go_with_them():
-    roots = [tap(B), root([12, 0, -20], [25, 0, -30], parent=0, order=1), tap(A), root([-12, 0, -20], [-2, 0, -30], parent=2, order=1)]
-    given = plants.give(roots, (A, B), grid_z_mm=GRID_MM)
-    assert [one.plant for one in given.roots] == ["B", "B", "A", "A"]
-    assert [one.parent for one in given.roots] == [-1, 0, -1, 2]
-    assert not given.missing
-    assert not any(given.open)
-    np.testing.assert_array_equal(of_plant(given.roots, "A")[1].points_mm, roots[3].points_mm)
-    assert of_plant(given.roots, "A")[1].parent == 0
 
 
 def test_a_tree_that_reaches_both_bases_is_divided_where_they_touch():
@@ -58,11 +46,3 @@ def test_a_torn_piece_goes_to_the_nearest_plant_and_is_open_between_two():
 def test_one_named_plant_has_all_and_a_plant_without_a_base_is_missing():
     assert {one.plant for one in plants.give([tap(A), tap(B)], (A,), grid_z_mm=GRID_MM).roots} == {"A"}
     assert plants.give([tap(A)], (A, B), grid_z_mm=GRID_MM).missing == ("B",)
-
-
-def test_a_tree_turned_to_a_tip_and_back_is_the_same_line():
-    tree = Tree((tap(A), root([-12, 0, -20], [-2, 0, -30], parent=0, order=1)))
-    turned = tree.turned(1, len(tree.roots[1].points_mm) - 1)
-    assert abs(length_mm(turned.roots) - length_mm(tree.roots)) < 1e-9
-    np.testing.assert_array_equal(turned.roots[0].points_mm[0], [-2, 0, -30])
-    np.testing.assert_array_equal(turned.roots[0].points_mm[-1], [-12, 0, -11])

@@ -28,11 +28,6 @@ def test_a_lateral_of_a_storage_root_begins_near_its_skin() -> None:
     assert of_lateral.parent == 1
 
 
-def test_a_detour_within_it_does_not_count() -> None:
-    detour = line((0.0, 0.0, -30.0), (0.0, 0.0, -10.0), (2.0, 0.0, -12.0), (4.0, 0.0, -14.0), (30.0, 0.0, -14.0), step=0.5)
-    assert polyline.length_mm(emerged([TAPROOT, root(detour, 0.6)])[1].points_mm) == pytest.approx(25.0, abs=0.05)
-
-
 @pytest.mark.parametrize(
     ("parent", "lateral"),
     [
@@ -44,11 +39,6 @@ def test_a_detour_within_it_does_not_count() -> None:
 )
 def test_where_nothing_has_swollen_laterals_begin_on_the_axis(parent: Root, lateral: Root) -> None:
     assert emerged([parent, lateral]) == (parent, lateral)
-
-
-def test_a_tip_that_goes_back_into_it_stays() -> None:
-    points = np.array([[0.0, 0.0, -10.0], [20.0, 0.0, -10.0], [20.0, 0.0, -20.0], [3.0, 0.0, -20.0]])
-    assert emerged([TAPROOT, root(points, 0.6)])[1].points_mm[-1] == pytest.approx(points[-1])
 
 
 def test_a_line_that_wanders_within_an_organ_is_calmed() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from rhizotwin.recon.roots import tips
 from rhizotwin.recon.tubes import tubes
-from tests.recon.strings import TRUNK, line, pictured, strung
+from tests.recon.strings import line, pictured, strung
 
 SHORT = line((0.0, 0.0, -20.0), (0.0, 0.0, -40.0))
 SIDEWAYS = line((0.0, 0.0, -28.0), (12.0, 3.0, -34.0))
@@ -34,9 +34,3 @@ def test_tips_that_are_off_come_back(radius_mm: float, by_mm: float) -> None:
     assert np.abs(off(found, true)).max() < (0.29 if by_mm else 1e-3)  # half of a pixel up and down
     bears = true.branches[1][0]
     np.testing.assert_array_equal(found.centre_mm[: bears + 1], true.centre_mm[: bears + 1])  # laterals stay where they leave
-
-
-def test_a_tip_that_no_picture_shows_stays_where_it_is() -> None:
-    true = strung(TRUNK)
-    far = tubes.moved(true, true.centre_mm - [0.0, 0.0, 150.0], true.radius_mm)
-    np.testing.assert_array_equal(tips.placed(pictured(true), far, 0.0, PX_A_MM).centre_mm, far.centre_mm)

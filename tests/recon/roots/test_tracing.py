@@ -9,7 +9,7 @@ from rhizotwin.recon.roots.density import Cells, estimate
 from rhizotwin.recon.scoring import score_roots
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.scenes.rsml import Root
-from tests.recon.strings import TRUNK, TWIG, nothing, pictured, strung
+from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
 GRID = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))
 INDEX = (np.argwhere(np.ones((36, 20, 80), bool)) + np.array([0, 0, 10])).astype(np.int32)
@@ -32,22 +32,6 @@ def test_density_and_tracing_find_thin_roots():
     score = score_roots.compare_roots([root(path.points_mm) for path in paths], [root(TRUNK), root(TWIG)])
     assert min(score.recall, score.precision) > 0.95
     assert (score.tip_recall, score.tips) == (1.0, 2)
-
-
-def test_nothing_seen_gives_no_density():
-    shadow = estimate(nothing(), cells(np.array([[10, 10, 50]], np.int32)), NOTHING)[0].shadow_mm2
-    assert not len(shadow) or shadow.max() < 1e-2
-
-
-def test_a_plants_top_is_its_stem_though_a_lateral_reaches_higher():
-    """The stem ends 1.5 mm below a lateral's tip; one that reaches 0.5 mm higher changes nothing, nor does one that no stem belongs to."""
-    height = np.arange(-30.0, -10.0, 0.25)
-    plant = np.arange(len(height))
-    for rise_mm, top_mm in ((1.5, -11.75), (0.5, -10.25), (8.0, -10.25)):
-        deep = np.where(height <= -10.25 - rise_mm, 0.3, -1.0)
-        highest = tracing._top(plant, height, deep)
-        assert height[highest].max() == top_mm
-        assert height[highest].min() == top_mm - 0.75
 
 
 def test_what_tubes_leave_unexplained_is_hung_on_them():

@@ -100,25 +100,6 @@ def test_a_right_index_stays_as_it_was_given() -> None:
     assert fitted is system()
 
 
-def test_cameras_that_nobody_doubts_leave_only_the_index_to_be_found() -> None:
-    views, optics = rig()
-    seen, free = evidence(views, replace(optics, n_water=optics.n_water - 0.001)), np.zeros(len(system().radius_mm), bool)
-    seen = replace(seen, bank=projection.ViewBank.of(views, optics))
-    start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
-    found = root_calibration.estimate(seen, Cameras.given(views, optics), start, free, blur_px=0.0)
-    assert found is not None
-    assert found.change.shape == (1,)
-    assert -0.0015 < found.change[0] < -0.0005
-
-
-def test_too_few_roots_tell_nothing() -> None:
-    views, optics = rig()
-    stub = tubes.string([np.linspace([0.0, 0.0, -20.0], [1.0, 1.0, -30.0], 30)], [np.full(30, 0.3)])
-    seen = evidence(views, optics)
-    given = Cameras.given(views, optics)
-    assert root_calibration.calibrate(seen, given, stub, np.zeros(len(stub.radius_mm), bool), blur_px=0.0)[2].roots is None
-
-
 def test_swaying_roots_are_followed() -> None:
     views, optics = rig()
     rng = np.random.default_rng(5)

@@ -3,13 +3,14 @@
 from dataclasses import replace
 from functools import cache
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.coverage.silhouettes import Silhouette
-from rhizotwin.recon.tubes import attenuation_trials, translucent_tube, tube_attenuation, tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import attenuation_trials, translucent_tube, tube_attenuation, tube_picture, tube_profiles, tubes
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.strings import blank_of, drawn
 
@@ -55,11 +56,18 @@ def test_strips_have_the_moments_of_a_round_root(tau: float) -> None:
         assert (2.0 / (2 * k + 1) * found.width ** (2 * k + 1) * found.height).sum() == pytest.approx(expected, rel=3e-5)
 
 
-def test_slopes_are_derivatives() -> None:
-    tau, step = np.array([0.01, 0.2, 1.3, 6.0]), 0.02
-    found, more, less = (translucent_tube.strips(tau * np.exp(s)) for s in (0.0, step, -step))
-    np.testing.assert_allclose(found.width_slope, (more.width - less.width) / (2.0 * step), atol=2e-4)
-    np.testing.assert_allclose(found.height_slope, (more.height - less.height) / (2.0 * step), atol=2e-3)
+def test_layers_of_the_kernel_are_the_strips() -> None:
+    mu, radius, sine = 2.0, np.geomspace(0.02, 3.0, 50), np.linspace(0.01, 1.0, 50)
+    strips = translucent_tube.strips(mu * radius / np.maximum(sine, translucent_tube.LEAST_SINE))
+    found = translucent_tube.layers(mu, None, mi.Float(radius), mi.Float(sine), mi.Float(10.0 * radius))
+    w = 10.0 * radius
+    for n, layer in enumerate(found):
+        dr.eval(layer.half_px, layer.height, layer.by_width, layer.by_height)
+        e, h = strips.width[n], strips.height[n]
+        np.testing.assert_allclose(np.array(layer.half_px), w * e, rtol=2e-5)
+        np.testing.assert_allclose(np.array(layer.height), h, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(np.array(layer.by_width), h * (e + strips.width_slope[n]), rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(np.array(layer.by_height), strips.height_slope[n] / w, rtol=1e-3, atol=1e-4)
 
 
 def test_a_faint_root_keeps_back_light_by_its_volume() -> None:
@@ -84,13 +92,6 @@ def test_the_derivative_by_the_radius_is_that_of_the_picture(mu: float | None) -
     inside = np.s_[:, 3:-3]
     ratio = found.width[inside].sum() / (found.width_2 * found.scale)[inside].sum()
     assert ratio == pytest.approx(0.01, rel=0.15)  # the slope is that of a Gaussian pixel
-
-
-def test_fitted_radii_are_those_of_translucent_roots() -> None:
-    seen = replace(pictured(STAR, 2.0).by_light(), mu_per_mm=2.0)
-    start = tubes.moved(STAR, STAR.centre_mm, 0.8 * STAR.radius_mm)
-    fitted, _ = tube_fit.fit(seen, start, ORGAN, blur_px=0.0, steps=6)
-    assert np.median(fitted.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
 
 
 def test_tubes_tell_the_attenuation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,9 +119,3 @@ def test_opaque_tubes_are_opaque_at_rest_even_if_taken_for_translucent() -> None
     attenuation, found = tube_attenuation.refine(seen, attenuation_trials.scaled(STAR, ORGAN, None, 4.3), ORGAN, wrong)
     assert attenuation.mu_per_mm is None
     assert np.median(found.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
-
-
-def test_silhouettes_tell_no_attenuation() -> None:
-    silhouettes = tuple(Silhouette(s.coverage, s.seen) for s in dark().silhouettes)
-    attenuation, _ = tube_attenuation.find(replace(dark(), silhouettes=silhouettes), STAR, ORGAN, 0.3)
-    assert (attenuation.mu_per_mm, attenuation.blur_px, attenuation.profiles) == (None, 0.3, 0)

@@ -10,7 +10,6 @@ from rhizotwin.recon.tubes import tube_fit
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.uncertainty import diameter_uncertainty
 from rhizotwin.recon.uncertainty.tube_uncertainty import UNTOLD
-from rhizotwin.scenes.rsml import Root
 from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 
 
@@ -45,16 +44,3 @@ def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
     inner = np.ones(len(wrong), bool)
     inner[[int(nodes[k]) for nodes in fitted.branches for k in (0, 1, -2, -1)]] = False  # ends and forks share pixels
     assert 0.2 < np.sqrt(np.mean(wrong[inner] ** 2) / np.mean(sigma[inner] ** 2)) < 1.6
-
-
-def test_roots_get_the_uncertainty_of_their_own_nodes() -> None:
-    tubes = strung(TRUNK, TWIG, radius_mm=0.25)
-    system = at_rest(tubes, px_a_mm=4.0)
-    sigma = 2.0 * diameter_uncertainty.of_radii(system)
-    twig = tubes.centre_mm[tubes.branches[1]][::-1]  # whatever the order of the points
-    for parent, first in ((-1, -1), (0, -2)):
-        root = Root(points_mm=twig, diameters_mm=np.full(len(twig), 0.5), order=0, parent=parent)
-        found = diameter_uncertainty.told([root], system)[0].diameter_sigma_mm
-        # drawn twice, some pixel of what is left may be rounded to the next half
-        assert found[1:] == pytest.approx(sigma[tubes.branches[1]][::-1][1:], rel=1e-4)
-        assert found[0] == pytest.approx(sigma[tubes.branches[1]][first], rel=1e-4)
