@@ -19,6 +19,8 @@ from rhizotwin.scenes.truth import load_truth
 from tests.command import Command
 from tests.conftest import Reconstructed
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_simulated_ball_is_found_and_scored(made: Path, found: Reconstructed, command: Command) -> None:
     score = json.loads(command.works("score", found.folder, made, "--json").out)

@@ -79,6 +79,7 @@ def test_the_cheapest_plan_that_is_good_enough_is_named():
     assert planning.best(rows, within=0.01) is None
 
 
+@pytest.mark.slow
 def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, command: Command) -> None:
     out = tmp_path / "plan"
     words = ("plan", "sphere_20mm", "-o", out, "--views", "5,7", "--image-wh", "200x150", "--heights=-42", "--heights=-1900")

@@ -18,6 +18,8 @@ from rhizotwin.recon.hull import carve
 from rhizotwin.scenes.atomic import write_image
 from tests.command import Command
 
+pytestmark = pytest.mark.slow
+
 FAST = ("--device", "cpu", "--voxel-mm", "2")
 
 

@@ -12,6 +12,8 @@ from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset, sha256_of
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.system import snell
 
+pytestmark = pytest.mark.slow
+
 IMAGE_WH = (320, 240)
 FOCAL_PX = 1300.0 * IMAGE_WH[0] / 800.0
 VIEWS = 24

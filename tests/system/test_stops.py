@@ -24,6 +24,8 @@ from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background, silhouettes
 from rhizotwin.recon.results import report, result
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATE = ("simulate", "sphere_20mm", "--views", "3", "--image-wh", "48x36", "--device", "cpu")
 FAST = ("--device", "cpu", "--voxel-mm", "2")

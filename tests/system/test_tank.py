@@ -18,6 +18,8 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.specimens import SphereSpecimen
 from rhizotwin.sim.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 TURN_DEG = 1.0
 BALL = SphereSpecimen(diameter_mm=12.0, centre_mm=(58.0, 20.0, -60.0))
 """Its middle lies beyond R_o / n_water = 57 mm, where the canister in the open is blind from the side."""

@@ -9,6 +9,8 @@ import pytest
 from rhizotwin import command_line
 from tests.command import Command
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 ORDER = ("my-first-root", "correct", "my-own-pictures", "my-own-rig")
 """Later ones go on from what earlier ones made."""

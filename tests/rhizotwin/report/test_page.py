@@ -22,6 +22,8 @@ from tests.recon.conftest import scan  # noqa: F401 - a fixture
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:

@@ -16,6 +16,8 @@ from rhizotwin.viewer.app import Viewer, screen_of
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS, wait
 
+pytestmark = pytest.mark.slow
+
 WIDE, HIGH = 640, 400
 LARGEST = """() => [...document.querySelectorAll("canvas")].map(c => c.getBoundingClientRect())
     .map(b => ({x: b.x, y: b.y, width: b.width, height: b.height})).sort((a, b) => b.width * b.height - a.width * a.height)[0]"""

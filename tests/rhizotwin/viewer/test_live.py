@@ -73,6 +73,7 @@ def test_what_the_page_says():
     live.close()
 
 
+@pytest.mark.slow
 def test_a_person_watches_a_scan_of_the_twin(browser: Any, tmp_path: Path):
     twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch")
     live = Live(twin.calibrated_scene(), paused=True)
