@@ -1,7 +1,7 @@
 """A Marlin board of a few lines for the tests of its drivers, with faults on the wire; written from the protocol, not from the drivers."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
 
@@ -53,13 +53,10 @@ class _Board:
         self.partial = b""
         self.printed = 0
         self.closed = 0
-        self.unplugged = False
         if self.greets:
             self.put("start\nPowerUp\nMarlin 2.1.2.5\necho: Last Updated: 2024-12-02\n", 1.0)
 
     def write(self, data: bytes) -> None:
-        if self.unplugged:
-            raise OSError(5, "Input/output error")
         number = len(self.sent)
         self.sent.append(data)
         if number in self.resets:
@@ -70,8 +67,6 @@ class _Board:
                 self.take(text.decode("latin-1").strip())
 
     def read(self, timeout_s: float) -> bytes:
-        if self.unplugged:
-            raise OSError(5, "Input/output error")
         self.waiting.sort(key=lambda piece: piece[0])
         until_s = self.clock.at_s + timeout_s
         if not self.waiting or self.waiting[0][0] > until_s:
@@ -164,35 +159,7 @@ class _Board:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the table stands where it was told to go."""
         return self.clock.at_s >= self.done_s
-
-
-class _BoardSerial:
-    """What pyserial would return for a board."""
-
-    def __init__(self, board: _Board) -> None:
-        self.board = board
-        self.timeout = 0.0
-        self._received = b""
-
-    @property
-    def in_waiting(self) -> int:
-        self._received += self.board.read(0.0)
-        return len(self._received)
-
-    def read(self, size: int) -> bytes:
-        if len(self._received) < size:
-            self._received += self.board.read(self.timeout)
-        data, self._received = self._received[:size], self._received[size:]
-        return data
-
-    def write(self, data: bytes) -> int:
-        self.board.write(data)
-        return len(data)
-
-    def close(self) -> None:
-        self.board.close()
 
 
 @pytest.fixture
@@ -203,13 +170,6 @@ def board() -> _Board:
 @pytest.fixture(scope="session")
 def make_board() -> type[_Board]:
     return _Board
-
-
-@pytest.fixture
-def serial_board(board: _Board, monkeypatch: pytest.MonkeyPatch) -> Iterator[_Board]:
-    """Return a board that every serial port leads to."""
-    monkeypatch.setattr("serial.serial_for_url", lambda *_args, **_settings: _BoardSerial(board))
-    return board
 
 
 @pytest.fixture

@@ -33,7 +33,6 @@ class _Driver:
     fault_after: int = 10**9
     ends_s: float = 0.0
     taken: frozenset[int] = frozenset()
-    slow: float = 1.0
 
     error = RefusedError
     SET_PULL_UP, TX_WAVE = 32, 1
@@ -69,7 +68,7 @@ class _Driver:
             self.motor += rising * (1 if self.level[HAT.direction_pin] else -1)
         if rising >= self.fault_after:
             self.level[HAT.fault_pin] = 0
-        self.ends_s = self.clock.now_s() + self.slow * sum(pulse.us for pulse in wave) * 1e-6
+        self.ends_s = self.clock.now_s() + sum(pulse.us for pulse in wave) * 1e-6
         assert pin == HAT.step_pin
 
     def tx_busy(self, _: int, pin: int, kind: int) -> int:
@@ -159,13 +158,6 @@ def test_a_move_that_is_stopped_loses_the_angle(bench: Any, monkeypatch: pytest.
         table.move_to(90.0)
     assert not table.knows_zero()
     assert driver.level[HAT.enable_pin] == 1  # the pulses under way turn nothing
-
-
-def test_a_computer_that_is_too_slow_is_named(bench: Any) -> None:
-    table, _, driver, _ = bench
-    driver.slow = 10.0
-    with pytest.raises(LostError, match="not sent within"):
-        table.move_to(90.0)
 
 
 def test_lamps(bench: Any) -> None:

@@ -83,12 +83,6 @@ def test_a_lost_board_stays_lost_until_it_is_started(answers: tuple[str, ...], t
     assert link.sessions == 2
 
 
-def test_a_lost_ok_and_a_silent_reset(talk: Talk) -> None:
-    link = talk.then((M400, ()), (M400, ("Error:Line Number is not Last Line Number+1, Last Line: 0", "Resend: 1", "ok")))
-    with pytest.raises(LostError, match=r"was reset \(it counts its lines from the beginning\)"):
-        link.command("M400")
-
-
 def test_a_reset_between_commands_is_seen_before_anything_is_sent(talk: Talk) -> None:
     talk.script.answer("ok", "start")
     with pytest.raises(LostError, match="was reset"):
@@ -129,13 +123,6 @@ def test_an_unknown_command_is_named_unless_it_is_allowed(talk: Talk) -> None:
     link.command("M150 S0", optional=True)
 
 
-def test_late_and_doubled_oks_are_dropped_before_sending(talk: Talk) -> None:
-    link = talk.then((M400, ("ok", "ok", "ok", "wait")), ("N9 M17", (5.0, "ok")))
-    link.command("M400")
-    link.command("M17")
-    assert talk.since_s() == 5.0
-
-
 def test_an_answer_is_waited_for_behind_the_ok_of_an_earlier_command(talk: Talk) -> None:
     """The doubled ``ok`` of G1 passes for that of M400, whose own comes before the position."""
     asked = ("N9 M114", (2.0, "echo:busy: processing", 1.5, "ok", MOVED, "ok"))
@@ -164,14 +151,6 @@ def test_a_refusal_that_was_overlooked_is_made_good(talk: Talk) -> None:
     link.command("M400")
     link.command("M17")
     assert not talk.script.steps
-
-
-def test_a_late_refusal_of_a_copy_does_no_harm(talk: Talk) -> None:
-    """The refusal of the copy of line 8 comes when line 9 is in flight, and asks for 9."""
-    link = talk.then((M400, (10.0, 0.5, "ok", 1.0, *TWICE)), (M400, ()), ("N9 M17", ("ok",)), ("N9 M17", ("ok",)), ("N10 M114", ()))
-    link.command("M400")
-    link.command("M17")
-    assert talk.since_s() < 15.0
 
 
 def test_after_ctrl_c_the_answers_still_to_come_are_waited_for(talk: Talk) -> None:

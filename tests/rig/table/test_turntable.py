@@ -146,7 +146,7 @@ def test_a_move_that_was_not_made_is_noticed_beyond_the_tolerance(make_board: An
 
 
 @pytest.mark.parametrize("banner", ["", "start\n Watchdog Reset\nMarlin 2.1.2.5\necho: Free Memory: 1\n"], ids=["silent", "with banner"])
-@pytest.mark.parametrize("at", [0, 1, 2], ids=["G1", "M400", "M114"])
+@pytest.mark.parametrize("at", [0, 2], ids=["G1", "M114"])
 def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int, board: Any) -> None:
     table = on(board, at_deg=0.0)
     board.resets = {len(board.sent) + at: banner}
@@ -157,19 +157,6 @@ def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int
     assert not table.knows_zero()
     with pytest.raises(LostError, match="does not know"):
         table.move_to(9.0)
-
-
-def test_a_reset_that_the_lights_came_upon_first_is_not_overlooked(board: Any) -> None:
-    """They started the shared link anew: it is in order, but what the table knew is not."""
-    table = on(board, at_deg=0.0)
-    table.move_to(9.0)
-    board.reset("")
-    with pytest.raises(LostError):
-        table._link.command("M400")
-    table._link.start()
-    with pytest.raises(LostError, match="does not know"):
-        table.move_to(18.0)
-    assert 378.0 not in board.moves
 
 
 def test_release_switches_the_motor_off_even_of_a_board_that_was_reset(board: Any) -> None:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.table.ramp import move_s
-from rhizotwin.rig.twin.clock import VirtualClock
 from rhizotwin.rig.twin.imperfections import CLEAN, Imperfections
 from rhizotwin.rig.twin.servo import DEG_PER_COUNT, Servo
 from rhizotwin.rig.twin.stepper import MICROSTEPS, Stepper
@@ -54,19 +53,6 @@ def test_sag_is_linear_in_the_torque_and_half_seen_and_a_dead_band_moves_nothing
     unit = servo(Imperfections(servo_dead_band_counts=2))
     assert arrived(unit, 502, 100).counts == 500
     assert arrived(unit, 503).counts in (502, 503, 504)
-
-
-def test_without_torque_gravity_wins_over_friction() -> None:
-    unit = arrived(servo(), 600)
-    unit.load(False)
-    for torque, falls in ((0.2, False), (1.0, True)):
-        unit.torque = torque
-        unit.advance(0.5)
-        assert (unit.counts > 620) == falls
-    unit.torque = 0.0
-    unit.load(True)  # goes to the last command
-    unit.advance(2.0)
-    assert unit.counts == 600
 
 
 def stepper(wrong: Imperfections = CLEAN) -> Stepper:
@@ -160,27 +146,3 @@ def test_what_hangs_twists_as_its_equation_says(damping: float) -> None:
         assert swing.twist_deg == pytest.approx(twist, abs=1e-2)
     swing.turn(60.0, 0.0, 0.0)
     assert swing.twist_deg == 0.0
-
-
-class _Beats:
-    """A source with something to do every second."""
-
-    def __init__(self) -> None:
-        self.at: list[float] = []
-
-    def next_s(self) -> float:
-        return float(len(self.at) + 1)
-
-    def advance_to(self, now_s: float) -> None:
-        if now_s >= self.next_s():
-            self.at.append(now_s)
-
-
-def test_virtual_time_stops_at_every_event_and_never_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("time.sleep", lambda _s: pytest.fail("slept"))
-    clock, beats = VirtualClock(), _Beats()
-    clock.add(beats)
-    for action, argument, now_s in ((clock.sleep, 3.5, 3.5), (clock.sleep, -1.0, 3.5), (clock.step, 100.0, 4.0)):
-        action(argument)
-        assert clock.now_s() == now_s
-    assert beats.at == [1.0, 2.0, 3.0, 4.0]

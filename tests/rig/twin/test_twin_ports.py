@@ -1,6 +1,5 @@
 """The twin's ports: in virtual time by pyserial's own way in, and behind pseudo-terminals in real time."""
 
-import gc
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,35 +92,6 @@ def test_a_pulled_cable_is_as_on_linux() -> None:
     port.close()
     with opened(rig.rig.turntable.port) as again:
         assert asked(again, b"M114").endswith(b"ok\n")
-
-
-def test_a_port_is_locked_on_demand_and_closed_ports_and_gone_twins_are_named() -> None:
-    rig = twin()
-    url = rig.rig.turntable.port
-    port = opened(url, exclusive=True)
-    with pytest.raises(serial.SerialException, match="exclusively lock"):
-        opened(url, exclusive=True)
-    port.close()
-    with pytest.raises(serial.SerialException):
-        port.read(1)
-    opened(url, exclusive=True).close()
-    del rig, port
-    gc.collect()
-    with pytest.raises(serial.SerialException, match="could not open port"):
-        opened(url)
-
-
-def test_a_reset_loses_motor_angle_and_lights() -> None:
-    rig = twin(Fault(kind="reset", device="table", at_s=2.0))
-    with opened(rig.rig.turntable.port) as port:
-        for line in (b"M17", b"M150 P255 R U B", b"G92 X360"):
-            asked(port, line)
-        assert rig.world.panel.level == 1.0
-        rig.clock.sleep(2.5)
-        assert b"start\n Watchdog Reset\n" in port.read(500)
-        assert b"X:0.00" in asked(port, b"M114")
-    assert (rig.world.panel.level, rig.world.table.energised) == (0.0, False)
-    assert [fault.kind for _, fault in rig.pending.happened] == ["reset"]
 
 
 def test_device_faults_reach_their_device() -> None:
