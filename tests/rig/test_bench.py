@@ -8,14 +8,12 @@ from pathlib import Path
 import pytest
 
 from rhizotwin.rig.bench import check
-from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, RigFile, load_rig
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
 from rhizotwin.rig.twin.twin import Twin
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.pictures import decode_grey
@@ -149,13 +147,6 @@ def test_refused_with_the_reason_and_nothing_moves() -> None:
     assert moved[0] == pytest.approx(before, abs=0.5)
 
 
-def test_a_pipe_ends_at_the_first_mistake() -> None:
-    bench = Bench()
-    with pytest.raises(UserError, match="no command 'tabel'"):
-        bench.types("lights 1 1", "tabel +9", "lights 0.5", stop_at_mistake=True)
-    assert bench.twin.world.panel.level == 0.0
-
-
 def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:
     bench = Bench()
 
@@ -176,11 +167,3 @@ def test_the_example_is_a_whole_rig_file_of_the_defaults(tmp_path: Path) -> None
     for part in (rig, rig.turntable, rig.lights, rig.hat, rig.arm, rig.arm.joints[0], rig.camera, rig.clearance):
         sections = {"turntable", "lights", "hat", "arm", "camera", "clearance", "joints"}
         assert set(part.__dataclass_fields__) <= keys | sections, part
-
-
-def test_no_arm_and_a_rig_that_is_not_there_are_said() -> None:
-    said = Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0")
-    assert said.count("this rig has no arm") == 4
-    rig = replace(twin_of().rig, turntable=replace(RigFile().turntable, port="/dev/rhizotwin-no-such-port"))
-    with pytest.raises(RigError, match="turntable: /dev/rhizotwin-no-such-port is not there"):
-        open_devices(rig, SCENE, clock=twin_of().clock)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
+from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path
 from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
 from rhizotwin.rig.arm.placing import Joints, camera_wanted, joints_for
 from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
@@ -17,7 +17,7 @@ from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Canister, Ring, Scene
+from rhizotwin.scenes.model import Ring, Scene
 
 ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
 """On a stand so low that it reaches the floor."""
@@ -78,18 +78,6 @@ def test_distance_of_a_link_is_the_least_of_its_points(at: Array, begin: Array, 
         assert sampled - coarse <= float(least_distance(solid, begin[None], end[None])[0]) <= sampled + 1e-4
     sampled = np.linalg.norm(along - at, axis=1).min()
     assert sampled - coarse <= float(point_to_segment(at[None], begin[None], end[None])[0]) <= sampled + 1e-6
-
-
-def test_solids_are_those_of_the_scene_and_the_rig_file() -> None:
-    scene = replace(SCENE, canister=Canister(height_mm=200.0, outer_radius_mm=60.0))
-    rig = replace(RIG, clearance=Clearance(table_radius_mm=120.0, floor_z_mm=-260.0, bars=(Bar(low_mm=(1, 2, 3), high_mm=(4, 5, 6)),)))
-    assert solids(rig, scene) == [
-        Cylinder("canister", 60.0, -200.0, 0.0),
-        Cylinder("net pot", 79.6, -6.0, 31.0),
-        Cylinder("table", 120.0, -220.0, -200.0),
-        Floor("floor", -260.0),
-        Box("bar 1", (1, 2, 3), (4, 5, 6)),
-    ]
 
 
 def test_distances_of_a_pose_by_hand() -> None:

@@ -24,12 +24,6 @@ def within_limits(count: int, seed: int) -> Array:
     return np.random.default_rng(seed).uniform(low, high, (count, 5))
 
 
-def planar(links_mm: tuple[float, float, float], q: Array) -> Array:
-    """Return x, y, theta (..., 3) of a planar arm."""
-    angles = np.cumsum(q, axis=-1)
-    return np.stack([(links_mm * np.cos(angles)).sum(-1), (links_mm * np.sin(angles)).sum(-1), angles[..., 2]], axis=-1)
-
-
 def difference(angle_rad: Array, other_rad: Array) -> Array:
     return np.abs((angle_rad - other_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
@@ -47,18 +41,6 @@ def test_closed_form_is_exact_on_random_reachable_targets() -> None:
     assert found.left_over_rad.max() < 1e-9
     # One of the four branches is the one that the target came from.
     assert difference(found.joints_rad, joints[:, None]).max(axis=-1).min(axis=-1).max() < 1e-9
-
-
-@given(
-    q=st.lists(st.floats(-3.1, 3.1), min_size=5, max_size=5).map(np.array),
-    links=st.lists(st.floats(1.0, 500.0), min_size=4, max_size=4).map(tuple),
-)
-def test_closed_form_on_any_arm(q: Array, links: tuple[float, ...]) -> None:
-    part = ArmPart(links_mm=links)
-    target = forward(links, q)
-    found = inverse(part, target)
-    assert not np.isnan(found.joints_rad).any()
-    np.testing.assert_allclose(forward(links, found.joints_rad), np.broadcast_to(target, (4, 4, 4)), atol=1e-8)
 
 
 SINGULAR = ((20, 0, 0, 0, 30), (20, 0, 0, 180, 30), (10, 50, 0, 70, -20), (10, 50, 180, 70, -20), (10, 40, 60, -100, 15))
@@ -104,22 +86,6 @@ def test_out_of_reach_is_nan_with_the_distance_and_finite_by_newton() -> None:
     near = newton(PART, target, START)
     assert np.isfinite(near.joints_rad).all()
     assert np.linalg.norm(near.left_over[:3]) > 500.0
-
-
-# The planar arm of section 3.3.
-
-
-@given(
-    q=st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3).map(np.array),
-    links=st.lists(st.floats(1.0, 300.0), min_size=3, max_size=3).map(tuple),
-)
-def test_three_link_round_trip(q: Array, links: tuple[float, float, float]) -> None:
-    x, y, theta = planar(links, q)
-    for elbow in (1, -1):
-        np.testing.assert_allclose(planar(links, three_link(links, x, y, theta, elbow=elbow)), [x, y, theta], atol=1e-8)
-    if abs(np.sin(q[1])) > 1e-3:
-        same = three_link(links, x, y, theta, elbow=1 if q[1] > 0.0 else -1)
-        assert difference(same, q).max() < 1e-6
 
 
 # Newton's method.

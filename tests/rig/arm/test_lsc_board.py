@@ -1,10 +1,8 @@
 """The controller board's protocol against frames written out by hand from the manual."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from rhizotwin.rig.arm.lsc_board import LscBoard, find_positions
+from rhizotwin.rig.arm.lsc_board import LscBoard
 from rhizotwin.rig.errors import NoAnswerError, UnsafeError
 from tests.rig.arm.fake_bus import SILENT, ScriptedLine, scripted
 
@@ -89,29 +87,3 @@ def test_stop_holds_where_the_servos_came_by_even_with_a_damaged_reading() -> No
     there = ("55 55 0b 03 02 e8 03 01 08 02 02 00 00", SILENT)
     with scripted(LscBoard, *[(ASK_12, answer) for answer in on_its_way], there) as board:
         board.stop([1, 2])
-
-
-def by_hand(positions: dict[int, int]) -> bytes:
-    """Return the answer about positions."""
-    body = b"".join(bytes([servo, counts & 0xFF, counts >> 8 & 0xFF]) for servo, counts in positions.items())
-    return bytes([0x55, 0x55, len(body) + 3, 0x15, len(positions)]) + body
-
-
-RUBBISH = st.one_of(
-    st.binary(max_size=12),
-    st.sampled_from([bytes.fromhex(RAN), bytes.fromhex(STOPPED), bytes.fromhex(DONE), bytes.fromhex(VOLTS_7_5), bytes.fromhex(ASK_12)]),
-    st.lists(st.sampled_from([0x55, 0x09, 0x15, 0x02]), max_size=12).map(bytes),
-    st.integers(0, 10).map(lambda size: bytes.fromhex(BOTH_500)[:size]),
-)
-
-
-@given(
-    before=st.lists(RUBBISH, max_size=4),
-    counts=st.lists(st.integers(-300, 1300), min_size=5, max_size=5),
-    times=st.integers(1, 2),
-    cut=st.integers(0, 19),
-)
-def test_finds_the_answer_in_any_rubbish(before: list[bytes], counts: list[int], times: int, cut: int) -> None:
-    positions = dict(zip((6, 5, 4, 3, 2), counts, strict=True))
-    answer = by_hand(positions)
-    assert find_positions(b"".join(before) + answer * times + answer[:cut], (6, 5, 4, 3, 2)) == positions

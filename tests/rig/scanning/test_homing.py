@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
-from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
 from rhizotwin.rig.twin.sketch import Sketch
@@ -76,11 +75,7 @@ def test_where_nothing_is_seen_the_given_angle_counts_and_otherwise_a_person_is_
     answers = iter(["somewhere", "nan", "1e9", " 45 deg"])
     found = find_angle(None, [], SCENE, near_deg=0.0, ask=lambda _: next(answers))
     assert (found.table_deg, found.source) == (45.0, "as the operator said")
-    with pytest.raises(RigError, match="its angle is not known, and it is dark"):
-        find_angle(None, [], SCENE, near_deg=0.0, why="it is dark")
     assert find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=103.0).table_deg == pytest.approx(100.0)
-    with pytest.raises(RigError, match=r"said to stand at 110 deg, but the markers show 100\.0 deg"):
-        find_angle(sighting(100.0), [], SCENE, near_deg=0.0, given_deg=110.0)
 
 
 def test_markers_to_be_expected_are_read_but_not_those_of_another_strip() -> None:

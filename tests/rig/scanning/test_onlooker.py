@@ -3,24 +3,21 @@
 import threading
 from pathlib import Path
 
-import pytest
-
 from rhizotwin.rig.scanning.onlooker import Look, Onlooker
-from rhizotwin.scenes.dataset import load_dataset
 from tests.rig.fake_devices import World, run
 
 
 class _Heard(Onlooker):
-    """Keeps what it hears; holds as often as it should, and ends the scan before a picture."""
+    """Keeps what it hears, and holds the scan as often as it should."""
 
     watches_motion = True
 
-    def __init__(self, *, holds: int = 0, ends_before: int | None = None) -> None:
+    def __init__(self, holds: int) -> None:
         self.looks: list[Look] = []
         self.lines: list[str] = []
         self.plan: tuple[int, int] = (0, 0)
         self.asked = 0
-        self._holds, self._ends_before = holds, ends_before
+        self._holds = holds
 
     def on_plan(self, total: int, done: int) -> None:
         self.plan = (total, done)
@@ -34,14 +31,12 @@ class _Heard(Onlooker):
 
     def holds(self) -> bool:
         self.asked += 1
-        if self._ends_before is not None and self.asked > self._ends_before:
-            raise KeyboardInterrupt
         self._holds -= 1
         return self._holds >= 0
 
 
 def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
-    world, heard = World(), _Heard(holds=2)
+    world, heard = World(), _Heard(2)
     made = run(world, tmp_path / "d", onlooker=heard)
     assert heard.plan == (len(made.frames), 0)
     assert [look.frame.file for look in heard.looks] == [frame.file for frame in made.frames]
@@ -53,16 +48,3 @@ def test_every_picture_is_heard_of_once_with_what_it_shows(tmp_path: Path):
         assert look.motion is not None
         assert look.motion < 0.05
     assert any(line.startswith("camera") for line in heard.lines)
-
-
-def test_one_who_ends_the_scan_leaves_what_was_taken_and_it_is_taken_up(tmp_path: Path):
-    world = World()
-    with pytest.raises(KeyboardInterrupt):
-        run(world, tmp_path / "d", onlooker=_Heard(ends_before=2))
-    kept = load_dataset(tmp_path / "d")
-    assert len(kept.frames) == 2
-    assert not kept.origin["complete"]
-    heard = _Heard()
-    made = run(world, tmp_path / "d", resume=True, onlooker=heard)
-    assert made.origin["complete"]
-    assert heard.plan == (len(made.frames), 2)

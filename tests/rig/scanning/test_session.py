@@ -137,18 +137,3 @@ def test_pictures_that_turned_out_wrong_are_taken_out(tmp_path: Path) -> None:
     assert not (tmp_path / "d" / "dataset.json").exists()
     assert len(made.remaining()) == 4
     made.close()
-
-
-def test_failure_to_write_is_raised_with_the_next_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = begin(tmp_path / "d")
-
-    def full(path: Path, _: bytes) -> None:
-        raise UserError(f"{path}: the disk is full")
-
-    monkeypatch.setattr(session_module, "write_bytes", full)
-    made.record(frame(0), picture(0))
-    with pytest.raises(UserError, match=r"view_000\.png: the disk is full"):
-        made.record(frame(1), picture(1))
-    monkeypatch.undo()
-    made.close()
-    assert [view.index for view in begin(tmp_path / "d", resume=True).remaining()] == [0, 1, 2, 3]

@@ -43,17 +43,6 @@ def test_the_rest_is_where_the_swing_drowns_in_noise(decay_s: float) -> None:
     assert found.moved > 5.0
 
 
-def test_what_stands_still_needs_no_rest_and_what_swings_to_the_end_has_none() -> None:
-    rng, times = np.random.default_rng(1), np.arange(0.0, 6.0, 0.25)
-    still, swung = (
-        settling([swinging(t, amplitude_px=amplitude, decay_s=30.0, noise=200.0, rng=rng) for t in times], times.tolist())
-        for amplitude in (0.0, 3.0)
-    )
-    assert still.rest_s == 0.0
-    assert still.moved == pytest.approx(1.0, abs=0.1)
-    assert swung.rest_s is None
-
-
 CASES = {
     "nothing moves": (lambda _: 0.01, 60.0, 0.5, 0.5),
     "gentleness does not help": (lambda _: 1.2, 60.0, 2.0, 12.0),

@@ -91,17 +91,12 @@ REFUSALS = {
 
 @pytest.mark.parametrize(("error", "says"), REFUSALS.values(), ids=REFUSALS)
 def test_a_port_that_cannot_be_opened(error: Exception, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RigError, match="protocol 'smoke' not known"):
-        opened("smoke://signals")
-
     def refuse(*_args: object, **_settings: object) -> None:
         raise error
 
     monkeypatch.setattr("serial.serial_for_url", refuse)
-    with pytest.raises(RigError, match=says) as caught:
+    with pytest.raises(RigError, match=f"turntable.*/dev/ttyUSB0.*{says}"):
         opened("/dev/ttyUSB0")
-    assert "turntable" in str(caught.value)
-    assert "/dev/ttyUSB0" in str(caught.value)
 
 
 class _Notes(Recorder):

@@ -1,7 +1,6 @@
 """Recordings: what is on the disk at every moment, and replays that notice every difference."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -91,7 +90,6 @@ def test_a_replay_answers_as_it_was(replay: ReplayPort) -> None:
     assert replay.read(2.0) == b""
     assert replay.clock.now_s() == 3.5
     replay.finish()
-    replay.close()
 
 
 def test_the_first_difference_is_named_and_stays(replay: ReplayPort) -> None:
@@ -131,27 +129,22 @@ def test_sessions_are_told_apart(tmp_path: Path) -> None:
     recorder.close()
     replay_port(path, "turntable").write(b"M18\n")
     replay_port(path, "turntable", session=0).write(b"M114\n")
-    with pytest.raises(UserError, match="has 2 sessions"):
-        replay_port(path, "turntable", session=2)
     with pytest.raises(UserError, match="nothing of a device 'arm' in this session, only turntable"):
         replay_port(path, "arm")
 
 
-DAMAGES: dict[str, tuple[Callable[[str], str], str]] = {
-    "hex": (lambda text: text.replace('"5555"', '"55x5"'), "line 5 is damaged"),
-    "direction": (lambda text: text.replace('"dir": "<"', '"dir": "v"', 1), "line 4 is damaged"),
-    "no header": (lambda text: text.split("\n", 1)[1], "is not a recording"),
-    "format": (lambda text: text.replace('"recording": 1', '"recording": 2'), "is not a recording of format 1"),
-    "no object": (lambda _text: "17\n", "line 1 is damaged"),
-}
-
-
-@pytest.mark.parametrize(("damage", "says"), DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_recording_is_named(tmp_path: Path, damage: Callable[[str], str], says: str) -> None:
-    path = small(tmp_path / "wire.jsonl")
-    path.write_text(damage(path.read_text()))
-    with pytest.raises(UserError, match=says):
-        replay_port(path, "turntable")
+def test_a_damaged_recording_is_named(tmp_path: Path) -> None:
+    text = small(tmp_path / "whole.jsonl").read_text()
+    for damaged, says in (
+        (text.replace('"5555"', '"55x5"'), "line 5 is damaged"),
+        (text.replace('"dir": "<"', '"dir": "v"', 1), "line 4 is damaged"),
+        ("17\n", "line 1 is damaged"),
+        (text.split("\n", 1)[1], "is not a recording"),
+        (text.replace('"recording": 1', '"recording": 2'), "is not a recording of format 1"),
+    ):
+        (tmp_path / "wire.jsonl").write_text(damaged)
+        with pytest.raises(UserError, match=says):
+            replay_port(tmp_path / "wire.jsonl", "turntable")
     with pytest.raises(UserError, match="cannot be read as a recording"):
         replay_port(tmp_path / "none.jsonl", "turntable")
 

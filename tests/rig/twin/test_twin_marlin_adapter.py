@@ -102,20 +102,6 @@ def test_m410_stops_at_once_even_behind_m400() -> None:
     assert f"X:{board.table.true_deg:.2f} " in board.send("M114")[0]
 
 
-def test_a_killed_firmware_is_silent_until_a_reset_and_a_stopped_one_refuses_moves_until_m999() -> None:
-    board = _Board()
-    board.send("M17")
-    assert board.send("N1 M112*32") == ["echo:M112 Shutdown", "Error:Printer halted. kill() called!"]
-    assert not board.table.energised
-    assert board.send("M114") == board.wait(1000.0) == []
-    board.adapter.reset(board.now_s)
-    assert board.wait(1.0)[0] == "start"
-    board.adapter.commands.stopped = True
-    assert board.send("G1 X10")[0].startswith("Printer stopped due to errors. Fix the error and use M999 to restart.")
-    assert not board.table.moving
-    assert (board.send("M999"), board.send("G1 X10"), board.table.moving) == (["ok"], ["ok"], True)
-
-
 def test_a_reset_forgets_everything_and_greets() -> None:
     board = _Board()
     for line in ("N1 M115*39", "G92 X370", "M150 R U B", "M17"):

@@ -82,18 +82,6 @@ def _project(scene: Scene, cam_from_strip: frames.Array, points: frames.Array) -
     return np.asarray(pixels).reshape(-1, 2)
 
 
-def test_a_sketch_is_as_bright_as_its_lamps() -> None:
-    scene = scene_of((200, 150))
-    sketch, full = sketch_of(scene), sight_of(scene, 0)
-    both = sketch.light(full)
-    panel, front = sketch.light(replace(full, front=0.0)), sketch.light(replace(full, panel=0.0))
-    np.testing.assert_allclose(panel + front, both, atol=1e-6)
-    assert both.max() == pytest.approx(scene.lights.backlight_level)
-    assert front.max() == pytest.approx(scene.lights.front_level, rel=0.05)
-    np.testing.assert_allclose(sketch.light(replace(full, panel=0.5, front=0.5, exposure=0.5)), both / 4.0, atol=1e-6)
-    assert sketch.picture(replace(full, panel=0.0, front=0.0)).max() == 0
-
-
 def test_a_rendered_picture_is_that_of_sim() -> None:
     scene = scene_of((200, 150))
     world, solid = draw_world(scene, seed=2), build_specimen(scene)
