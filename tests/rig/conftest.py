@@ -25,7 +25,6 @@ class _Board:
     greets: bool = False
     unknown: tuple[str, ...] = ()
     """Commands that this firmware does not have."""
-    position_format: str = "X:{x:.2f} Y:0.00 Z:0.00 E:0.00 Count X:{count} Y:0 Z:0"
     ok_after_resend: bool = True
     advanced_ok: bool = False
     keeps_alive: bool = True
@@ -149,7 +148,7 @@ class _Board:
         elif name == "M150":
             self.strips[int(values["S"])] = {letter: int(value) for letter, value in values.items() if letter != "S"}
         elif name == "M114":
-            self.put(self.position_format.format(x=self.x_deg, count=round(self.x_deg * 160 / 9)) + "\n")
+            self.put(f"X:{self.x_deg:.2f} Y:0.00 Z:0.00 E:0.00 Count X:{round(self.x_deg * 160 / 9)} Y:0 Z:0\n")
         elif name == "M115":
             self.put(
                 "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  2 2024 12:00:00) SOURCE_CODE_URL:github.com/x PROTOCOL_VERSION:1.0\n"

@@ -187,7 +187,6 @@ class _FakeArm:
 
     world: World
     error_deg: tuple[float, ...] = ARM_ERROR_DEG
-    settled: bool = True
 
     def describe(self) -> str:
         return "a fake arm"

@@ -77,26 +77,6 @@ def test_off_reaches_a_board_that_is_not_heard(board: Any, lights: MarlinLights)
     assert board.strips == {0: OFF, 1: OFF}
 
 
-def test_off_when_stopped_by_ctrl_c_in_a_move(board: Any, lights: MarlinLights) -> None:
-    """The answers to the move that was broken off are not taken for those of the lamps."""
-    link = lights._link
-    link.command("G1 X90 F1800")
-    read = board.read
-
-    def stop(timeout_s: float) -> bytes:
-        if timeout_s > 0.0:
-            board.read = read
-            raise KeyboardInterrupt
-        return read(timeout_s)
-
-    board.read = stop
-    with pytest.raises(KeyboardInterrupt):
-        link.command("M400", expect_s=3.0)
-    lights.off()
-    assert board.strips == {0: OFF, 1: OFF}
-    assert board.at_rest
-
-
 def test_set_hides_neither_a_reset_nor_a_firmware_without_lamps(board: Any, lights: MarlinLights) -> None:
     board.unknown = ("M150",)
     with pytest.raises(RigError, match='does not know "M150 S1 R255 U250 B240 P255"; build Marlin'):

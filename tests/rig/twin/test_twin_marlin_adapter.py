@@ -55,22 +55,6 @@ def test_the_wire_examples_are_accepted() -> None:
     assert [lamp.level for lamp in board.lamps] == pytest.approx([1.0, 1.0 / 90.0])
 
 
-BAD = {
-    "N3 M114*36": "Error:Line Number is not Last Line Number+1, Last Line: 0",
-    "N1 M115*40": "Error:checksum mismatch, Last Line: 0",
-    "N1 M115": "Error:No Checksum with line number, Last Line: 0",
-}
-
-
-def test_a_bad_line_and_one_sent_twice_are_requested_again() -> None:
-    for line, error in BAD.items():
-        board = _Board()
-        assert board.send(line) == [error, "Resend: 1", "ok"]
-        assert _Board(ok_after_resend=False).send(line) == [error, "Resend: 1"]
-        assert board.send("N1 M115*39")[-1] == "ok"
-        assert board.send("N1 M115*39") == ["Error:Line Number is not Last Line Number+1, Last Line: 1", "Resend: 2", "ok"]
-
-
 def test_a_move_is_accepted_at_once_and_waited_for_by_m400() -> None:
     board = _Board()
     assert board.send("G1 X90 F1200") == ["ok"]

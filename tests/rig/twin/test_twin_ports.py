@@ -1,6 +1,5 @@
 """The twin's ports: in virtual time by pyserial's own way in, and behind pseudo-terminals in real time."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -150,20 +149,3 @@ def test_any_program_can_open_the_pseudo_terminals(served: tuple[Twin, Any]) -> 
         port.write(ASK_ARM)
         assert port.read(8)[:5] == bytes.fromhex("55 55 05 05 1c")
     assert rig.world.table.true_deg == pytest.approx(90.0)
-
-
-def test_a_cable_pulled_from_a_pseudo_terminal(served: tuple[Twin, Any]) -> None:
-    rig, ports = served
-    port = opened(str(ports.paths["table"]), timeout=10.0)
-    with ports.lock:
-        rig.inject(Fault(kind="unplugged", device="table", amount=1.0))
-    ports.wake()
-    with pytest.raises(serial.SerialException, match="device reports readiness to read but returned no data"):
-        port.read(1)
-    port.close()
-    deadline = time.monotonic() + 10.0
-    while not ports.paths["table"].exists():
-        assert time.monotonic() < deadline
-    with opened(str(ports.paths["table"]), timeout=5.0) as again:
-        again.write(b"M114\n")
-        assert again.read_until(b"ok\n").startswith(b"X:0.00")
