@@ -18,6 +18,8 @@ from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
 from tests.rig.fake_devices import STRIP
 
+pytestmark = pytest.mark.slow
+
 SCENE = Scene(
     camera=Camera().resized((400, 300)),
     strip=STRIP,
