@@ -1,4 +1,4 @@
-"""The drawn scans are what they say, and what is counted of them is right."""
+"""The drawn scans are what they say."""
 
 from dataclasses import fields
 

@@ -1,4 +1,4 @@
-"""How reconstructions grow: exponents, which runs are made, and what is refused."""
+"""How reconstructions grow: exponents."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The ladder's table and figure from chosen runs."""
+"""The numbers of the ladder's table from chosen runs."""
 
 import math
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.scenes import traced
-from rhizotwin.scenes.rsml import Root, read_file
+from rhizotwin.scenes.rsml import Root, length_mm, read_file
 
 FILE = """<rsml><metadata><unit>mm</unit></metadata><scene><plant><root><geometry><polyline>
 <point x="0" y="0" z="-10"/><point x="0" y="0" z="-20"/><point x="0" y="0" z="-30"/></polyline></geometry>
@@ -22,10 +22,6 @@ def line(*points: tuple[float, float, float], parent: int = -1, diameter_mm: flo
     at = np.linspace(0.0, along[-1], int(np.ceil(along[-1])) + 1)
     nodes = np.stack([np.interp(at, along, corners[:, k]) for k in range(3)], axis=1)
     return Root(points_mm=nodes, diameters_mm=np.full(len(nodes), diameter_mm), order=0 if parent < 0 else 1, parent=parent)
-
-
-def length_mm(roots: tuple[Root, ...]) -> float:
-    return float(sum(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum() for root in roots))
 
 
 @pytest.mark.parametrize(

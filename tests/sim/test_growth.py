@@ -7,6 +7,7 @@ import pytest
 
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Canister, NetPot
+from rhizotwin.scenes.polyline import length_mm
 from rhizotwin.scenes.specimens import BasalRoots, GrownSpecimen, RootOrder
 from rhizotwin.sim import growth
 
@@ -15,10 +16,6 @@ STRAIGHT = RootOrder(
     interlateral_sd=0.0, base_mm=5.0, apex_mm=10.0, insertion_deg=60.0, insertion_sd_deg=0.0, gravitropism_per_mm=0.0, wobble_deg=0.0,
 )  # fmt: skip
 LIVELY = replace(STRAIGHT, wobble_deg=10.0, length_sd=0.3, interlateral_sd=0.5, insertion_sd_deg=10.0, gravitropism_per_mm=0.01)
-
-
-def length_mm(points_mm: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(points_mm, axis=0), axis=1).sum())
 
 
 def test_a_straight_taproot_follows_the_law_of_elongation() -> None:

@@ -1,4 +1,4 @@
-"""Numbers of cells."""
+"""Cells, their neighbours and their faces."""
 
 import numpy as np
 

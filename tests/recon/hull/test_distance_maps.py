@@ -1,4 +1,4 @@
-"""Distance maps as they are kept: in halves, some views of many."""
+"""Distance maps as they are kept, in halves."""
 
 import mitsuba as mi
 import numpy as np

@@ -1,4 +1,4 @@
-"""What is told from roots: tubes that explain nothing, that lie in others, and ends that are none."""
+"""What is told from roots: tubes that lie in others, and ends that are none."""
 
 import numpy as np
 

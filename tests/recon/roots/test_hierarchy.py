@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.roots.hierarchy import arrange
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.strings import root
-
-
-def length(roots) -> float:
-    return sum(float(np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1).sum()) for root in roots)
-
 
 TAP = root([0, 0, 0], [0, 0, -40], diameters=(1.5, 1.5))
 LATERAL = root([0, 0, -15], [15, 0, -25], order=1, parent=0)
@@ -45,7 +40,7 @@ def test_the_thick_line_is_the_taproot():
     assert tap.diameters_mm.min() == 1.5
     assert lateral.diameters_mm.max() == 0.3
     assert (lateral.order, lateral.parent) == (1, 0)
-    assert length([tap, lateral]) == pytest.approx(length(traced))
+    assert length_mm([tap, lateral]) == pytest.approx(length_mm(traced))
 
 
 def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():

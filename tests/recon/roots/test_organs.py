@@ -1,4 +1,4 @@
-"""Thick organs among the tubes: told from crowds, as wide as their spheres, and on their axes."""
+"""Thick organs among the tubes: as wide as their spheres, and on their axes."""
 
 import numpy as np
 

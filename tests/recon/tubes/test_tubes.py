@@ -1,4 +1,4 @@
-"""Tubes: strings of nodes, their volume, the pictures they cast, and how a fit finds them again."""
+"""Tubes: the pictures they cast, and how a fit finds them again."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.uncertainty import root_uncertainty
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root, length_mm
 from tests.recon.strings import blank_of
 
 SCENE = Scene(camera=Camera().resized((480, 360)), plan=CapturePlan(rings=(Ring(views=6, first_deg=10.0),)))
@@ -36,10 +36,6 @@ def taken() -> tuple[ViewBank, tuple[Silhouette, ...]]:
 
 def told(roots, taken, lost=()):
     return {estimate.name: estimate for estimate in root_uncertainty.estimates(roots, *taken, mu_per_mm=None, lost=lost)}
-
-
-def length_mm(roots) -> float:
-    return float(sum(np.linalg.norm(root.points_mm[-1] - root.points_mm[0]) for root in roots))
 
 
 def test_what_is_right_is_trusted_within_a_few_per_cent(taken) -> None:
