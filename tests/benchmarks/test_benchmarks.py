@@ -33,12 +33,6 @@ def test_targets_name_measured_things():
     assert [key for key in TARGETS if not key.startswith(others) and key.rpartition("/")[0] not in full] == []
 
 
-def test_clean_prints_are_not_repeated_for_each_seed():
-    chosen = cases.ladder(scenes=("printed_8ml",), seeds=(3, 4), methods=("coverage",))
-    found = [(case.pictures.profile, case.pictures.seed) for case in chosen]
-    assert found == [("clean", 3), ("bench", 3), ("harsh", 3), ("bench", 4), ("harsh", 4)]
-
-
 @pytest.fixture
 def fake_worker(monkeypatch, tmp_path, record_of):
     """Answer jobs at once; returns the list of those that were asked for."""

@@ -119,11 +119,6 @@ def test_meshes_that_are_no_specimen_are_refused(tmp_path: Path, mesh: Callable[
         through_file(mesh(), tmp_path)
 
 
-def test_what_the_grid_hides_is_said(tmp_path: Path) -> None:
-    solid = through_file(box(at_mm=(0.0, 0.0, -10.0)), tmp_path)
-    assert any("3.00 mm are above the net pot's grid" in note for note in solid.notes)
-
-
 RSML = """<rsml><metadata><unit>cm</unit><resolution>1</resolution></metadata><scene><plant><root ID="1">
 <geometry><polyline><point x="0" y="0" z="-2"/><point x="0" y="0" z="-{depth}"/></polyline></geometry>
 <functions><function name="diameter" domain="polyline"><sample value="0.2"/><sample value="0.2"/></function></functions>

@@ -8,7 +8,6 @@ import pytest
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.model import Canister, CapturePlan, Disturbances, NetPot, Ring, Scene
-from rhizotwin.sim import dirt
 from rhizotwin.sim.world import World, draw_world
 
 WRONG = replace(load_profile("harsh"), algae_patches=20, algae_opacity=0.5, felt_fibres=30, bubbles=30, backlight_unevenness=0.3)
@@ -68,9 +67,3 @@ def test_dirt_stays_in_the_water() -> None:
     for fibre in world.fibres:
         assert np.hypot(*fibre.points_mm[:, :2].T).max() < can.inner_radius_mm
         assert fibre.points_mm[:, 2].max() == NetPot().grid_z_mm
-    scene = Scene(disturbances=replace(WRONG, algae_patches=1))
-    patch = draw_world(scene, seed=4).algae[0]
-    opacity = dirt.opacity_map((patch,), radius_mm=50.0, z_range_mm=(-140.0, 0.0), mm_per_texel=0.5)
-    row, column = round(-patch.z_mm / 0.5), round(patch.azimuth_rad * 50.0 / 0.5)
-    assert opacity[row % len(opacity), column % opacity.shape[1]] == pytest.approx(patch.opacity, rel=1e-3)
-    assert np.count_nonzero(opacity) * 0.25 == pytest.approx(np.pi * patch.radius_mm**2, rel=0.35)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from rhizotwin.recon.coverage import evidence, silhouettes
+from rhizotwin.recon.coverage import evidence, level_distance, silhouettes
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 
 
@@ -90,3 +90,12 @@ def test_thesis_silhouette_joins_thick_and_thin() -> None:
     assert found[truth > 0.9].mean() > 0.99, "the inside of the thick root is filled"
     assert found[48, 70:110].any(), "the thin, bright root is kept"
     assert found[:, :10].mean() < 0.02
+
+
+def test_narrow_insides_are_as_deep_as_wide_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Column by column as by a transform of the whole picture: smooth noise has islands, holes and necks, and touches the border."""
+    value, found = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(70, 90)).astype(np.float32), (0, 0), 4.0), []
+    for looks in (1e9, 0.0):
+        monkeypatch.setattr(level_distance, "_LOOKS", looks)
+        found.append(level_distance.level_distance(value))
+    np.testing.assert_allclose(*found, atol=1e-3)

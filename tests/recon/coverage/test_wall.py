@@ -53,3 +53,14 @@ def test_lines_of_sight_cross_the_wall_where_its_points_are_projected(turn: Turn
         column = np.mod(azimuth * columns / (2 * np.pi) - 0.5 - where.column[side][v, u] + columns / 2, columns) - columns / 2
         assert abs(column) < 1.5, "within the pixel"
         assert where.row[side][v, u] == pytest.approx((optics.water_z_mm + 60.0) * rows / (optics.water_z_mm - optics.floor_z_mm), abs=1.5)
+
+
+def test_what_is_clear_wherever_one_looks_past_the_crowd_is_no_bubble() -> None:
+    """A crowd inside darkens a place in six of ten views; in the others it is as clear as its ring, but for a true bubble."""
+    dark = np.zeros((20, 60), np.float32)
+    dark[9:12, 30:33] = 0.5
+    views = np.zeros((10, 20, 60), np.float32)
+    views[:6] = 0.5
+    assert not wall._bubbles(dark, views, 0.06).any()
+    views[6:, 9:12, 30:33] = 0.4
+    assert wall._bubbles(dark, views, 0.06)[9:12, 30:33].all()

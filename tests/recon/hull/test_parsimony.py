@@ -1,15 +1,17 @@
 """Trimming the hull: tubes get their own cross-section back, what is no tube keeps its hull."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from rhizotwin.recon.coverage import silhouettes
-from rhizotwin.recon.hull import carve, parsimony
+from rhizotwin.recon.hull import carve, explained, parsimony
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Grid, Leaves, even
+from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.optics import projection, refraction
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.hull import exact_pictures
@@ -79,3 +81,35 @@ def test_without_its_twig_the_hull_is_kept_where_a_silhouette_needs_it(monkeypat
     found = parsimony.trim(bank, maps, hull)
     assert np.hypot(found.spheres.centre_mm[:, 0], found.spheres.centre_mm[:, 1]).max() < 3.0
     assert found.leaves.volume_mm3() == pytest.approx(volume_of_rods(), rel=0.05)
+
+
+def test_of_a_line_of_sight_what_is_nearest_to_the_spheres_is_needed() -> None:
+    """A trunk whose spheres are half as wide: the rest of it is needed, but not what lies beside it along a line of sight."""
+    bank, maps, hull = hull_of(RODS)
+    core = hull.some(np.hypot(hull.middles_mm[:, 0], hull.middles_mm[:, 1]) < 2.0)
+    spheres = Spheres(np.stack([[0.0, 0.0, z] for z in np.arange(-80.0, -20.0, 0.5)]), np.full(120, 2.0))
+    angle = np.arange(8) * np.pi / 4.0
+    rind = np.stack([3.0 * np.cos(angle), 3.0 * np.sin(angle), np.full(8, -70.0)], axis=1)
+    spike = np.array([[x, 0.0, -70.0] for x in (8.0, 12.0, 16.0, -8.0, -16.0)])
+    nodes = np.floor((np.concatenate([rind, spike]) - np.asarray(hull.grid.origin_mm)) / hull.grid.size_mm).astype(np.int32)
+    every = even(hull.index, hull.size)
+    places = np.concatenate([nodes, every])
+    needed = explained.needed(bank, maps, core, places, spheres)[: len(nodes)]
+    assert needed[:8].min() > 0.5
+    assert needed[8:].max() < 0.1
+    alone = explained.needed(bank, maps, core, nodes[8:], spheres)
+    assert alone.max() > 0.5, "where nothing nearer explains the pictures, the spike does"
+
+
+def test_spheres_stand_where_enough_views_bound_them() -> None:
+    """On the axis nearly all do; e beside it only those that look nearly across the offset; where every picture is silent, none."""
+    bank, maps, _ = hull_of(RODS)
+    silent = replace(maps, values=type(maps.values)(np.full(len(maps.values), np.inf, np.float16)))
+    line = np.array([0.0, 0.0, -75.0]) + np.linspace(-1.0, 1.0, 15)[:, None] * np.array([0.0, 0.0, 1.0])
+    spheres, doubtful = parsimony.grow_spheres(bank, maps, line)
+    assert np.median(spheres.radius_mm) == pytest.approx(4.0, rel=0.01)
+    assert not len(doubtful.radius_mm)
+    spheres, doubtful = parsimony.grow_spheres(bank, maps, line + np.array([3.0, 0.0, 0.0]))
+    assert len(doubtful.radius_mm) >= 15
+    assert np.median(spheres.radius_mm) < 0.5 * np.median(doubtful.radius_mm), "between none and whole it shrinks"
+    assert not any(len(each.radius_mm) for each in parsimony.grow_spheres(bank, silent, line))

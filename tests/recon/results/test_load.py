@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.results.load import load_result
-from rhizotwin.recon.scoring.score import score
-from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 
 
@@ -29,12 +27,6 @@ def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert (a.file, a.used, a.reason, a.markers) == (b.file, b.used, b.reason, b.markers)
         np.testing.assert_array_equal(a.cam_from_canister, b.cam_from_canister)
-
-
-def test_values_and_folders_score_the_same(scan) -> None:
-    made = scan()
-    by_value = score(load_result(made.result), load_dataset(made.dataset))
-    assert by_value.to_dict() == score(made.result, made.dataset).to_dict()
 
 
 def test_a_value_of_another_kind_is_named(scan) -> None:

@@ -27,15 +27,6 @@ def test_filled_volume_is_that_of_the_frustum():
     assert filled.volume_mm3.sum() == pytest.approx(expected, rel=2e-3)
 
 
-def test_a_stub_is_as_large_as_its_round_tip():
-    system = tubes.Tubes(np.array([[0.0, 0.0, -20.0], [0.0, 0.0, -20.1]]), np.full(2, 1.5), (np.arange(2),))
-    for spacing_mm in (0.05, 0.4, 2.0):
-        filled = filling.fill(system, spacing_mm)
-        assert filled.volume_mm3.sum() == pytest.approx(np.pi * 2.25 * 0.1 + half_ball(1.5), rel=1e-6)
-        assert filled.point_mm[:, 2].min() > -21.6
-        assert filled.along_mm.max() <= 0.1 + 1e-9
-
-
 def test_uniting_keeps_thick_organs_and_adds_tubes():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     index = np.array([[64, 64, 200]], np.int32)

@@ -89,15 +89,6 @@ def test_overlapping_and_inverted_solids():
     assert np.array_equal(same, a)
 
 
-def test_fraction_finds_the_volume_of_a_sliver_that_centres_miss():
-    box = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [10.0, 0.25, 0.25]])
-    indices = all_indices(box, 1.0)
-    size = np.ones(len(indices), int)
-    parts = voxelise.fraction(box.vertices, box.faces, indices, size, origin_mm=ZERO, voxel_mm=1.0, samples=4)
-    assert occupied_at(box, indices, 1.0).sum() == 0
-    assert parts.sum() == pytest.approx(10.0 / 16.0)
-
-
 def test_boxes_count_their_voxels(blob):
     rng = np.random.default_rng(5)
     low, size = rng.integers([8, -18, 15], [42, 14, 48], (300, 3)), rng.integers(1, 9, 300)

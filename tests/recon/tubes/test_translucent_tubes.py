@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -119,3 +120,17 @@ def test_opaque_tubes_are_opaque_at_rest_even_if_taken_for_translucent() -> None
     attenuation, found = tube_attenuation.refine(seen, attenuation_trials.scaled(STAR, ORGAN, None, 4.3), ORGAN, wrong)
     assert attenuation.mu_per_mm is None
     assert np.median(found.radius_mm / STAR.radius_mm) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("shared", "expected"), [(False, 0.7), (True, 1.0)], ids=["views and roots", "roots alone"])
+def test_what_only_scatters_is_not_told_apart(shared: bool, expected: float) -> None:
+    """Both count, on the safe side by the root of two; errors that a root has in all views tell no more for being seen often."""
+    roots, nodes, views, rng = 16, 10, 25, np.random.default_rng(3)
+    shape = views, roots * nodes
+    trials = attenuation_trials.Trials(None, None, None, SimpleNamespace(owner=np.repeat(np.arange(roots), nodes)), np.ones(shape, bool))
+    of_roots = [np.tile(np.repeat(rng.normal(size=roots), nodes), (views, 1)) for _ in range(200)]
+    losses = [loss if shared else rng.normal(size=shape) for loss in of_roots]
+    made = [attenuation_trials.Trial(1.0, 0.0, None, loss, float(loss.sum())) for loss in (np.zeros(shape), *losses)]
+    found = [trials.significance(one, made[0]) for one in made[1:]]
+    assert np.std(found) == pytest.approx(expected, abs=0.15)
+    assert abs(np.mean(found)) < 0.2
