@@ -46,6 +46,7 @@ def test_a_command_that_writes_a_foreign_folder_touches_nothing_outside(mark: st
     assert snapshot(tmp_path / "outside") == before
 
 
+@pytest.mark.slow
 def test_a_sample_of_every_command() -> None:
     """The campaign itself (./run fuzz --folders), which also hears what is opened, on some of its ten thousand pairs."""
     words = [sys.executable, "-m", "tests.fuzz", "--folders", "--inputs", "30"]
