@@ -192,6 +192,17 @@ def test_verdicts_agree_with_dense_samples() -> None:
     assert 8 < sum(verdicts) < len(verdicts) - 8
 
 
+ANGLES = st.lists(st.floats(-120.0, 120.0), min_size=5, max_size=5).map(np.array)
+
+
+@given(a=ANGLES, b=ANGLES)
+@settings(max_examples=60)
+def test_no_pair_comes_nearer_than_the_bound_on_travel(a: Array, b: Array) -> None:
+    both = pairs(near(), SCENE, np.stack([a, b]))
+    bound = both.travel_mm @ np.abs(np.deg2rad(b - a))
+    assert (np.abs(np.diff(both.distance_mm, axis=0)[0]) <= bound + 1e-6).all()
+
+
 # Leaving a place that is too near.
 
 

@@ -49,6 +49,7 @@ NO_ANSWER = {
     "silent": (SILENT, "the board does not answer"),
     "one left out": ("55 55 06 15 01 01 f4 01", "no position for servo 2"),
     "one twice": ("55 55 09 15 02 01 f4 01 01 f4 01", "cannot be understood"),
+    "wrong number": ("55 55 09 15 03 01 f4 01 02 f4 01", "cannot be understood"),
     "unasked only": (DONE, "cannot be understood"),
     "cut": (BOTH_500[:-3], "cannot be understood"),
 }

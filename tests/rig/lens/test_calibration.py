@@ -223,10 +223,12 @@ def corner_errors(folder: Path) -> list[tuple[BoardView, Array]]:
 
 def test_corners_of_the_twin_s_pictures_lie_where_the_true_camera_projects_them(twin: Path) -> None:
     assert true_lens(twin)[0].distortion == BENCH
-    wrong = np.concatenate([error for _, error in corner_errors(twin)])
+    errors = corner_errors(twin)
+    wrong = np.concatenate([error for _, error in errors])
     assert len(wrong) > 100
     assert np.abs(wrong.mean(axis=0)).max() < 0.01
     assert np.sqrt(np.mean(wrong**2)) < 0.04
+    assert 0.5 < np.sqrt(np.mean(wrong**2)) / np.mean([found.sigma_px for found, _ in errors]) < 2.0
 
 
 def test_a_defocused_lens_shifts_nothing(tmp_path: Path) -> None:

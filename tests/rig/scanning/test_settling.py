@@ -41,6 +41,8 @@ def test_the_rest_is_where_the_swing_drowns_in_noise(decay_s: float) -> None:
     assert found.rest_s is not None
     assert expected - 0.6 <= found.rest_s <= expected + 0.6  # half a period of its swing and a look either way
     assert found.moved > 5.0
+    ever = settling([swinging(t, amplitude_px=amplitude, decay_s=30.0, noise=noise, rng=rng) for t in times[:24]], times[:24].tolist())
+    assert ever.rest_s is None
 
 
 CASES = {

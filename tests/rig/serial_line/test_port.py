@@ -139,6 +139,10 @@ def test_time_outs_last_as_long_as_they_should(monkeypatch: pytest.MonkeyPatch) 
         assert timeout_s - 1e-9 <= sum(slow.waited) <= timeout_s + 2.0**-10
     with pytest.raises(NoAnswerError, match="took no bytes"):
         port.write(b"x")
+    pieces = iter([b"old", b"older", b""])
+    port.read = lambda _: next(pieces)
+    port.discard_input()
+    assert not list(pieces)
 
 
 def test_every_byte_is_recorded(terminal: _Terminal) -> None:

@@ -103,18 +103,22 @@ def test_no_angle_looks_like_a_reset(make_board: Callable[..., Any], angle: floa
     assert "e" not in board.done[-3]  # no exponents in G-code
 
 
-def test_a_wrong_digit_of_an_angle_from_before_is_not_believed(make_board: Any) -> None:
+def damaged(digits: bytes) -> Callable[[bytes], list[tuple[float, bytes]]]:
+    return lambda data: [(0.0, data.replace(b"X:405.00", b"X:" + digits, 1))]
+
+
+def test_a_wrong_digit_is_not_believed(make_board: Any) -> None:
+    board = make_board()
+    table = on(board, at_deg=0.0)
+    board.reply_faults = {board.printed + 2: damaged(b"404.99")}  # within the tolerance
+    assert table.move_to(45.0) == 45.0
     board = make_board(x_deg=405.0)
     table = on(board)
-
-    def damaged(digits: bytes) -> Callable[[bytes], list[tuple[float, bytes]]]:
-        return lambda data: [(0.0, data.replace(b"X:405", b"X:" + digits, 1))]
-
-    board.reply_faults = {board.printed: damaged(b"005"), board.printed + 4: damaged(b"415")}
+    board.reply_faults = {board.printed: damaged(b"005.00"), board.printed + 4: damaged(b"415.00")}
     assert table.knows_zero()
-    board.reply_faults = {board.printed + 2: damaged(b"445")}
+    board.reply_faults = {board.printed + 2: damaged(b"445.00")}
     assert table.position_deg() == 45.0
-    board.reply_faults = {board.printed + 2 * k: damaged(b"40%d" % k) for k in range(6)}
+    board.reply_faults = {board.printed + 2 * k: damaged(b"40%d.00" % k) for k in range(6)}
     with pytest.raises(NoAnswerError, match="another angle every time"):
         table.position_deg()
 
@@ -145,6 +149,16 @@ def test_a_reset_in_a_move_is_noticed_and_the_angle_is_gone(banner: str, at: int
     assert not table.knows_zero()
     with pytest.raises(LostError, match="does not know"):
         table.move_to(9.0)
+
+
+def test_a_reset_that_the_lights_came_upon_first_is_not_overlooked(board: Any) -> None:
+    """They started the shared link anew: it is in order, but what the table knew is not."""
+    table = on(board, at_deg=0.0)
+    table.move_to(9.0)
+    board.reset("")
+    table._link.start()
+    with pytest.raises(LostError, match="does not know"):
+        table.move_to(18.0)
 
 
 def test_release_switches_the_motor_off_even_of_a_board_that_was_reset(board: Any) -> None:
