@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhizotwin.rig.arm.arm import open_arm
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError, UnsafeError
-from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, arm_and_bus
+from tests.rig.arm.fake_bus import BOTH, COUNTS_PER_DEG, IDS, MIDDLE, MIDDLE_COUNTS, PART, SILENT, ScriptedLine, arm_and_bus
 
 
 @BOTH
@@ -242,3 +243,9 @@ def test_health_watches_temperature_supply_and_torque() -> None:
     arm.relax()
     arm.health()  # that a limp arm has no torque is no fault
     assert not any(bus.on.values())
+
+
+def test_the_echo_of_the_rig_file_reaches_the_bus() -> None:
+    line = ScriptedLine(*[("55 55 06 03 1c da", SILENT)] * 5)
+    with pytest.raises(NoAnswerError, match="not even the adapter's echo"):
+        open_arm(line, replace(PART, protocol="lx", echo="yes"), line.clock).read_joints()

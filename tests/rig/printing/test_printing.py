@@ -1,6 +1,7 @@
 """What is printed, drawn at 300 dpi and measured; and the size of the written pages."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from rhizotwin.rig.printing.print_page import PAGES_MM, Line, Page, Paper
 from rhizotwin.rig.printing.print_strip import strip_pages
 from rhizotwin.scenes.board import CharucoBoard, opencv_board
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
 
 DPI = 300
 PX_PER_MM = DPI / 25.4
@@ -125,6 +126,11 @@ def test_the_ruler_and_the_square_come_out_right(came_out_mm: tuple[float, float
     column = on_paper[:, round((left_mm + 10.0) * stretch[0] * PX_PER_MM)][round((square_top_mm - 5.0) * stretch[1] * PX_PER_MM) :]
     assert (edge_mm(row, rising=True) - edge_mm(row, rising=False)) * came_out[0] == pytest.approx(50.0, abs=0.05)
     assert (edge_mm(column, rising=True) - edge_mm(column, rising=False)) * came_out[1] == pytest.approx(50.0, abs=0.05)
+
+
+def test_ids_keep_away_from_markers_or_leave_the_strip() -> None:
+    tight = replace(SCENE, net_pot=replace(NetPot(), top_mm=27.0), strip=MarkerStrip())
+    assert sorted(found_markers(drawn(strip_pages(tight, paper=Paper())[0]))) == list(range(62))
 
 
 def test_the_board_is_what_opencv_draws_and_is_never_taken_for_the_strip(

@@ -163,7 +163,7 @@ def test_after_ctrl_c_the_answers_still_to_come_are_waited_for(talk: Talk) -> No
     assert talk.since_s() == pytest.approx(4.0)
 
 
-def test_quick_stop_forgets_the_angle_and_needs_the_emergency_parser(make_board: Any) -> None:
+def test_quick_stop_forgets_the_angle_and_a_closed_link_is_lost(make_board: Any) -> None:
     board = make_board(x_deg=360.0)
     link = MarlinLink(board)
     link.start()
@@ -173,8 +173,6 @@ def test_quick_stop_forgets_the_angle_and_needs_the_emergency_parser(make_board:
     assert board.x_deg == 0.0
     assert board.at_rest
     assert link.sessions == sessions + 1
-    link.capabilities = frozenset()
-    assert not link.quick_stop()
     link.close()
     assert board.closed == 1
     with pytest.raises(LostError, match="closed"):
