@@ -94,7 +94,7 @@ def trait(definition: Definition, value: float | int | None) -> tuple[str, str, 
     name = SAID.get(definition.field, definition.name.replace("_", " ").capitalize())
     meaning = definition.meaning
     for field, said in SAID.items():  # tables name other columns by their keys
-        meaning = meaning.replace(field, said.lower())
+        meaning = meaning.replace(field, said.lower()) if "_" in field else meaning
     if value is None:
         return name, "not known", meaning
     if isinstance(value, int):
