@@ -118,7 +118,7 @@ SPOILT: dict[str, tuple[Callable[[Path], Any], str]] = {
     "none": (lambda path: path.write_text("not here"), "is not a picture"),
     "other size": (lambda path: write_image(path, np.zeros((20, 16), np.uint8)), "the picture is 16x20 pixels, but .* image_wh 20x16"),
     "exchanged": (lambda path: write_image(path, np.zeros((16, 20), np.uint8)), "is not the picture that was recorded"),
-    "folder": (folder_for_file, "the picture cannot be read"),
+    "folder": (folder_for_file, "is a folder"),
 }
 
 
