@@ -193,9 +193,10 @@ def test_prepare_refuses_a_servo_that_stands_where_it_may_not(servo: int, counts
     assert bus.names() == []
     assert not arm.holds()
     bus.at[servo] = 500
-    bus.at[6] = 500 + 92 * COUNTS_PER_DEG  # sagged just beyond its limit
-    arm.prepare()
-    assert arm.holds()
+    for beyond_deg in (92.0, -92.0):  # sagged just beyond its limit
+        bus._to, bus.at[6] = {}, 500 + beyond_deg * COUNTS_PER_DEG
+        arm.prepare()
+        assert arm.holds()
 
 
 def test_prepare_refuses_a_wrong_supply_an_arm_that_is_being_moved_and_torque_that_stays_off() -> None:

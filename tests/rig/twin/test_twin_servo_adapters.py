@@ -85,16 +85,6 @@ def test_lx_limits_are_kept_and_clamp() -> None:
     assert bus.send("55 55 01 03 19 e2") == "55 55 01 04 19 55 8c"
 
 
-def test_lx_frames_come_in_pieces_and_after_noise_but_not_without_power() -> None:
-    bus = _Bus(1)
-    answers = [bus.send(f"{byte:02x}") for byte in bytes.fromhex("ff 55 13 55 55 55 01 03 1c df")]
-    assert "".join(answers) == POS_IS_500
-    bus.supply.brown_out(0.5)
-    assert bus.send(ASK_POS) == ""
-    bus.supply.advance(0.6)
-    assert bus.send(ASK_POS) == POS_IS_500
-
-
 class _Board(_Bus):
     """Servos behind a controller board."""
 
