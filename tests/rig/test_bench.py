@@ -126,7 +126,10 @@ def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> No
 REFUSED = {
     "dance": "there is no command 'dance'; there are table, home",
     "table fast": "'table fast' is not understood, write: table +9 | table 90",
+    "lights 2": "'lights 2' is not understood, write: lights",
     "lights nan": "'lights nan' is not understood, write: lights",
+    "go -5 0": "'go -5 0' is not understood, write: go",
+    "park now": "'park now' is not understood, write: park",
     "joint 6 +5": "'joint 6 +5' is not understood, write: joint",
     "joint 2 +400": "limits",
     "joint 2 89": "the floor",
@@ -145,6 +148,10 @@ def test_refused_with_the_reason_and_nothing_moves() -> None:
     for line, named in REFUSED.items():
         assert any(named in one for one in said), (line, said)
     assert moved[0] == pytest.approx(before, abs=0.5)
+
+
+def test_a_rig_without_an_arm_says_so() -> None:
+    assert Bench(rig=RigFile(arm=None)).types("park", "relax", "joint 1 +3", "go 400 0").count("this rig has no arm") == 4
 
 
 def test_ctrl_c_at_the_prompt_leaves_the_rig_safe() -> None:

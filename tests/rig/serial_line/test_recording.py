@@ -68,8 +68,9 @@ def test_a_disk_that_gets_full_is_reported_once(tmp_path: Path, monkeypatch: pyt
         recorder.record(1.0, "arm", "<", b"\x00")
     recorder.record(1.1, "turntable", ">", b"M150")  # the lamps can still be switched off
     recorder.close()
-    with pytest.raises(RigError, match="cannot be written"):
-        Recorder(tmp_path)
+    for place in (tmp_path, "/dev/full"):
+        with pytest.raises(RigError, match="cannot be written"):
+            Recorder(place)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +11,11 @@ import pytest
 
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import open_board
-from rhizotwin.rig.rig_file import HatPart, RigFile, TurntablePart
+from rhizotwin.rig.rig_file import HatPart, RigFile, TurntablePart, load_rig
 from rhizotwin.rig.table.hat import HatLights, HatTurntable
 from rhizotwin.rig.table.ramp import step_times_s
 from rhizotwin.rig.twin.clock import VirtualClock
+from rhizotwin.scenes.errors import UserError
 
 HAT = HatPart()
 RIG = RigFile(turntable=TurntablePart(kind="hat", full_step_deg=0.18), hat=HAT)
@@ -179,6 +181,12 @@ def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "lgpio", None)
     with pytest.raises(RigError, match="the library lgpio is not there"):
         open_board(RIG, clock=VirtualClock())
+
+
+def test_pins_that_clash_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text("[hat]\nstep_pin = 24\n")
+    with pytest.raises(UserError, match="is used for step_pin already"):
+        load_rig(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize("steps", [7, 300])
