@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 
 from rhizotwin.batch.jobs import Job
-from rhizotwin.batch.run import OVERVIEW
 from rhizotwin.recon.results import assessments, result_files, result_traits
 from rhizotwin.report import words
 from rhizotwin.scenes import atomic, subject, trait_table
@@ -18,7 +17,7 @@ from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits
 
-TABLE, PAGE = OVERVIEW
+TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 180
 MOST_NAMED = 5
 """Scans that are named in a sentence; the page has all."""
@@ -65,11 +64,12 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
             rows.append(_Row(name=job.name, summary=summary, traits=result_traits.read(result), picture=_thumbnail(result)))
         except UserError as error:
             broken.append((job, str(error)))
-    atomic.write_text(folder / TABLE, result_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows]))
     refused = [f"{row.name}: {row.assessed['volume_mm3'].reason}" for row in rows if row.assessed["volume_mm3"].verdict == "not reliable"]
     more = f"; and {len(refused) - MOST_NAMED} more" if len(refused) > MOST_NAMED else ""
     sentence = f"{len(refused)} of {len(rows)} volumes are not reliable: {'; '.join(refused[:MOST_NAMED])}{more}" if refused else ""
-    atomic.write_text(folder / PAGE, _page(rows, broken, sentence))
+    table = result_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
+    for name, text in ((TABLE, table), (PAGE, _page(rows, broken, sentence))):
+        atomic.write_bytes(folder / name, text.encode("utf-8", "backslashreplace"), follow=False)
     return [folder / TABLE, folder / PAGE], sentence
 
 

@@ -81,7 +81,7 @@ def write(place: str, data: bytes) -> None:
         system.makedirs(path.rpartition("/")[0], exist_ok=True)
         system.pipe_file(path, data)
     else:
-        atomic.write_bytes(place, data)
+        atomic.write_bytes(place, data, follow=False)
 
 
 def exists(place: str) -> bool:

@@ -17,8 +17,6 @@ from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.terminal import COLOUR
 
 LOCK = ".rhizotwin-batch-lock"
-OVERVIEW = ("traits.csv", "overview.html")
-"""What `batch.overview` writes beside the outputs."""
 _FORM = "{percentage:3.0f} %|{bar}| {desc}, {remaining} left"
 
 
@@ -78,8 +76,7 @@ def run(jobs: Sequence[Job], folder: str, *, cluster: str | None = None, workers
 
 def _refuse_links(folder: Path, jobs: Sequence[Job]) -> None:
     """Refuse to write through links, which a folder from somebody else may hold."""
-    names = {listed.RECORDS, *(f"{listed.RECORDS}/{job.name}.json" for job in jobs), *(job.name for job in jobs), *OVERVIEW}
-    linked = next((folder / name for name in sorted(names) if (folder / name).is_symlink()), None)
+    linked = next((folder / name for name in (listed.RECORDS, *(job.name for job in jobs)) if (folder / name).is_symlink()), None)
     if linked is not None:
         raise UserError(f"{linked}: is a link, through which a batch does not write; remove it, or give the folder that it leads to")
 
