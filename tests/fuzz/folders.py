@@ -164,7 +164,7 @@ READING = (
     *("export {r} --dataset {f} -o {out}/colmap", "score {f} --volume-ml 1", "score {r} {f}", "score {r} --pictures {f}", "view {f}"),
     *("biomass fit {f} {masses} -o {out}/m.json", "edit {f} --apply {log} -o {out}/e", "view {r} {f}"),
     *("edit {r} --apply {log} --dataset {f} -o {out}/e", "reconstruct {f} -o {out}/r"),
-    *("batch {f} -o {out}/b", "import {f} --scene {scene} -o {out}/i", "import {f}/images --scene {scene} -o {out}/i"),
+    *("batch {f} -o {out}/b", "import {f} --scene {scene} -o {out}/i"),
     *("calibrate camera {f} --squares 7x5 --square-mm 30 -o {out}/l", "calibrate transfer {f} -o {out}/t.toml"),
 )
 COMMANDS = (
@@ -208,6 +208,7 @@ def prepared(given: Given, change: Change, place: Path, *, name: bytes = b"forei
         put(folder / "edits.json", log)
     if given.base == "all":
         shutil.copytree(CORPUS / "dataset", folder, dirs_exist_ok=True)
+        shutil.copytree(CORPUS / "dataset" / "images", folder, dirs_exist_ok=True)
     change(folder, outside)
     places = {"f": folder, "out": place / "out", "d": outside / "dataset", "r": outside / "result", "log": outside / "log.json"}
     places |= {"scene": outside / "scene.toml", "masses": outside / "masses.csv", "growth": outside / "growth.csv"}
