@@ -230,6 +230,7 @@ def test_a_batch_folder_stands_for_its_results(tmp_path: Path, ball_result: Call
     ball_result("r/one")
     ball_result(os.fsdecode(b"r/\xff\x1b"))
     jobs.note(job("one", tmp_path / "r"), Outcome(name="one", state="done"))
+    overview.write(tmp_path / "r", [job(os.fsdecode(b"\xff\x1b"), tmp_path / "r")], [])
     printed = command.works("traits", tmp_path / "r")
     command.works("traits", tmp_path / "r", "-o", tmp_path / "t.csv")
     assert len((tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()) == 3
