@@ -15,6 +15,9 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.transfer import Curve
 
+LeftOut = tuple[Frame, str]
+"""A frame whose picture is not read, and the reason."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFound:
@@ -58,15 +61,10 @@ class Pictures:
     curve: CurveFound | None = None
     """By what curve they were read; None: no edges were asked."""
     warnings: tuple[str, ...] = ()
-    left_out: int = 0
-    """Pictures that the dataset lists and that are not among the frames."""
+    left_out: tuple[LeftOut, ...] = ()
+    """Frames that the dataset lists and whose pictures are not read."""
     measured: Mapping[int, Any] = field(default_factory=dict, repr=False)
     """`Markers` of some of the images, by their number, where finding the curve has measured them."""
-
-    @property
-    def taken(self) -> int:
-        """Number of pictures that the dataset lists."""
-        return len(self.frames) + self.left_out
 
 
 def read_pictures(
@@ -97,16 +95,16 @@ def read_pictures(
     unwanted = _unwanted(dataset, settings.leave_out)
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
-    known = [(frame, image) for frame, image in read if not isinstance(image, UserError)]
-    failed = [image for _, image in read if isinstance(image, UserError)]
+    known = [(frame, image) for frame, image in read if not isinstance(image, str)]
+    left_out = [(frame, "as chosen") for frame in listed if frame.file in unwanted]
+    left_out += [(frame, reason) for frame, reason in read if isinstance(reason, str)]
     if not known:
-        raise failed[0] if failed else UserError(f"{dataset.folder}: every picture of the {kind} is left out")
+        raise UserError(f"{dataset.folder}: every picture of the {kind} is left out ({left_out[-1][1]})")
     frames = tuple(frame for frame, _ in known)
-    said = [f"{frame.file} is left out, as chosen" for frame in listed if frame.file in unwanted]
-    said += [f"a picture is left out: {error}" for error in failed]
+    said = [f"{frame.file} is left out: {reason}" for frame, reason in left_out]
     said += () if dataset.masks else _contradictions(dataset, frames)
     images = tuple(image for _, image in known)
-    return Pictures(dataset=dataset, frames=frames, images=images, warnings=tuple(said), left_out=len(listed) - len(frames))
+    return Pictures(dataset=dataset, frames=frames, images=images, warnings=tuple(said), left_out=tuple(left_out))
 
 
 def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
@@ -127,13 +125,13 @@ def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:
     return found
 
 
-def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | UserError]:
-    """Read a picture; return the error where it cannot be read and that is tolerated."""
+def _read(dataset: Dataset, frame: Frame, tolerant: bool) -> tuple[Frame, Grey | str]:
+    """Read a picture; return the reason where it cannot be read and that is tolerated."""
     try:
         return frame, read_image(dataset, frame)
     except UserError as error:
         if tolerant:
-            return frame, error
+            return frame, str(error)
         raise
 
 

@@ -18,7 +18,6 @@ from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import Coverage, measure_coverage, with_attenuation
 from rhizotwin.recon.device import release
-from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
 from rhizotwin.recon.results.by_plant import OfPlant
@@ -29,7 +28,7 @@ from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings, TrustSettings
 from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
-from rhizotwin.recon.uncertainty import checks, halo, hidden_top, picture_checks, root_uncertainty, root_width, shape_checks
+from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, root_width, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -63,7 +62,7 @@ def reconstruct(
     Parameters
     ----------
     dataset : Dataset or path
-        The dataset or its folder.
+        As `scenes.dataset.load_dataset` gives it, or its folder.
     settings : Settings, optional
         What may be set, a group for each stage.
     mass_g : float, optional
@@ -81,30 +80,30 @@ def reconstruct(
     Raises
     ------
     UserError
-        Where the pictures cannot be used; the message names the file.
+        Where the pictures cannot be used; the message names the file and what to do.
+    Cancelled
+        After `Monitor.cancel`.
     """
     dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
-    monitor = _releasing(monitor)
+    stages, monitor = StageFolder.begin(keep_stages), _releasing(monitor)
     pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
-    stages = StageFolder.begin(keep_stages)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
-    cameras = cameras.without(coverage.unusable)
-    of_pictures, pictures_said, taken = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings, pictures.taken
+    cameras = cameras.without(coverage.unusable, unread=pictures.left_out)
+    of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
     del pictures
     (hull, tree), roots = _hull_and_tree(dataset, cameras, coverage, settings, of_pictures, stages, monitor), None
     cameras = hull.carved.cameras
     if tree is not None:
-        tree = rooting.calibrate(tree, monitor=monitor)
-        settled = crown.without(rooting.settle(tree, monitor=monitor), hull.carved.water.top_mm)
-        cameras, roots = tree.cameras, stages.keep("roots", settled, leave=_ON_DEVICE)
+        cameras, settled = _settled(tree, hull.carved.water.top_mm, monitor)
+        roots = stages.keep("roots", settled, leave=_ON_DEVICE)
         told = with_attenuation(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
         if told is not coverage or (cameras.roots is not None and cameras.roots.believed):
             del hull  # what follows uses one calibration and one attenuation
             coverage = told
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
-    solid = _with_top(shaping.make_solid(hull, roots, coverage, settings, monitor=monitor), hull.carved.water, settings, stages)
-    checked = checks.explained((*of_pictures, _check_views(cameras, taken, settings.trust), *solid.checks))
+    solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
+    checked = checks.explained((*of_pictures, _check_views(cameras, settings.trust), *solid.checks))
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures_said, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
@@ -112,20 +111,17 @@ def reconstruct(
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
 
 
+def _settled(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
+    """Return the cameras as the roots calibrate them, and the roots at rest."""
+    tree = rooting.calibrate(tree, monitor=monitor)
+    return tree.cameras, crown.without(rooting.settle(tree, monitor=monitor), top_mm)
+
+
 def _releasing(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
     """Return a monitor after whose stages memory that is used no more is given back."""
     made = Monitor.of(monitor)
     made.after_stage = release
     return made
-
-
-def _with_top(solid: Solid, water: Water, settings: Settings, stages: StageFolder) -> Solid:
-    """Return a solid with a warning on what the net pot hides of its taproots, and their extrapolation if chosen."""
-    hidden = hidden_top.find(solid.roots, water.top_mm)
-    if hidden is not None:
-        volume = hidden.added_to(solid.volume) if settings.hull.extrapolate_taproot else solid.volume
-        solid = replace(solid, volume=volume, warnings=(*solid.warnings, hidden.warning))
-    return stages.keep("solid", solid)
 
 
 def _by_plant(solid: Solid, scene: Scene) -> tuple[Solid, tuple[OfPlant, ...], tuple[str, ...]]:
@@ -197,19 +193,19 @@ def _first_hull(
 
     Where nothing is left, say what the pictures failed, too: that is the cause more often than not.
     """
-    hull, failure = None, None
+    hull: shaping.TrimmedHull | UserError
     try:
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
+        if hull.missed <= settings.trust.missed[0] and not _is_uneven(cameras, coverage):
+            return hull
     except UserError as error:
-        failure = UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".")
-    if hull is not None and hull.missed <= settings.trust.missed[0] and not _is_uneven(cameras, coverage):
-        return hull
+        hull = UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".")
     wrong = shaping.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
     if wrong:
         del hull
         return shaping.find_hull(dataset, cameras.without(wrong), coverage, settings, monitor=monitor)
-    if hull is None:
-        raise failure or UserError(f"{dataset.folder}: nothing is left after carving")
+    if isinstance(hull, UserError):
+        raise hull
     return hull
 
 
@@ -243,10 +239,10 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
     return tuple(made)
 
 
-def _check_views(cameras: Cameras, taken: int, trust: TrustSettings) -> Check:
+def _check_views(cameras: Cameras, trust: TrustSettings) -> Check:
     """Check that the views which are used are enough of all that were taken, and go all the way round."""
     azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
-    return picture_checks.of_views(azimuth_deg, taken, trust)
+    return picture_checks.of_views(azimuth_deg, len(cameras.all), trust)
 
 
 def _spread(pictures: Pictures, coverage: Coverage, cameras: Cameras) -> float | None:
@@ -287,7 +283,8 @@ def gather(
         The result, not saved.
     """
     files = [camera.file for camera in cameras.all]
-    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.file in files}
+    used = {camera.file for camera in cameras.all if camera.used}  # others may have no file that can be read
+    contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
     return Result(
         dataset=str(dataset.folder),

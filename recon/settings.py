@@ -75,6 +75,10 @@ class PictureSettings:
     tolerant: bool = False
     """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
 
+    def joined(self, other: PictureSettings) -> PictureSettings:
+        """Return what leaves out the pictures of both, tolerant where one is."""
+        return PictureSettings(leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant)
+
 
 @dataclass(frozen=True, kw_only=True)
 class HullSettings:

@@ -1,6 +1,7 @@
 """From silhouettes to a shape: outlines, hull, what the silhouettes need of it, surface and size."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from rhizotwin.recon.uncertainty import (
     bare_uncertainty,
     canister_uncertainty,
     diameter_uncertainty,
+    hidden_top,
     shape_checks,
     sight,
     solid_uncertainty,
@@ -35,6 +37,7 @@ from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
 """Views that are looked at; they come in an order that spreads neighbours over the turn."""
@@ -230,18 +233,32 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
         volume, share = leaves.volume_mm3(), thick.leaves.volume_mm3() / trimmed.leaves.volume_mm3()
         bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
     with monitor.stage("uncertainty"):
-        budget = _budget(found, leaves, system, thick, settings=settings)
-        checks = _checks(found, system, budget)
         roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
+        hidden = _hidden_top(roots, found.carved)
+        budget = _budget(found, leaves, system, thick, settings=settings)
+        if hidden is not None and settings.hull.extrapolate_taproot:
+            budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
+            bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
+        checks = _checks(found, system, budget)
     solid = measure(
         hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=thick.kept_mm3, monitor=monitor
     )
-    solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings), checks=checks)
+    concealed = () if hidden is None else (hidden.warning,)
+    solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings, *concealed), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     attenuation = system.attenuation
     sigma = None if attenuation.mu_per_mm is None else attenuation.sigma * attenuation.mu_per_mm
     return replace(solid, roots=roots, mu_per_mm=attenuation.mu_per_mm, mu_sigma_per_mm=sigma)
+
+
+def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop | None:
+    """Return what the net pot may hide of the roots that have no parent."""
+    main = [root for root in roots if root.parent < 0]
+    if not main:
+        return None
+    tops_mm = np.array([root.points_mm[0] for root in main])
+    return hidden_top.find(main, sight.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
 
 
 def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:

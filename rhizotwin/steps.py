@@ -123,7 +123,7 @@ def reconstruct_whole(
     keep_stages : bool
         Keep what each stage made, in the folder ``stages`` of the result.
     pictures : PictureSettings, optional
-        Which pictures are left out; goes before that of the settings.
+        Which pictures are left out, beside those of the settings.
     progress : Progress
         How much is told meanwhile.
 
@@ -142,7 +142,7 @@ def reconstruct_whole(
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
-    chosen = chosen if pictures is None else replace(chosen, pictures=pictures)
+    chosen = chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
     # once: what happens to the folder meanwhile does not change what the result was made from
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None

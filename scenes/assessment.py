@@ -21,6 +21,8 @@ class Assessment:
 
 
 NOT_ASSESSED = Assessment()
+MOST_REASONS = 3
+"""More reasons make a sentence that nobody reads; each result states its own."""
 
 
 def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:
@@ -41,7 +43,3 @@ def left_out(trait: str, reasons: Iterable[str], *, total: int) -> str:
     named = "; ".join(f"{reason} ({count})" if count > 1 else reason for reason, count in counted.most_common(MOST_REASONS))
     more = "; and others" if len(counted) > MOST_REASONS else ""
     return f"{trait}: {sum(counted.values())} of {total} values are left out, because they are not reliable: {named}{more}"
-
-
-MOST_REASONS = 3
-"""More reasons make a sentence that nobody reads; each result states its own."""

@@ -2,9 +2,8 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
@@ -96,7 +95,7 @@ HISTOGRAMS = (
 )
 
 
-def to_csv(traits: Traits, assessed: Assessments = MappingProxyType({})) -> str:
+def to_csv(traits: Traits, assessed: Assessments) -> str:
     """Return one row a trait, and one row a bin of each histogram; what is not known is empty.
 
     Parameters
@@ -119,11 +118,9 @@ _HEAD = ("trait", "bin_from", "bin_to", "bin_unit", "value", "unit", "low", "hig
 
 def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
     rows: list[Sequence[Any]] = []
-    for d in DEFINITIONS:
-        one = assessed.get(d.field, NOT_ASSESSED)
-        low, high = one.interval or (None, None)
-        value = written(getattr(traits, d.field))
-        rows.append((d.name, "", "", "", value, d.unit, written(low), written(high), one.verdict, d.meaning))
+    for d, *numbers, verdict in _assessed(traits, assessed):
+        value, low, high = map(written, numbers)
+        rows.append((d.name, "", "", "", value, d.unit, low, high, verdict, d.meaning))
     for h in HISTOGRAMS:
         for index, value in enumerate(getattr(traits, h.field)):
             edges = (written(edge) for edge in h.edges(index))
@@ -131,7 +128,14 @@ def _rows(traits: Traits, assessed: Assessments) -> list[Sequence[Any]]:
     return rows
 
 
-def to_json(traits: Traits, assessed: Assessments = MappingProxyType({})) -> dict[str, Any]:
+def _assessed(traits: Traits, assessed: Assessments) -> Iterator[tuple[Definition, Number, Number, Number, str]]:
+    """Yield definition, value, ends of the interval and verdict of each trait."""
+    for d in DEFINITIONS:
+        one = assessed.get(d.field, NOT_ASSESSED)
+        yield d, getattr(traits, d.field), *(one.interval or (None, None)), one.verdict
+
+
+def to_json(traits: Traits, assessed: Assessments) -> dict[str, Any]:
     """Return the same for JSON: a list of traits and a list of histograms, None where a number is not known.
 
     Parameters
@@ -141,14 +145,11 @@ def to_json(traits: Traits, assessed: Assessments = MappingProxyType({})) -> dic
     assessed : dict of Assessment
         Their 90 % intervals and verdicts.
     """
-    rows = []
-    for d in DEFINITIONS:
-        one = assessed.get(d.field, NOT_ASSESSED)
-        low, high = one.interval or (None, None)
-        row = {"name": d.name, "value": getattr(traits, d.field), "unit": d.unit, "low": low, "high": high, "verdict": one.verdict}
-        rows.append({**row, "definition": d.meaning})
     return {
-        "traits": rows,
+        "traits": [
+            {"name": d.name, "value": value, "unit": d.unit, "low": low, "high": high, "verdict": verdict, "definition": d.meaning}
+            for d, value, low, high, verdict in _assessed(traits, assessed)
+        ],
         "histograms": [
             {
                 "name": h.name,

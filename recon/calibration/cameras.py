@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.canister_pose import CanisterPose
 from rhizotwin.recon.optics.cameras import STILL, Sway, View
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.pictures import LeftOut
 from rhizotwin.scenes import model
 from rhizotwin.scenes.frames import Array
 
@@ -174,7 +175,7 @@ class Cameras:
     optics: Optics
     """What they look through."""
     all: tuple[Camera, ...]
-    """(F,) of every frame, in the order of the frames."""
+    """(F,) of every frame, in the order of the frames; behind them those whose pictures were not read."""
     order: tuple[int, ...]
     """(V,) numbers of the frames that are used, in the order in which they are looked at."""
     uncertainty: RigUncertainty | None = None
@@ -220,11 +221,12 @@ class Cameras:
         """Return the same cameras, to be looked at in another order of frames (V,)."""
         return replace(self, order=tuple(order))
 
-    def without(self, reasons: Mapping[int, str]) -> Cameras:
-        """Return the same cameras with some frames left out, by number with the reason."""
+    def without(self, reasons: Mapping[int, str], *, unread: Sequence[LeftOut] = ()) -> Cameras:
+        """Return the same cameras with some frames left out, by number with the reason, and the unread ones behind."""
         every = tuple(replace(camera, used=False, reason=reasons[k]) if k in reasons else camera for k, camera in enumerate(self.all))
         said = tuple(f"{self.all[k].file} is left out: {reason}" for k, reason in reasons.items())
         order = tuple(k for k in self.order if k not in reasons)
+        every += tuple(Camera(file=frame.file, ring=frame.ring, used=False, reason=reason) for frame, reason in unread)
         return replace(self, all=every, order=order, warnings=(*self.warnings, *said))
 
     def moved(self, views: Sequence[View], optics: Optics) -> Cameras:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from rhizotwin.recon.results.result_files import Json
@@ -44,14 +43,6 @@ def assess(summary: Json, traits: Traits, *, volume_interval_mm3: Pair | None = 
     )
     found["tissue_density_g_per_ml"] = _derived(found["volume_mm3"], traits.volume_mm3, traits.tissue_density_g_per_ml, -1)
     return found
-
-
-def plain(found: Mapping[str, Assessment]) -> Json:
-    """Return assessments as JSON values, by the field in `Traits`."""
-    return {
-        field: {"verdict": one.verdict, "interval": None if one.interval is None else list(one.interval), "reason": one.reason}
-        for field, one in found.items()
-    }
 
 
 def _judged(trusted: bool, interval: Pair, reason: str) -> Assessment:

@@ -204,9 +204,10 @@ def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str,
     """Return the texts of ``traits.csv`` and ``traits.json``."""
     content = json.dumps(to_json(traits, summary, mass_g=mass_g), indent=1, allow_nan=False)
     whole = assessments.assess(summary, traits)
-    plants = [(one.subject.plant, one.traits, one.assessed) for one in each("result.json", summary, traits)]
-    several = bool(by_plant.of_summary(summary, "result.json"))
-    table = trait_table.by_plant_csv([("", traits, whole), *plants]) if several else trait_table.to_csv(traits, whole)
+    table = trait_table.to_csv(traits, whole)
+    if summary.get("plants"):
+        plants = [(one.subject.plant, one.traits, one.assessed) for one in each("result.json", summary, traits)]
+        table = trait_table.by_plant_csv([("", traits, whole), *plants])
     return {"traits.csv": table, "traits.json": f"{content}\n"}
 
 

@@ -42,7 +42,7 @@ def find_shoot(dataset: Dataset, *, settings: Settings, monitor: Monitor) -> tup
 
 def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     """Find cameras, silhouettes and hull."""
-    pictures = read_pictures(dataset, kind="shoot", monitor=monitor)
+    pictures = read_pictures(dataset, kind="shoot", settings=settings.pictures, monitor=monitor)
     cameras = find_cameras(pictures, settings=settings.calibration, monitor=monitor)
     with monitor.stage("shoot"):
         drawn = _silhouettes(pictures, cameras)
@@ -52,7 +52,10 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
-    said = (*(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)), *(() if enclosed <= MUCH_ENCLOSED else (_enclosed(enclosed),)))
+    said = (
+        *(() if hidden <= MUCH_HIDDEN else (_hidden(hidden),)),
+        *(() if enclosed <= MUCH_ENCLOSED else (_enclosed(enclosed),)),
+    )
     return Shoot(
         mesh=mesh,
         hull_mm3=hull.leaves.volume_mm3(),
@@ -65,7 +68,7 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},
         hidden_share=hidden,
         enclosed_share=enclosed,
-        warnings=said,
+        warnings=(*pictures.warnings, *said),
     )
 
 

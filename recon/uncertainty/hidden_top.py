@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.roots.crown import HIDDEN_MM
-from rhizotwin.recon.uncertainty.budget import NINETY, Term, Volume
+from rhizotwin.recon.uncertainty.budget import NINETY, Term
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import between_ml
@@ -28,11 +27,12 @@ _LEAST_COSINE = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenTop:
-    """What is hidden of the taproots between the net pot's grid and where they are first seen."""
+    """What taproots may have where no view looks, between where they are first seen and the net pot's grid."""
 
     length_mm: float
+    """At most."""
     share: float
-    """Of the taproots' length, with what is hidden."""
+    """Of the taproots' length, with what may be hidden."""
     volume_mm3: float
     """If the taproots go on as they begin."""
     interval_mm3: tuple[float, float]
@@ -42,51 +42,47 @@ class HiddenTop:
     def warning(self) -> str:
         """Say what is hidden, and what shows it."""
         return (
-            f"the topmost {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) hide behind the net pot: "
-            "a ring that looks down past the rim shows them, such as height_mm = 10, tilt_deg = 8; going on as it begins, the taproot "
-            f"has {between_ml(*self.interval_mm3)} more there, which hull.extrapolate_taproot = true adds"
+            f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may hide behind the net pot, where "
+            "too few views look: a ring that looks down past the rim does, such as height_mm = 10, tilt_deg = 8; going on as it "
+            f"begins, the taproot has {between_ml(*self.interval_mm3)} more there, which hull.extrapolate_taproot = true adds"
         )
 
-    def added_to(self, volume: Volume) -> Volume:
-        """Return a volume with the extrapolation, whose interval widens by the extrapolation's own."""
-        less, more = self.volume_mm3 - self.interval_mm3[0], self.interval_mm3[1] - self.volume_mm3
-        low, high = volume.interval_mm3
-        mm3 = volume.mm3 + self.volume_mm3
-        term = Term(name="taproot extrapolated", less_mm3=less, more_mm3=more, why="the top of the taproot is extrapolated, not seen")
-        return replace(
-            volume,
-            mm3=mm3,
-            interval_mm3=(mm3 - float(np.hypot(volume.mm3 - low, less)), max(high, mm3 + more)),
-            bounds_mm3=(volume.bounds_mm3[0], max(volume.bounds_mm3[1], mm3 + more)),
-            terms=(*volume.terms, term),
+    @property
+    def term(self) -> Term:
+        """Return what the extrapolation leaves open."""
+        low, high = self.interval_mm3
+        return Term(
+            name="taproot extrapolated",
+            less_mm3=self.volume_mm3 - low,
+            more_mm3=high - self.volume_mm3,
+            why="the top of the taproot is extrapolated, not seen",
         )
 
 
-def find(roots: Sequence[Root], top_mm: float) -> HiddenTop | None:
-    """Return what the net pot hides of the taproots; None where they are seen from the top.
+def find(roots: Sequence[Root], gap_mm: Sequence[float] | Array) -> HiddenTop | None:
+    """Return what the net pot may hide of the taproots; None where they are seen from the top.
 
     Parameters
     ----------
     roots : sequence of Root
-        Parents before children, canister frame.
-    top_mm : float
-        Height of the net pot's grid or the water's surface, whichever is lower.
+        Those without parents, canister frame.
+    gap_mm : (R,) sequence of float
+        Height over which each may go on above its first point (`sight.gaps_mm`).
     """
-    parts = [part for root in roots if root.parent < 0 and (part := _extrapolated(root, top_mm)) is not None]
+    parts = [part for root, gap in zip(roots, gap_mm, strict=True) if (part := _extrapolated(root, float(gap))) is not None]
     if not parts:
         return None
     length, volume, sigma = (np.array(column) for column in zip(*parts, strict=True))
-    seen_mm = sum(polyline.length_mm(root.points_mm) for root in roots if root.parent < 0)
+    seen_mm = sum(polyline.length_mm(root.points_mm) for root in roots)
     reach = NINETY * float(np.hypot.reduce(sigma))
     total, hidden = float(volume.sum()), float(length.sum())
     interval = (max(0.0, total - reach), total + reach)
     return HiddenTop(length_mm=hidden, share=hidden / (hidden + seen_mm), volume_mm3=total, interval_mm3=interval)
 
 
-def _extrapolated(root: Root, top_mm: float) -> tuple[float, float, float] | None:
+def _extrapolated(root: Root, gap_mm: float) -> tuple[float, float, float] | None:
     """Return length, volume and its standard deviation of the hidden top of a root; None where it has none."""
-    gap_mm = top_mm - float(root.points_mm[0, 2])
-    if not _LEAST_MM < gap_mm < HIDDEN_MM:
+    if gap_mm <= _LEAST_MM:
         return None
     way = polyline.way_mm(root.points_mm)
     window = min(_WINDOW * gap_mm, float(way[-1]))

@@ -68,7 +68,7 @@ def occluded(bank: ViewBank, maps: DistanceMaps, leaves: Leaves, water: Water) -
             direction = np.zeros(3)
             direction[axis] = side
             end_mm = origin + (cells[last] + 0.5 + 0.5 * direction) * edge_mm
-            hidden[axis, side] = float((_gaps(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
+            hidden[axis, side] = _ANYWHERE * float((gaps_mm(bank, maps, end_mm, direction, water) * full[last]).sum()) * edge_mm**2
     axis = max(range(3), key=lambda a: hidden[a, -1] + hidden[a, 1])
     side = max((-1, 1), key=lambda s: hidden[axis, s])
     where = _WHERE[side] if axis == 2 else _towards_wall(bank)
@@ -99,8 +99,20 @@ def _ends(cells: NDArray[np.int64], full: NDArray[np.float32], axis: int, side: 
     return some[order[np.append(np.flatnonzero(np.diff(column[order])), len(order) - 1)]]
 
 
-def _gaps(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, water: Water) -> Array:
-    """Return how far (N,) columns may go on from where they end (N, 3); 0 where enough views see that they end."""
+def gaps_mm(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, water: Water) -> Array:
+    """Return how far (N,) something may go on from where it ends; 0 where enough views see that it ends.
+
+    Parameters
+    ----------
+    bank, maps : ViewBank, DistanceMaps
+        Views and their distance maps.
+    end_mm : (N, 3) array
+        Ends, canister frame.
+    direction : (3,) array
+        Along an axis.
+    water : Water
+        Where the water ends.
+    """
     gap = np.zeros(len(end_mm))
     way = _way(end_mm, direction, water)
     ahead = end_mm + np.minimum(_EDGE_MM, way)[:, None] * direction
@@ -110,7 +122,7 @@ def _gaps(bank: ViewBank, maps: DistanceMaps, end_mm: Array, direction: Array, w
         on_way = ahead[open_, None] + (share[:, None] * np.maximum(way[open_] - _EDGE_MM, 0.0)[:, None, None]) * direction
         seen = _seen(bank, maps, on_way.reshape(-1, 3)).reshape(len(open_), _LOOKS)
         first = np.where(seen.any(axis=1), share[seen.argmax(axis=1)], 1.0)
-        gap[open_] = _ANYWHERE * first * way[open_]
+        gap[open_] = first * way[open_]
     return gap
 
 

@@ -85,7 +85,7 @@ def _head(dataset: str) -> bytes:
     """Return a dataset's manifest; nothing where it is a link or cannot be read, so that this scan fails by itself."""
     head = places.join(dataset, places.HEAD)
     try:
-        return b"" if os.path.islink(head) else places.read(head) or b""  # noqa: PTH114 - may be an address
+        return b"" if Path(head).is_symlink() else places.read(head) or b""
     except UserError:
         return b""
 

@@ -4,6 +4,7 @@ import base64
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 
@@ -35,7 +36,7 @@ class _Row:
     traits: Traits
     picture: bytes | None
 
-    @property
+    @cached_property
     def assessed(self) -> dict[str, Assessment]:
         return assessments.assess(self.summary, self.traits)
 

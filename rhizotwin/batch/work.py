@@ -76,8 +76,8 @@ def _reconstruct(job: Job) -> None:
         if settings is not None:
             file.write_text(settings, encoding="utf-8")
         chosen = None if settings is None else file
-        pictures = PictureSettings(tolerant=True) if settings is None else None
-        reconstruct_whole(dataset, output, settings=chosen, pictures=pictures, progress=Progress(quiet=True), **options)
+        tolerant = PictureSettings(tolerant=True)
+        reconstruct_whole(dataset, output, settings=chosen, pictures=tolerant, progress=Progress(quiet=True), **options)
         if places.is_address(job.output):
             places.put(output, job.output, last=HEADS["reconstruct"])
 

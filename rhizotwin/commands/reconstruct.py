@@ -30,18 +30,17 @@ class Study:
 class PictureChoice:
     """Which pictures are used."""
 
-    leave_out: Annotated[tuple[str, ...] | None, option(list_of(str), "FILE,FILE,...")] = None
+    leave_out: Annotated[tuple[str, ...], option(list_of(str), "FILE,FILE,...")] = ()
     """Pictures to leave out, by the names of their files."""
     tolerant: Flag = False
     """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
 
     @property
-    def settings(self) -> "PictureSettings | None":
-        """Return the settings of a reconstruction; None where nothing is given."""
+    def settings(self) -> "PictureSettings":
+        """Return the settings of a reconstruction."""
         from rhizotwin.recon.settings import PictureSettings
 
-        is_given = self.leave_out is not None or self.tolerant
-        return PictureSettings(leave_out=self.leave_out or (), tolerant=self.tolerant) if is_given else None
+        return PictureSettings(leave_out=self.leave_out, tolerant=self.tolerant)
 
 
 def reconstruct(

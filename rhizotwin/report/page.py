@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ class _Read:
     def name(self) -> str:
         return str(self.summary["scene"])
 
-    @property
+    @cached_property
     def assessed(self) -> dict[str, Assessment]:
         return assessments.assess(self.summary, self.traits)
 

@@ -219,11 +219,10 @@ def snapshot(top: Path) -> dict[str, Any]:
     """Return everything below a folder: kind, inode, times, and bytes or goal."""
     found: dict[str, Any] = {}
     for parent, folders, files in os.walk(top):
-        for path in (os.path.join(parent, name) for name in [".", *folders, *files]):  # noqa: PTH118 - as walk gives it
-            status = os.lstat(path)
-            kind = stat.S_IFMT(status.st_mode)
-            content: Any = Path(path).read_bytes() if kind == stat.S_IFREG else os.readlink(path) if kind == stat.S_IFLNK else None  # noqa: PTH115
-            found[path] = (status.st_mode, status.st_ino, status.st_mtime_ns, status.st_nlink, content)
+        for path in (Path(parent, name) for name in ["", *folders, *files]):
+            status = path.lstat()
+            content: Any = path.readlink() if path.is_symlink() else path.read_bytes() if stat.S_ISREG(status.st_mode) else None
+            found[str(path)] = (status.st_mode, status.st_ino, status.st_mtime_ns, status.st_nlink, content)
     return found
 
 

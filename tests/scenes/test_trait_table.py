@@ -26,7 +26,7 @@ def test_every_trait_is_in_the_table_once_with_the_unit_of_its_field():
 
 
 def test_csv_has_a_row_a_trait_and_a_row_a_bin():
-    rows = list(csv.DictReader(io.StringIO(to_csv(TRAITS))))
+    rows = list(csv.DictReader(io.StringIO(to_csv(TRAITS, {}))))
     by_name = {row["trait"]: row for row in rows if not row["bin_to"]}
     assert (by_name["total_length"]["value"], by_name["total_length"]["unit"]) == ("25", "mm")
     assert float(by_name["specific_root_length"]["value"]) == pytest.approx(5.0)
@@ -41,7 +41,7 @@ def test_csv_has_a_row_a_trait_and_a_row_a_bin():
 def test_a_shape_without_roots_has_dashes():
     found = [line.split()[:2] for line in lines(PRINT, {})]
     assert found[:3] == [["total_length", "-"], ["volume", "2.5"], ["surface", "27"]]
-    assert next(csv.DictReader(io.StringIO(to_csv(PRINT))))["value"] == ""
+    assert next(csv.DictReader(io.StringIO(to_csv(PRINT, {}))))["value"] == ""
 
 
 def test_numbers_for_people():

@@ -18,7 +18,6 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import read_rsml
 from tests.conftest import Reconstructed
-from tests.recon.conftest import scan  # noqa: F401 - a fixture
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.browser import PATIENCE_MS
 
@@ -30,7 +29,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> plants.Plant:
     return plants.make(tmp_path_factory.mktemp("plant"), name="a <b>plant</b></script>")
 
 
-def test_the_page_of_a_solid_body(found: Reconstructed, scan):  # noqa: F811
+def test_the_page_of_a_solid_body(found: Reconstructed, scan):
     whole = (found.folder / "report.html").read_text(encoding="utf-8")
     assert whole.count("data:image/png;base64,") == 4
     assert 1 <= whole.count("data:image/jpeg;base64,") <= 4
@@ -41,7 +40,7 @@ def test_the_page_of_a_solid_body(found: Reconstructed, scan):  # noqa: F811
     assert "data-file=rsml" not in text
 
 
-def test_the_page_says_what_the_scan_calibrated(scan):  # noqa: F811
+def test_the_page_says_what_the_scan_calibrated(scan):
     made = scan(voxel_mm=1.0)
     stood = np.eye(4)
     stood[:2, 3] = 0.25, -0.5
