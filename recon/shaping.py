@@ -243,7 +243,7 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     solid = measure(
         hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=thick.kept_mm3, monitor=monitor
     )
-    concealed = () if hidden is None else (hidden.warning,)
+    concealed = () if hidden is None else (hidden.warning(is_added=settings.hull.extrapolate_taproot),)
     solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings, *concealed), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)

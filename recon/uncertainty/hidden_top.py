@@ -38,13 +38,13 @@ class HiddenTop:
     interval_mm3: tuple[float, float]
     """90 % interval: over the hidden length the section differs as much as it does over equal lengths below."""
 
-    @property
-    def warning(self) -> str:
-        """Say what is hidden, and what shows it."""
+    def warning(self, *, is_added: bool) -> str:
+        """Say what may be hidden, what shows it, and whether its extrapolation is part of the volume."""
         return (
             f"up to {self.length_mm:.1f} mm of the taproot ({100.0 * self.share:.0f} % of its length) may hide behind the net pot, where "
             "too few views look: a ring that looks down past the rim does, such as height_mm = 10, tilt_deg = 8; going on as it "
-            f"begins, the taproot has {between_ml(*self.interval_mm3)} more there, which hull.extrapolate_taproot = true adds"
+            f"begins, the taproot has {between_ml(*self.interval_mm3)} more there, "
+            f"{'which is added to the volume' if is_added else 'which hull.extrapolate_taproot = true adds'}"
         )
 
     @property
