@@ -180,9 +180,9 @@ def _cameras(dataset: Dataset, *, joint: bool) -> Cameras:
 def _coverage(dataset: Dataset, cameras: Cameras, outlines: Outlines) -> Coverage:
     pictures = read_pictures(dataset, monitor=Monitor())
     if outlines == "coverage":
-        return measure_coverage(pictures, cameras, monitor=Monitor())
+        return measure_coverage(pictures, cameras, monitor=Monitor())[1]
     drawn = silhouettes.thesis if outlines == "edges" else _dark
-    return measure_coverage(pictures, cameras, monitor=Monitor(), outline=lambda image, _, seen: drawn(image, seen))
+    return measure_coverage(pictures, cameras, monitor=Monitor(), outline=lambda image, _, seen: drawn(image, seen))[1]
 
 
 def _dark(image: Image, seen: Mask) -> Silhouette:

@@ -42,8 +42,7 @@ def reconstruct_thesis(dataset_folder: Path, result_folder: Path, *, voxel_mm: f
     monitor, dataset = Monitor(), load_dataset(dataset_folder)
     pictures = read_pictures(dataset, monitor=monitor)
     cameras = find_cameras(pictures, monitor=monitor, measure=False, single_view=True)
-    coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=lambda image, _, seen: silhouettes.thesis(image, seen))
-    cameras = cameras.without(coverage.unusable)
+    cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor, outline=lambda image, _, seen: silhouettes.thesis(image, seen))
     carved = shaping.carve_hull(dataset, cameras, coverage, finest_mm=voxel_mm, slack_px=0.0, ignore_blindness=True, monitor=monitor)
     hull = carved.hull
     counted = float((hull.leaves.size.astype(np.float64) ** 3).sum() * voxel_mm**3)

@@ -88,8 +88,8 @@ def reconstruct(
     stages, monitor = StageFolder.begin(keep_stages), _releasing(monitor)
     pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
-    coverage = stages.keep("coverage", measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor))
-    cameras = cameras.without(coverage.unusable, unread=pictures.left_out)
+    cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
+    cameras, coverage = cameras.without({}, unread=pictures.left_out), stages.keep("coverage", coverage)
     of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
     del pictures
     (hull, tree), roots = _hull_and_tree(dataset, cameras, coverage, settings, of_pictures, stages, monitor), None

@@ -1,7 +1,7 @@
 """The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,8 +49,6 @@ class Coverage:
     dirt: float | None = None
     """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
     wall."""
-    unusable: Mapping[int, str] = field(default_factory=dict)
-    """Frames that show no water or no root, with the reason; they are few (`MOST_WRONG`)."""
 
     def fill(self, frame: int) -> float | None:
         """Return the share of the seen water that roots cover in a frame; None where it is not used."""
@@ -65,27 +63,37 @@ def measure_coverage(
     settings: CoverageSettings = CoverageSettings(),
     monitor: Monitor,
     outline: Outline | None = None,
-) -> Coverage:
+) -> tuple[Cameras, Coverage]:
     """Measure in every view how much of each pixel roots cover.
+
+    Views that show no water or no root are left out, and the others are measured without them.
 
     Parameters
     ----------
+    pictures : Pictures
+        Of the root.
+    cameras : Cameras
+        Of the same pictures.
     settings : CoverageSettings
         What is noise, too dim, glare, a film or a bubble.
+    monitor : Monitor
+        Hears how far the work is.
     outline : callable, optional
         How a silhouette comes from a picture, if not by measuring coverage.
+
+    Returns
+    -------
+    Cameras
+        Without the views that are left out.
+    Coverage
+        Of the others.
 
     Raises
     ------
     UserError
         Where more than a tenth of the pictures show nothing of the water, or no root.
     """
-    if pictures.dataset.masks:
-        found = _given(pictures, cameras, monitor)
-    elif outline is None:
-        found = _measured(pictures, cameras, settings, monitor)
-    else:
-        found = _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
+    found = _every_view(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
     blank = [k for k in cameras.order if not drawn[k].seen.any()]
     if len(blank) > most:
@@ -98,7 +106,19 @@ def measure_coverage(
             "can be carved; leave it out with --leave-out, or check light and focus."
         )
     reasons = dict.fromkeys(blank, "it shows nothing of the water below the net pot") | dict.fromkeys(empty, "no root is seen in it")
-    return replace(found, unusable=reasons)
+    if reasons:
+        cameras = cameras.without(reasons)
+        found = _every_view(pictures, cameras, settings, monitor, outline)
+    return cameras, found
+
+
+def _every_view(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
+    """Measure coverage in all views that are used."""
+    if pictures.dataset.masks:
+        return _given(pictures, cameras, monitor)
+    if outline is None:
+        return _measured(pictures, cameras, settings, monitor)
+    return _outlined(pictures, _backlight(pictures, cameras, settings, monitor), outline, monitor)
 
 
 def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:

@@ -102,8 +102,8 @@ def score_pictures(result: Result | Path | str, dataset: Dataset | Path | str, *
     cameras = find_cameras(pictures, monitor=monitor)
     same = {k: used[sha256] for k, frame in enumerate(pictures.frames) if (sha256 := content_of(dataset, frame)) in used}
     cameras = _in_frame_of(found, cameras, same, bare=dataset.scene.strip.rows == 0)
-    coverage = measure_coverage(pictures, cameras, monitor=monitor)
-    chosen = [k for k in cameras.without(coverage.unusable).order if k not in same]
+    cameras, coverage = measure_coverage(pictures, cameras, monitor=monitor)
+    chosen = [k for k in cameras.order if k not in same]
     if not chosen:
         raise UserError(f"{dataset.folder}: all pictures with a camera were used for the result; give some that were not")
     mesh = found.solid.surface
