@@ -5,7 +5,6 @@ Dataset -> Cameras -> Coverage -> hull -> roots -> Solid -> Result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,9 +39,6 @@ from rhizotwin.scenes.schema import to_plain
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
 _SWAYS = 3
 """Times that swaying roots are found anew: half a millimetre at the tips hides a third of them at first."""
-_UNEVEN, _LEAST_FILL = 3.0, 0.01
-"""Roots that cover so many times the median share of the water in one view are looked at: from side to side a flat root
-covers up to 2 times that, and half of a picture without light 10 times. Below a hundredth, specks do so."""
 _WIDTH_VIEWS = 6
 """Views in which the width of roots is measured."""
 _ON_DEVICE = ("seen", "bank", "maps", "silhouettes")
@@ -90,10 +86,10 @@ def reconstruct(
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
     cameras, coverage = cameras.without({}, unread=pictures.left_out), stages.keep("coverage", coverage)
-    of_pictures, pictures_said = _checks(pictures, cameras, coverage, settings.trust), pictures.warnings
-    del pictures
-    (hull, tree), roots = _hull_and_tree(dataset, cameras, coverage, settings, of_pictures, stages, monitor), None
+    pictures = replace(pictures, images=(), measured={})  # as large as all that follows
+    (hull, tree), roots = _hull_and_tree(pictures, cameras, coverage, settings, stages, monitor), None
     cameras = hull.carved.cameras
+    of_pictures = _checks(pictures, cameras, coverage, settings.trust)
     if tree is not None:
         cameras, settled = _settled(tree, hull.carved.water.top_mm, monitor)
         roots = stages.keep("roots", settled, leave=_ON_DEVICE)
@@ -103,10 +99,10 @@ def reconstruct(
             coverage = told
             hull = stages.keep("hull_again", shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor), leave=_ON_DEVICE)
     solid = stages.keep("solid", shaping.make_solid(hull, roots, coverage, settings, monitor=monitor))
-    checked = checks.explained((*of_pictures, _check_views(cameras, settings.trust), *solid.checks))
+    checked = checks.explained((*of_pictures, *solid.checks))
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
-    warnings = (*pictures_said, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
+    warnings = (*pictures.warnings, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
 
@@ -165,16 +161,10 @@ def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[
 
 
 def _hull_and_tree(
-    dataset: Dataset,
-    cameras: Cameras,
-    coverage: Coverage,
-    settings: Settings,
-    checked: Sequence[Check],
-    stages: StageFolder,
-    monitor: Monitor,
+    pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
 ) -> tuple[shaping.TrimmedHull, RootTree | None]:
     """Find hull and roots, and both again where the roots tell that they sway from picture to picture."""
-    hull = _first_hull(dataset, cameras, coverage, settings, checked, monitor)
+    dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     for _ in range(_SWAYS):
         if tree is None or not rooting.swayed(tree, hull.carved.cameras):
@@ -186,20 +176,20 @@ def _hull_and_tree(
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(
-    dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, checked: Sequence[Check], monitor: Monitor
-) -> shaping.TrimmedHull:
+def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.TrimmedHull:
     """Carve, and again without the views that contradict all others where there are some.
 
     Where nothing is left, say what the pictures failed, too: that is the cause more often than not.
     """
+    dataset = pictures.dataset
     hull: shaping.TrimmedHull | UserError
     try:
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        if hull.missed <= settings.trust.missed[0] and not _is_uneven(cameras, coverage):
+        if hull.missed <= settings.trust.missed[0]:
             return hull
     except UserError as error:
-        hull = UserError("; ".join([str(error).removesuffix("."), *checks.failed(checked)]) + ".")
+        failed = checks.failed(_checks(pictures, cameras, coverage, settings.trust))
+        hull = UserError("; ".join([str(error).removesuffix("."), *failed]) + ".")
     wrong = shaping.find_wrong_views(dataset, cameras, coverage, monitor=monitor)
     if wrong:
         del hull
@@ -209,26 +199,21 @@ def _first_hull(
     return hull
 
 
-def _is_uneven(cameras: Cameras, coverage: Coverage) -> bool:
-    """Tell whether roots seem to cover far more of one view than of the others, as of a half-written picture."""
-    fill = [coverage.fill(k) or 0.0 for k in cameras.order]
-    return max(fill) > _UNEVEN * max(float(np.median(fill)), _LEAST_FILL)
-
-
 def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: TrustSettings) -> tuple[Check, ...]:
-    """Check the pictures themselves; silhouettes, and pictures with given cameras, tell only some of it."""
-    dataset, found = pictures.dataset, cameras.markers
-    some = [coverage.silhouettes[k] for k in cameras.order[:: max(1, len(cameras.order) // _WIDTH_VIEWS)]]
-    width_px = root_width.thin_width_px(some)
+    """Check the pictures that are used; silhouettes, and pictures with given cameras, tell only some of it."""
+    dataset, found, order = pictures.dataset, cameras.markers, sorted(cameras.order)
+    drawn = [coverage.silhouettes[k] for k in order]
+    azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
+    width_px = root_width.thin_width_px(drawn[:: max(1, len(drawn) // _WIDTH_VIEWS)])
     made = [
         picture_checks.of_scan(dataset.origin, pictures.frames),
         picture_checks.of_resolution(width_px, dataset.scene.camera.image_wh, trust),
+        picture_checks.of_views(azimuth_deg, len(cameras.all), trust),
     ]
     if not dataset.masks:
-        made += [
-            picture_checks.of_exposure(coverage.exposures, trust),
-            shape_checks.of_dirt(coverage.dirt, _spread(pictures, coverage, cameras), trust),
-        ]
+        spread = halo.spread(drawn, [pictures.frames[k].station for k in order])
+        exposures = coverage.exposures_of(order)
+        made += [picture_checks.of_exposure(exposures, trust), shape_checks.of_dirt(coverage.dirt, spread, trust)]
     if found is not None:
         made += [
             picture_checks.of_curve(pictures.curve),
@@ -237,18 +222,6 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
             picture_checks.of_canister(found.canister, dataset.scene, trust),
         ]
     return tuple(made)
-
-
-def _check_views(cameras: Cameras, trust: TrustSettings) -> Check:
-    """Check that the views which are used are enough of all that were taken, and go all the way round."""
-    azimuth_deg = [float(np.rad2deg(np.arctan2(view.centre_mm[1], view.centre_mm[0]))) for view in cameras.views]
-    return picture_checks.of_views(azimuth_deg, len(cameras.all), trust)
-
-
-def _spread(pictures: Pictures, coverage: Coverage, cameras: Cameras) -> float | None:
-    """Return the share of the light that is spread about roots, by the views in the order of their cameras."""
-    order = cameras.order
-    return halo.spread([coverage.silhouettes[k] for k in order], [pictures.frames[k].station for k in order])
 
 
 def gather(

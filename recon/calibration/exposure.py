@@ -9,7 +9,7 @@ a picture brighter in one place than in another: so it is asked row by row, left
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -63,6 +63,14 @@ class Exposures:
     uneven: Array = field(default_factory=lambda: np.zeros(0))
     """(V,) standard deviation of the panel beside the canister over the station's, its gain and its ``beside`` divided
     out."""
+
+    def chosen(self, places: Sequence[int]) -> Exposures:
+        """Return those of some of the pictures, by their places."""
+        return replace(
+            self,
+            beside=tuple(self.beside[k] for k in places) if self.beside else (),
+            **{name: part[places] for name in ("gain", "clipped", "level", "uneven") if len(part := getattr(self, name))},
+        )
 
     @property
     def wander(self) -> float:

@@ -1,6 +1,6 @@
 """The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,10 +45,15 @@ class Coverage:
     attenuation: Attenuation | None = None
     """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
     exposures: Exposures | None = None
-    """How the pictures were exposed, in the order of the cameras; None: not asked."""
+    """How the pictures were exposed, in the order of the silhouettes; None: not asked."""
     dirt: float | None = None
     """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
     wall."""
+
+    def exposures_of(self, frames: Collection[int]) -> Exposures | None:
+        """Return how the pictures of some frames were exposed."""
+        places = [place for place, frame in enumerate(self.silhouettes) if frame in frames]
+        return None if self.exposures is None else self.exposures.chosen(places)
 
     def fill(self, frame: int) -> float | None:
         """Return the share of the seen water that roots cover in a frame; None where it is not used."""
