@@ -43,6 +43,13 @@ def test_the_thick_line_is_the_taproot():
     assert length_mm([tap, lateral]) == pytest.approx(length_mm(traced))
 
 
+def test_a_taproot_that_tapers_ends_at_its_own_tip():
+    """Behind the fork it is thicker than the lateral over 5 mm, and thinner over all that is left."""
+    tap = root([0, 0, 0], [0, 0, -80], diameters=(1.5, 0.1))
+    lateral = root([0, 0, -15], [15, 0, -25], diameters=(0.9, 0.9), order=1, parent=0)
+    assert arrange([tap, lateral])[0].points_mm[-1] == pytest.approx([0.0, 0.0, -80.0])
+
+
 def test_no_root_is_lost_that_leaves_from_the_base_of_a_lateral():
     """The main root goes on in a thick lateral; what hangs on its lateral is nearest to that one's base, which both have in common."""
     main = root([0, 0, 0], [0, 0, -40])
