@@ -29,9 +29,9 @@ _NEAR_PX = 1.5
 """What lies this near to a cube in a picture is its own: interpolation and rounding to whole pixels."""
 _COVERED = 0.1
 """Coverage above this is root; below it is never one (`silhouettes`)."""
-_CUBES_MM = (4.0, 1.0)
-"""Edges of the cubes in which views are compared: coarse ones first, of which those are cut that one view at most
-excludes. A cube of 1 mm is 4 px wide in pictures of 800 pixels across 250 mm."""
+_COARSE, _FINER = 32, 4
+"""The water is cut into about 32^3 cubes, and those that one view at most excludes into 4^3 each, to compare views.
+In the canister of the thesis the finer ones have 1 mm, 4 px in pictures of 800 pixels."""
 _WRONG, _WRONG_TIMES = 0.1, 4.0
 """A view is wrong that misses more than this share of what it shows, or excludes more than this share of what all other
 views agree on, and so many times the median of the views. Views of a right scan have up to 0.013, one that shows a
@@ -130,9 +130,10 @@ def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: W
 
 def _worst(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> int | None:
     """Return the view that contradicts the others most; None where none is wrong."""
-    coarse_mm, fine_mm = _CUBES_MM
+    coarse_mm = float(np.cbrt(np.pi * water.radius_mm**2 * (water.top_mm - water.bottom_mm))) / _COARSE
+    fine_mm = coarse_mm / _FINER
     cubes, _ = _kept(bank, silhouettes, _cubes(water, coarse_mm), coarse_mm)
-    cubes, excluded = _kept(bank, silhouettes, _cut(cubes, coarse_mm, fine_mm), fine_mm)
+    cubes, excluded = _kept(bank, silhouettes, _cut(cubes, coarse_mm), fine_mm)
     if not len(cubes):
         return None
     missed = compare(bank, silhouettes, cubes, np.full(len(cubes), fine_mm)).missed_share
@@ -156,9 +157,9 @@ def _cubes(water: Water, edge_mm: float) -> Array:
     return cubes[np.hypot(cubes[:, 0], cubes[:, 1]) < water.radius_mm]
 
 
-def _cut(cubes: Array, edge_mm: float, finer_mm: float) -> Array:
+def _cut(cubes: Array, edge_mm: float) -> Array:
     """Cut cubes (N, 3) into finer ones (M, 3)."""
-    steps = np.arange(0.5 * finer_mm, edge_mm, finer_mm) - 0.5 * edge_mm
+    steps = ((np.arange(_FINER) + 0.5) / _FINER - 0.5) * edge_mm
     offset = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return (cubes[:, None] + offset).reshape(-1, 3)
 
