@@ -28,6 +28,8 @@ Mask = NDArray[np.bool_]
 
 _STEP = 4
 """One pixel of so many each way is looked at."""
+_DARKEST = 1.0 / 255.0
+"""Least gain: a panel that is darker, as that of a picture that is half black, shows one level of 8 bits at most."""
 _MARGIN_MM = 2.0
 """Beside canister and net pot."""
 _LIT, _BRIGHT = 0.5, 0.9
@@ -143,7 +145,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
             continue
         light = light[:, usable]
         ratio = light / np.median(light, axis=0)
-        gain[own] = np.median(ratio, axis=1)
+        gain[own] = np.maximum(np.median(ratio, axis=1), _DARKEST)
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
             sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
