@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 _STEP = 4
 """One pixel of so many each way is looked at."""
 _DARKEST = 1.0 / 255.0
-"""Least gain: a panel that is darker, as that of a picture that is half black, shows one level of 8 bits at most."""
+"""Least brightness of a panel over the station's, one level of 8 bits: a picture that is half black has less."""
 _MARGIN_MM = 2.0
 """Beside canister and net pot."""
 _LIT, _BRIGHT = 0.5, 0.9
@@ -73,6 +73,11 @@ class Exposures:
             beside=tuple(self.beside[k] for k in places) if self.beside else (),
             **{name: part[places] for name in ("gain", "clipped", "level", "uneven") if len(part := getattr(self, name))},
         )
+
+    @property
+    def dark(self) -> NDArray[np.bool_]:
+        """Tell the pictures (V,) whose panel is dark, as one that is half black or was taken without light."""
+        return np.asarray(self.gain <= _DARKEST)
 
     @property
     def wander(self) -> float:
@@ -145,7 +150,7 @@ def measure(images: Sequence[Grey], views: Sequence[View], stations: Sequence[tu
             continue
         light = light[:, usable]
         ratio = light / np.median(light, axis=0)
-        gain[own] = np.maximum(np.median(ratio, axis=1), _DARKEST)
+        gain[own] = np.maximum(np.median(ratio, axis=1).astype(np.float64), _DARKEST)
         row, column = (_STEP * at[panel][usable].astype(np.float64) for at in np.nonzero(beside))
         for k, one in zip(own, ratio, strict=True):
             sides[k], uneven[k] = _unevenness(one / gain[k], row, column, images[k].shape[1])
@@ -187,7 +192,7 @@ def _sides(ratio: Array, row: Array, column: Array, left: Mask) -> Sides | None:
         medians = [float(np.median(part)) for part in np.split(ratio[side][order], np.flatnonzero(np.diff(inverse[order])) + 1)]
         share.append(ndimage.gaussian_filter1d(np.interp(rows, told, medians), _ROWS, mode="nearest"))
     columns = float(np.mean(column[left])), float(np.mean(column[~left]))
-    return Sides(rows=rows, columns=columns, share=np.array(share))
+    return Sides(rows=rows, columns=columns, share=np.maximum(share, _DARKEST))
 
 
 def _beside(view: View, optics: Optics, scene: Scene) -> Mask:

@@ -100,7 +100,8 @@ def measure_coverage(
     """
     found = _every_view(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
-    blank = [k for k in cameras.order if not drawn[k].seen.any()]
+    dark = [False] * len(drawn) if found.exposures is None else found.exposures.dark
+    blank = [k for k, is_dark in zip(drawn, dark, strict=True) if is_dark or not drawn[k].seen.any()]
     if len(blank) > most:
         name = names[blank[0]].file
         raise UserError(f"{name} shows nothing of the water below the net pot: check the camera, the backlight and the scene file.")
