@@ -19,8 +19,8 @@ from rhizotwin.scenes import atomic
 from rhizotwin.scenes.provenance import versions
 
 _SOURCES = {
-    "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score"),
-    "thesis": ("benchmarks.thesis", "rhizotwin.recon.scoring.score"),
+    "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"),
+    "thesis": ("benchmarks.thesis", "rhizotwin.scoring.score"),
 }
 """Modules that decide what becomes of a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")

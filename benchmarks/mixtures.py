@@ -183,7 +183,7 @@ def measure(numbers: Sequence[int], *, device: str, say: Callable[[str], None]) 
 
 def _kept(mixture: Mixture, device: str) -> Any:
     settings = {"dataset": datasets.place(mixture).name, "device": device, "versions": versions(_VERSIONED)}
-    code = sources.digest(("rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score"))
+    code = sources.digest(("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"))
     return cache.folder() / "mixtures" / f"{cache.key(settings, sources=code)}.json"
 
 

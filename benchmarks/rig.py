@@ -15,7 +15,6 @@ from benchmarks import rig_faults, rig_kills
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
 from rhizotwin.recon.reconstruct import reconstruct
-from rhizotwin.recon.scoring.score import score
 from rhizotwin.rig.arm import inverse, kinematics
 from rhizotwin.rig.clock import SystemClock
 from rhizotwin.rig.lens import calibration
@@ -30,6 +29,7 @@ from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import files
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.model import CapturePlan, Ring
+from rhizotwin.scoring.score import score
 from rhizotwin.sim.board import simulate_board
 
 TARGETS_START_DEG = (0.0, 30.0, 30.0, 30.0, 0.0)

@@ -137,9 +137,9 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from benchmarks.thesis import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.results.result_files import read_summary
-    from rhizotwin.recon.scoring import score as scoring
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.provenance import peak_memory_mib
+    from rhizotwin.scoring import score as scoring
 
     kind, _, seed = change.partition(":")
     vectors = perturb.other_vectors() if kind == "rounded" and int(seed) % 2 else "vectors as they are"

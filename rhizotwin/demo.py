@@ -44,7 +44,7 @@ def demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Pr
 
 def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: Progress) -> None:
     """Do what `demo` says in a folder that nobody else works in."""
-    from rhizotwin.recon.scoring.score import score
+    from rhizotwin.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     _clear(folder)

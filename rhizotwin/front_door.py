@@ -21,11 +21,11 @@ from rhizotwin.scenes.schema import Place, from_plain
 if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
     from rhizotwin.recon.results.result import Result
-    from rhizotwin.recon.scoring.score import Score
-    from rhizotwin.recon.scoring.score_pictures import PictureScore
-    from rhizotwin.recon.scoring.score_solid import SolidScore, VolumeScore
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
+    from rhizotwin.scoring.score import Score
+    from rhizotwin.scoring.score_pictures import PictureScore
+    from rhizotwin.scoring.score_solid import SolidScore, VolumeScore
 
 log = logging.getLogger("rhizotwin")
 
@@ -226,16 +226,16 @@ def score(
         )
     if pictures is not None:
         _choose("auto")
-        from rhizotwin.recon.scoring.score_pictures import score_pictures
+        from rhizotwin.scoring.score_pictures import score_pictures
 
         return score_pictures(result, pictures, monitor=Monitor.of(progress))
     with Monitor.of(progress).stage("score"):
         if dataset is not None:
-            from rhizotwin.recon.scoring.score import score as compare
+            from rhizotwin.scoring.score import score as compare
 
             return compare(result, dataset)
         if volume_ml is not None:
-            from rhizotwin.recon.scoring.score_solid import score_volume
+            from rhizotwin.scoring.score_solid import score_volume
 
             return score_volume(result, 1000.0 * volume_ml)
         return _score_part(result, Path(str(truth)))
@@ -244,7 +244,7 @@ def score(
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     """Lay the part that was scanned onto a result and compare them."""
     from rhizotwin.recon.results.result_files import Mesh
-    from rhizotwin.recon.scoring.score_solid import score_solid
+    from rhizotwin.scoring.score_solid import score_solid
     from rhizotwin.sim import meshes, solids
 
     solid, notes = meshes.load_solid(file)

@@ -76,7 +76,7 @@ def run_plans(
         "scene": files.scene_to_dict(scene),
         "profile": profile_name,
         "versions": versions(_VERSIONED),
-        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.recon.scoring.score")),
+        "code": sources.digest(("rhizotwin.sim.simulate", "rhizotwin.recon.reconstruct", "rhizotwin.scoring.score")),
     }
     with held(folder):
         return _run(scene, list(zip(variants, wanted, strict=True)), folder, settings, profile_name, seeds, say, monitor or Monitor())
@@ -145,7 +145,7 @@ def _refuse_strangers(folder: Path) -> None:
 def _scored(scene: Scene, path: Path, settings: dict[str, Any], profile_name: str, seed: int) -> dict[str, Any]:
     """Return the score of one run, from its file when the same run was made before."""
     from rhizotwin.recon.reconstruct import reconstruct
-    from rhizotwin.recon.scoring.score import score
+    from rhizotwin.scoring.score import score
     from rhizotwin.sim.simulate import CannotContinueError, simulate
 
     made_with = json.loads(json.dumps({**settings, "run": files.scene_to_dict(scene), "seed": seed}))

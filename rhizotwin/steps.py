@@ -135,10 +135,10 @@ def reconstruct_whole(
     refuse_place(output, dataset)
     from rhizotwin.recon.results import report
     from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
-    from rhizotwin.recon.scoring.score import truth_mesh_path
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page
     from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.scoring.score import truth_mesh_path
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)

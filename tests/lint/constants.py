@@ -1,4 +1,4 @@
-"""Each constant of the reconstruction states its reason."""
+"""Each constant of the reconstruction and of its score states its reason."""
 
 import ast
 from collections.abc import Iterator
@@ -10,8 +10,8 @@ GUARD = 1e-3
 
 
 def check(file: str, tree: ast.Module, lines: list[str]) -> Iterator[tuple[int, str]]:
-    """Yield line and message of each unexplained number of a module of `recon`."""
-    if file.startswith("recon/"):
+    """Yield line and message of each unexplained number of a module of `recon` or `rhizotwin.scoring`."""
+    if file.startswith(("recon/", "rhizotwin/scoring/")):
         yield from unexplained(tree, lines)
         # figures are laid out in `results`; settings have a docstring for each field
         if file.count("/") > 1 and not file.startswith("recon/results/"):

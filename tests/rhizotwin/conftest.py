@@ -1,4 +1,4 @@
-"""Result folders without a reconstruction: a solid ball of 6 mm; and a browser."""
+"""Result folders without a reconstruction: a solid ball of 6 mm; scans without a renderer, as `recon` has them; and a browser."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +8,10 @@ import pytest
 import trimesh
 
 from rhizotwin.scenes import atomic
+from tests.recon.conftest import scan
 from tests.rhizotwin.browser import chromium
+
+__all__ = ["scan"]
 
 
 @pytest.fixture(scope="module")

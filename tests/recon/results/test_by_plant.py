@@ -14,11 +14,11 @@ from rhizotwin.recon.results import by_plant, dividing, result_traits
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result_files import Leaves, Mesh
 from rhizotwin.recon.roots.plants import Planted
-from rhizotwin.recon.scoring.score_plants import compare_plants
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.scoring.score_plants import compare_plants
 
 A, B = Plant(plant="A", at_mm=(-10.0, 0.0), treatment="low N"), Plant(plant="B", at_mm=(10.0, 0.0))
 WHOLE = Subject(species="Raphanus sativus", day=5.0)

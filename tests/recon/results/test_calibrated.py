@@ -5,9 +5,9 @@ import pytest
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.results import calibrated
-from rhizotwin.recon.scoring.score_rig import compare_rig
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import TrueView, Truth
+from rhizotwin.scoring.score_rig import compare_rig
 from tests.recon.hull.exact_pictures import rows
 
 SEAT = frames.from_rotvec(np.deg2rad([0.1, -0.05, 0.0]), np.array([0.2, 0.3, 0.0]))

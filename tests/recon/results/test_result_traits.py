@@ -10,9 +10,9 @@ import trimesh
 
 from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.recon.scoring.score_traits import compare_traits
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.traits import measure_traits
+from rhizotwin.scoring.score_traits import compare_traits
 
 
 def root(start, end, diameter_mm, **kind) -> Root:

@@ -6,9 +6,9 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.hull.leaves import Grid
 from rhizotwin.recon.roots import residue, tracing
 from rhizotwin.recon.roots.density import Cells, estimate
-from rhizotwin.recon.scoring import score_roots
 from rhizotwin.recon.tubes import tube_picture, tubes
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scoring import score_roots
 from tests.recon.strings import TRUNK, TWIG, pictured, strung
 
 GRID = Grid(np.array([-4.0, -4.0, -54.0]), 0.4, 2, (10, 5, 24))

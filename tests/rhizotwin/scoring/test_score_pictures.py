@@ -11,13 +11,13 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.reconstruct import reconstruct
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.recon.scoring import drawn
-from rhizotwin.recon.scoring.score_pictures import compare, gather, score_pictures
 from rhizotwin.recon.settings import HullSettings, Settings
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scoring import drawn
+from rhizotwin.scoring.score_pictures import compare, gather, score_pictures
 from tests.recon.hull import exact_pictures
 
 NOTHING = Mesh(vertices_mm=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhizotwin.recon.scoring import score_roots
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scoring import score_roots
 from tests.recon.strings import TRUNK
 
 

@@ -20,12 +20,12 @@ from rhizotwin.recon.pictures import content_of, read_pictures
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result import Result
 from rhizotwin.recon.results.result_files import Json
-from rhizotwin.recon.scoring import drawn
-from rhizotwin.recon.scoring.score_solid import table_of
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scoring import drawn
+from rhizotwin.scoring.score_solid import table_of
 
 NEAR_PX = 2.0
 """Root that is drawn this near counts as explained: the blur's width to either side, beyond which a picture of a root

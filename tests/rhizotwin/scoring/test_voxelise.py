@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.scoring import voxelise
+from rhizotwin.scoring import voxelise
 
 ORIGIN = np.array([-7.3, 1.9, -40.0])
 ZERO = np.zeros(3)

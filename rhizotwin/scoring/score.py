@@ -15,13 +15,19 @@ from rhizotwin.recon.results import result_files
 from rhizotwin.recon.results.load import load_result
 from rhizotwin.recon.results.result import Result, Triple, triple
 from rhizotwin.recon.results.result_files import Json
-from rhizotwin.recon.scoring import score_traits
-from rhizotwin.recon.scoring.score_plants import PlantScore, compare_plants
-from rhizotwin.recon.scoring.score_rig import RigError, compare_rig
-from rhizotwin.recon.scoring.score_roots import RootScore, compare_roots
-from rhizotwin.recon.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
-from rhizotwin.recon.scoring.score_shoot import ShootScore, compare_shoot
-from rhizotwin.recon.scoring.score_solid import (
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import Traits, measure_traits
+from rhizotwin.scenes.truth import load_truth
+from rhizotwin.scoring import score_traits
+from rhizotwin.scoring.score_plants import PlantScore, compare_plants
+from rhizotwin.scoring.score_rig import RigError, compare_rig
+from rhizotwin.scoring.score_roots import RootScore, compare_roots
+from rhizotwin.scoring.score_shape import HullScore, SurfaceScore, VoxelScore, compare_surfaces, compare_voxels
+from rhizotwin.scoring.score_shoot import ShootScore, compare_shoot
+from rhizotwin.scoring.score_solid import (
     VolumeScore,
     extent_rows,
     percent,
@@ -30,14 +36,8 @@ from rhizotwin.recon.scoring.score_solid import (
     volume_fields,
     volume_rows,
 )
-from rhizotwin.recon.scoring.score_traits import TraitScore, compare_traits
-from rhizotwin.recon.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
-from rhizotwin.scenes import rsml
-from rhizotwin.scenes.dataset import Dataset, load_dataset
-from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.rsml import Root
-from rhizotwin.scenes.traits import Traits, measure_traits
-from rhizotwin.scenes.truth import load_truth
+from rhizotwin.scoring.score_traits import TraitScore, compare_traits
+from rhizotwin.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
 
 
 @dataclass(frozen=True, kw_only=True)

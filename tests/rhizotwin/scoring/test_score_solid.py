@@ -9,10 +9,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.recon.scoring.registration import register
-from rhizotwin.recon.scoring.score_solid import score_solid, score_volume
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scoring.registration import register
+from rhizotwin.scoring.score_solid import score_solid, score_volume
 
 
 def mesh_of(solid: trimesh.Trimesh) -> Mesh:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rhizotwin.recon import surface_distance
 from rhizotwin.recon.results.result_files import Leaves, Mesh
-from rhizotwin.recon.scoring import voxelise
+from rhizotwin.scoring import voxelise
 
 SURFACE_SAMPLES = 20_000
 """Points on each surface; the sampling error of the median is below 1 % of the spread."""

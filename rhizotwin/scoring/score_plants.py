@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.results.by_plant import OfPlant
-from rhizotwin.recon.scoring.score_roots import NEAR_MM
 from rhizotwin.scenes import polyline, rsml
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scoring.score_roots import NEAR_MM
 
 _STEP_MM = 0.1
 """Of the points along roots: a fifth of how far a line may lie from the true one."""

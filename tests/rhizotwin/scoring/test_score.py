@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.scoring import score_views
-from rhizotwin.recon.scoring.score import Score, score
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scoring import score_views
+from rhizotwin.scoring.score import Score, score
 
 RADIUS_MM = 6.0
 

@@ -1,5 +1,0 @@
-"""Scans without a renderer, as the tests of `recon` have them."""
-
-from tests.recon.conftest import scan
-
-__all__ = ["scan"]
