@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
-    from rhizotwin.front_door import load_scene, reconstruct, score, simulate
-    from rhizotwin.recon.results.load import load_result
+    from rhizotwin.front_door import load_result, load_scene, reconstruct, score, simulate
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -56,7 +55,7 @@ _PLACES = {
     "Settings": "recon.settings",
     "UserError": "scenes.errors",
     "load_dataset": "scenes.dataset",
-    "load_result": "recon.results.load",
+    "load_result": "front_door",
     "load_scene": "front_door",
     "reconstruct": "front_door",
     "score": "front_door",

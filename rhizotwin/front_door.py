@@ -1,7 +1,7 @@
 """The front door for Python: each step as one call, with the device chosen on first use.
 
-`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct`` and
-``rt.score``; the command line calls the same.
+`import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct``,
+``rt.load_result`` and ``rt.score``; the command line calls the same.
 """
 
 from __future__ import annotations
@@ -178,7 +178,20 @@ def reconstruct(
     if voxel_mm is not None:
         checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
-    return find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor)
+    return _shown(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor))
+
+
+def load_result(folder: str | Path) -> Result:
+    """Read a result folder; its silhouettes are read when they are looked at.
+
+    Raises
+    ------
+    UserError
+        Where a file is missing or damaged.
+    """
+    from rhizotwin.recon.results import load
+
+    return _shown(load.load_result(folder))
 
 
 def score(
@@ -253,6 +266,13 @@ def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     vertices, faces = solids.surface_of(solid)
     shape = Mesh(vertices_mm=vertices, faces=faces.astype("int64"))
     return score_solid(result, shape, volume_mm3=float(solid.volume()))
+
+
+def _shown(result: Result) -> Result:
+    """Return a result that a notebook draws."""
+    from rhizotwin.report import notebook
+
+    return replace(result, notebook=notebook.html)
 
 
 def _choose(device: Device) -> None:

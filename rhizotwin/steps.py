@@ -133,10 +133,10 @@ def reconstruct_whole(
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
     refuse_place(output, dataset)
-    from rhizotwin.recon.results import report
     from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page
+    from rhizotwin.report.pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
 
@@ -153,7 +153,7 @@ def reconstruct_whole(
             kept = building / "stages" if keep_stages else None
             reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, monitor=monitor).save(building)
             with monitor.stage("pictures"):
-                written = report.write_pictures(building, loaded, truth_mesh=truth_mesh)
+                written = write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]

@@ -1,4 +1,1 @@
-"""A result as a folder: numbers, traits, files, its pictures, and the page for people.
-
-The pictures show the truth beside it where there is one.
-"""
+"""A result as a value in memory and as a folder: numbers, traits and files."""

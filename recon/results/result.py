@@ -16,7 +16,7 @@ NAME is the picture's name in the dataset.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib.util import find_spec
@@ -141,6 +141,8 @@ class Result:
     versions: dict[str, str]
     silhouettes: Mapping[str, Silhouette] = field(repr=False)
     """By the frame's file; empty where a stored result holds none."""
+    notebook: Callable[[Result], str] | None = field(default=None, repr=False, compare=False)
+    """Gives the HTML that a notebook shows; who hands the result to a person sets it."""
 
     @property
     def volume_mm3(self) -> float:
@@ -193,11 +195,9 @@ class Result:
 
         return pd.DataFrame(rows).set_index("name")
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        from rhizotwin.recon.results import notebook  # draws: loads matplotlib
-
-        return notebook.html(self)
+    def _repr_html_(self) -> str | None:
+        """Return what a notebook shows; None: text."""
+        return None if self.notebook is None else self.notebook(self)
 
     def summary(self) -> Json:
         """Return the content of ``result.json``, without the traits."""

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon import surface_distance
+from rhizotwin.recon import surface_sample
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,7 +60,7 @@ def find(mesh: trimesh.Trimesh) -> Blades:
         In mm; a blade has two sides in it.
     """
     count = max(1, int(mesh.area / STEP_MM**2))
-    points = surface_distance.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
+    points = surface_sample.sample(mesh.vertices, mesh.faces, count=count, rng=np.random.default_rng(0))[0]
     each_mm2 = 0.5 * float(mesh.area) / len(points)  # of one side
     tree = cKDTree(points)
     spread = _spread(points, tree)

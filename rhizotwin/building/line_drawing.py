@@ -9,8 +9,8 @@ from scipy.ndimage import minimum_filter
 
 from rhizotwin.building.part import surface
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.recon.results.shading import Side, rasterise
 from rhizotwin.scenes.frames import Array
+from rhizotwin.shading import Side, rasterise
 
 SHARP_DEG = 25.0
 """Edges whose faces meet at a larger angle are drawn; round walls of 240 sides bend by 1.5 degrees from face to

@@ -18,7 +18,6 @@ from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
 from rhizotwin.building.wiring import wiring_pages
 from rhizotwin.recon.results.result_files import Mesh
-from rhizotwin.recon.results.shading import rasterise, shade
 from rhizotwin.rig.printing.print_files import write_pages
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes.atomic import write_bytes, write_image, write_json, write_text
@@ -26,6 +25,7 @@ from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Scene
+from rhizotwin.shading import rasterise, shade
 
 PICTURE_PX = 1100
 """Longer side of the pictures, before they are made half as large for smooth edges."""

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
-from rhizotwin.recon.results import assessments, by_plant, report_tables, result_files, result_traits
-from rhizotwin.report import rig_figure, solid, words
+from rhizotwin.recon.results import assessments, by_plant, result_files, result_traits
+from rhizotwin.report import rig_figure, solid, tables, words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -269,7 +269,7 @@ def _plants(read: _Read) -> str:
         numbers = [trait_table.shown(value) for value in (traits.total_length_mm, traits.tips, traits.depth_mm)]
         rows.append([str(one.subject), f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high), *numbers])
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
-    return report_tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) if rows else ""
+    return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) if rows else ""
 
 
 def _traits(read: _Read) -> str:
@@ -283,7 +283,7 @@ def _traits(read: _Read) -> str:
         if value is not None:
             rows.append([name, shown, interval, meaning])
     note = "" if read.roots else "<p>No thin roots were found as centre lines, so that lengths, diameters and angles are not known.</p>"
-    return note + f"<div class=wide>{report_tables.table(rows, head=('', '', '90 % interval', 'what it is'), numbers=(1,))}</div>"
+    return note + f"<div class=wide>{tables.table(rows, head=('', '', '90 % interval', 'what it is'), numbers=(1,))}</div>"
 
 
 def _figures(folder: Path) -> str:
@@ -300,10 +300,10 @@ def _more(read: _Read) -> str:
     """Return the tables for those who want to know: calibration, views, provenance."""
     summary = read.summary
     parts = {
-        "Sizes": report_tables.table(_sizes(summary), numbers=(1,)),
-        "What the scan calibrated by itself": report_tables.calibration(summary),
-        "Views": report_tables.views(summary),
-        "Settings and versions": report_tables.table(_provenance(summary)),
+        "Sizes": tables.table(_sizes(summary), numbers=(1,)),
+        "What the scan calibrated by itself": tables.calibration(summary),
+        "Views": tables.views(summary),
+        "Settings and versions": tables.table(_provenance(summary)),
     }
     return "".join(f"<details><summary>{name}</summary><div class=wide>{text}</div></details>" for name, text in parts.items() if text)
 

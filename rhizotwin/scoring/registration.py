@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rhizotwin.recon import surface_distance
+from rhizotwin.recon import surface_sample
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.recon.robust import MAD
 from rhizotwin.scenes import frames
@@ -81,7 +81,7 @@ def register(solid: Mesh, to: Mesh) -> Registration:
 
 def _cloud(mesh: Mesh, count: int) -> _Cloud:
     """Spread points over a mesh, the same at every call."""
-    points, face = surface_distance.sample(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
+    points, face = surface_sample.sample(mesh.vertices_mm, mesh.faces, count=count, rng=np.random.default_rng(0))
     a, b, c = mesh.corners_mm[:, face]
     across = np.cross(b - a, c - a)
     return _Cloud(points, across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None])

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhizotwin.recon import surface_distance
+from rhizotwin.recon import surface_sample
 from rhizotwin.recon.results.result_files import Leaves, Mesh
-from rhizotwin.scoring import voxelise
+from rhizotwin.scoring import surface_distance, voxelise
 
 SURFACE_SAMPLES = 20_000
 """Points on each surface; the sampling error of the median is below 1 % of the spread."""
@@ -106,8 +106,8 @@ def compare_voxels(leaves: Leaves, hull: Leaves, truth: Mesh) -> tuple[VoxelScor
 def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
     """Compare two surfaces by the distance of points on each to the other; the points are the same at every call."""
     rng = np.random.default_rng(0)
-    on_shape = surface_distance.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
-    on_truth = surface_distance.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]
+    on_shape = surface_sample.sample(shape.vertices_mm, shape.faces, count=SURFACE_SAMPLES, rng=rng)[0]
+    on_truth = surface_sample.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     to_truth = surface_distance.distances(on_shape, truth.vertices_mm, truth.faces)
     to_shape = surface_distance.distances(on_truth, shape.vertices_mm, shape.faces)
     both = np.concatenate([to_truth, to_shape])

@@ -9,9 +9,9 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from rhizotwin import shading
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.results import shading
 from rhizotwin.recon.results.result_files import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene

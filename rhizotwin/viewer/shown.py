@@ -91,7 +91,7 @@ class Shown:
         """Return the vertices' colours by their distance to the truth, from 0 (violet) to `FARTHEST_MM` (yellow)."""
         from matplotlib import colormaps
 
-        from rhizotwin.recon import surface_distance
+        from rhizotwin.scoring import surface_distance
 
         if self.truth is None:
             raise UserError(f"{self.name}: there is no truth to compare with; only simulated scans have one")

@@ -13,8 +13,8 @@ def check(file: str, tree: ast.Module, lines: list[str]) -> Iterator[tuple[int, 
     """Yield line and message of each unexplained number of a module of `recon` or `rhizotwin.scoring`."""
     if file.startswith(("recon/", "rhizotwin/scoring/")):
         yield from unexplained(tree, lines)
-        # figures are laid out in `results`; settings have a docstring for each field
-        if file.count("/") > 1 and not file.startswith("recon/results/"):
+        # settings have a docstring for each field
+        if file.count("/") > 1:
             yield from bare(tree, lines)
 
 

@@ -26,7 +26,7 @@ SOURCES = [
     Source("constants", "recon/a.py", 'A = 2.5\nB = 3\n"""Why."""\nC, D = 1, 2  # why\nE = "text"\nF = (1,)\n', (1, 6)),
     Source("constants elsewhere", "rig/a.py", "A = 2.5\n"),
     Source("bare numbers", "recon/hull/a.py", "def f(x):\n    y = 0.37 * x  # why\n    return 0.37 * y + 2.0 * 1e-9\n", (3,)),
-    Source("numbers of a layout", "recon/results/a.py", "def f(x):\n    return 0.37 * x\n"),
+    Source("numbers of a layout", "rhizotwin/report/a.py", "def f(x):\n    return 0.37 * x\n"),
     Source("60 lines", "rig/a.py", "def f(a):\n" + 59 * "    pass\n"),
     Source("61 lines", "rig/a.py", "def f(a):\n" + 60 * "    pass\n", (1,)),
     Source("8 parameters", "rhizotwin/viewer/a.py", "class A:\n    def f(self, a, b, c, d, e, f, g, h): ...\n"),

@@ -22,7 +22,8 @@ from rhizotwin import cli
 from rhizotwin.recon import pictures, reconstruct, shaping
 from rhizotwin.recon.calibration import markers, poses
 from rhizotwin.recon.coverage import background, silhouettes
-from rhizotwin.recon.results import report, result
+from rhizotwin.recon.results import result
+from rhizotwin.report import pictures as report
 
 pytestmark = pytest.mark.slow
 

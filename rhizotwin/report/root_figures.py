@@ -8,8 +8,9 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results import pictures, shading
+from rhizotwin import shading
 from rhizotwin.recon.results.result_files import Json
+from rhizotwin.report import figures
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.figures import figure
@@ -84,12 +85,12 @@ def length_plots(traits: Traits) -> Figure:
     return drawn
 
 
-def _box(points_mm: Floats, side: shading.Side) -> pictures.Box:
+def _box(points_mm: Floats, side: shading.Side) -> figures.Box:
     """Return the roots' frame with a margin, at least half as wide as high and half as high as wide."""
-    return pictures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
+    return figures.box_around(points_mm, side, margin_mm=MARGIN_MM, narrowest=0.5, flattest=0.5)
 
 
-def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: pictures.Box, scale: ScalarMappable | None) -> None:
+def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: figures.Box, scale: ScalarMappable | None) -> None:
     """Draw roots as lines of true width, the far ones first."""
     pieces, shades, diameters, depth = [], [], [], []
     for root in roots:
@@ -109,10 +110,10 @@ def _lines(axes: Axes, roots: tuple[Root, ...], side: shading.Side, box: picture
             list(np.concatenate(pieces)[far_first]), colors=[shades[k] for k in far_first], linewidths=width[far_first], capstyle="round"
         )
     )
-    pictures.put_axes(axes, side, box)
+    figures.put_axes(axes, side, box)
 
 
-def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: Json, dataset: Dataset) -> None:
+def _input(axes: Axes, side: shading.Side, box: figures.Box, summary: Json, dataset: Dataset) -> None:
     """Show the picture whose camera stands nearest to a side, cut to the roots.
 
     Room is left for the lens that the water is.
@@ -127,7 +128,7 @@ def _input(axes: Axes, side: shading.Side, box: pictures.Box, summary: Json, dat
         return
     near = int(np.argmax([centre @ toward / np.linalg.norm(centre) for centre in frontal]))
     view = used[near]
-    picture = pictures.for_screen(dataset, view["file"])
+    picture = figures.for_screen(dataset, view["file"])
     if picture is None:
         axes.set_title(f"{view['file']} cannot be read any more", fontsize=9)
         return

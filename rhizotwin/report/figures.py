@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from rhizotwin.recon import surface_distance
-from rhizotwin.recon.results import shading
+from rhizotwin import shading
 from rhizotwin.recon.results.result_files import Json, Mesh, picture_path, read_grey
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
@@ -20,6 +19,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.said import printable
+from rhizotwin.scoring import surface_distance
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import base64
 from html import escape
-from typing import TYPE_CHECKING
 
-from rhizotwin.recon.results import pictures
-from rhizotwin.scenes.figures import png
-
-if TYPE_CHECKING:
-    from rhizotwin.recon.results.result import Result
+from rhizotwin.recon.results.result import Result
 
 DPI = 90
 """A figure of 10 inches fills a notebook's 900 px."""
@@ -37,5 +32,8 @@ def _picture(result: Result) -> str:
     surface = result.solid.surface
     if not len(surface.faces):
         return ""
-    drawn = base64.b64encode(png(pictures.shape_close_up(surface), dpi=DPI)).decode()
+    from rhizotwin.report import figures  # loads matplotlib
+    from rhizotwin.scenes.figures import png
+
+    drawn = base64.b64encode(png(figures.shape_close_up(surface), dpi=DPI)).decode()
     return f'<img alt="the shape from two sides" src="data:image/png;base64,{drawn}">'

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon import surface_distance
+from rhizotwin.recon import surface_sample
+from rhizotwin.scoring import surface_distance
 
 
 def brute_force(points, mesh):
@@ -43,6 +44,6 @@ def test_equals_brute_force_on_triangles_of_very_different_size():
 
 def test_samples_lie_on_the_surface_and_spread_by_area():
     box = trimesh.creation.box(extents=[1.0, 1.0, 10.0])
-    points = surface_distance.sample(box.vertices, box.faces, count=4000, rng=np.random.default_rng(0))[0]
+    points = surface_sample.sample(box.vertices, box.faces, count=4000, rng=np.random.default_rng(0))[0]
     assert surface_distance.distances(points, box.vertices, box.faces).max() < 1e-12
     assert (np.abs(points[:, 2]) > 5.0 - 1e-9).mean() == pytest.approx(2.0 / 42.0, abs=2e-3)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from rhizotwin.recon.results import pictures, report_roots, result_files, result_traits
+from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.report import figures, root_figures
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.figures import png
@@ -44,28 +45,21 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
     shape = result_files.read_mesh(result_folder / "shape.ply")
 
     written: list[Path] = []
-    inputs = pictures.inputs_and_silhouettes(summary, result_folder, dataset)
+    inputs = figures.inputs_and_silhouettes(summary, result_folder, dataset)
     if inputs is not None:
         written.append(_save(inputs, result_folder, "inputs.png"))
-    written.append(_save(pictures.camera_ring(summary, dataset), result_folder, "cameras.png"))
-    written.append(_save(pictures.shape_near(shape, dataset.scene, title=str(summary["scene"])), result_folder, "shape.png"))
+    written.append(_save(figures.camera_ring(summary, dataset), result_folder, "cameras.png"))
+    written.append(_save(figures.shape_near(shape, dataset.scene, title=str(summary["scene"])), result_folder, "shape.png"))
     if truth_mesh is not None:
-        written.append(write_shape_and_truth(result_folder, dataset, truth_mesh=truth_mesh))
+        truth = result_files.read_mesh(Path(truth_mesh))
+        both = figures.shape_and_truth(shape, truth, dataset.scene, title=str(summary["scene"]))
+        written.append(_save(both, result_folder, "shape_and_truth.png"))
     if (result_folder / "roots.rsml").is_file():
         roots = rsml.read_rsml(result_folder / "roots.rsml")
         traits = result_traits.of_summary(summary, shape, roots)
-        written.append(_save(report_roots.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
-        written.append(_save(report_roots.length_plots(traits), result_folder, "lengths.png"))
+        written.append(_save(root_figures.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
+        written.append(_save(root_figures.length_plots(traits), result_folder, "lengths.png"))
     return written
-
-
-def write_shape_and_truth(result_folder: Path, dataset: Dataset, *, truth_mesh: Path) -> Path:
-    """Write ``pictures/shape_and_truth.png`` into a result folder and return its path."""
-    result_folder = Path(result_folder)
-    summary = result_files.read_summary(result_folder)
-    shape, truth = result_files.read_mesh(result_folder / "shape.ply"), result_files.read_mesh(Path(truth_mesh))
-    title = str(summary["scene"])
-    return _save(pictures.shape_and_truth(shape, truth, dataset.scene, title=title), result_folder, "shape_and_truth.png")
 
 
 def _save(drawn: Figure, result_folder: Path, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Exact distances from points to a triangle mesh, and points spread evenly over one."""
+"""Exact distances from points to a triangle mesh."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,36 +10,6 @@ PAIRS_AT_ONCE = 1_000_000
 """Point-triangle pairs held in memory together."""
 _SMALL_CLASS = 0.02
 """A class with fewer of all triangles than this is not worth a search of its own."""
-
-
-def sample(vertices_mm: Floats, faces: NDArray[np.integer], *, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
-    """Return points evenly distributed over the area of a mesh, and the face that each lies on.
-
-    Parameters
-    ----------
-    vertices_mm, faces : (V, 3), (F, 3) array
-        The mesh.
-    count : int
-        How many points.
-    rng : np.random.Generator
-        Draws them.
-
-    Returns
-    -------
-    (count, 3), (count,) arrays
-        Points in mm, and their faces.
-    """
-    a, b, c = (np.asarray(vertices_mm, np.float64)[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if not len(faces) or not area.sum() > 0.0:
-        raise ValueError(f"{faces.shape=} has no area to sample")
-    # Stratified over the area, so that a small count still covers every part.
-    level = (np.arange(count) + rng.random(count)) / count * area.sum()
-    chosen = np.minimum(np.searchsorted(np.cumsum(area), level, side="right"), len(faces) - 1)
-    u, v = rng.random((2, count))
-    outside = u + v > 1.0
-    u, v = np.where(outside, 1.0 - u, u)[:, None], np.where(outside, 1.0 - v, v)[:, None]
-    return np.asarray(a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]), chosen
 
 
 def point_triangle_distance(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
