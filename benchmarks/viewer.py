@@ -340,7 +340,7 @@ def _afresh(result: Path, corrected: Path) -> float:
     from rhizotwin.corrections import corrected as folders
     from rhizotwin.corrections import log
     from rhizotwin.corrections.session import Session
-    from rhizotwin.recon.results import result_files
+    from rhizotwin.stored import result_files
 
     session = Session(result)
     session.replay(log.read(result / log.LOG_NAME, result))
@@ -375,7 +375,7 @@ def _report(browser: Any, result: Path, dataset: Path | None) -> dict[str, tuple
 
 def _dataset(result: Path) -> Path | None:
     """Return where a result says that its pictures are, if they are there."""
-    from rhizotwin.recon.results import result_files
+    from rhizotwin.stored import result_files
 
     folder = Path(str(result_files.read_summary(result)["dataset"]))
     return folder if (folder / "dataset.json").is_file() else None

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import result_files
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.stored import result_files
 from rhizotwin.viewer import app
 from rhizotwin.viewer.app import Viewer, screen_of
 

@@ -98,8 +98,8 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
         Seconds by stage.
     """
     from rhizotwin.recon.reconstruct import reconstruct
-    from rhizotwin.recon.results.result_files import read_summary
     from rhizotwin.recon.settings import Settings
+    from rhizotwin.stored.result_files import read_summary
 
     reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
     return {"stages": read_summary(working / "result")["timings_s"]}
@@ -136,10 +136,10 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from benchmarks import perturb
     from benchmarks.thesis import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
-    from rhizotwin.recon.results.result_files import read_summary
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.provenance import peak_memory_mib
     from rhizotwin.scoring import score as scoring
+    from rhizotwin.stored.result_files import read_summary
 
     kind, _, seed = change.partition(":")
     vectors = perturb.other_vectors() if kind == "rounded" and int(seed) % 2 else "vectors as they are"

@@ -20,8 +20,8 @@ from rhizotwin.recon.device import release
 from rhizotwin.recon.pictures import Pictures, content_of, read_pictures
 from rhizotwin.recon.results import calibrated, dividing
 from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result, Solid
-from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings, TrustSettings

@@ -15,7 +15,7 @@ from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
 from rhizotwin.recon.hull.leaves import Hull, Leaves
 from rhizotwin.recon.optics import projection
-from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results import parts
 from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
@@ -366,11 +366,11 @@ def measure(
         )
 
 
-def _voxels(leaves: Leaves, voxel_mm: float) -> result_files.Leaves:
+def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
     """Gather leaves into voxels."""
     low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
-    return result_files.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
+    return parts.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:

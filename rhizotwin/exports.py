@@ -22,12 +22,13 @@ from scipy.spatial.transform import Rotation
 from rhizotwin import root_mesh
 from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
-from rhizotwin.recon.results import assessments, result_files, result_traits
+from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
+from rhizotwin.stored import result_files, stored_traits
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
 MESHES = (".ply", ".stl", ".glb")
@@ -105,7 +106,7 @@ def _rsml(result_folder: Path, output: Path) -> list[Path]:
 
 
 def _traits(result_folder: Path, output: Path) -> list[Path]:
-    summary, traits = result_files.read_summary(result_folder), result_traits.read(result_folder)
+    summary, traits = result_files.read_summary(result_folder), stored_traits.read(result_folder)
     atomic.write_text(output, trait_table.to_csv(traits, assessments.assess(summary, traits)))
     return [output]
 

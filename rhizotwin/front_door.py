@@ -189,7 +189,7 @@ def load_result(folder: str | Path) -> Result:
     UserError
         Where a file is missing or damaged.
     """
-    from rhizotwin.recon.results import load
+    from rhizotwin.stored import load
 
     return _shown(load.load_result(folder))
 
@@ -256,7 +256,7 @@ def score(
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:
     """Lay the part that was scanned onto a result and compare them."""
-    from rhizotwin.recon.results.result_files import Mesh
+    from rhizotwin.recon.results.parts import Mesh
     from rhizotwin.scoring.score_solid import score_solid
     from rhizotwin.sim import meshes, solids
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 
 _SOONER = 0.9
 """A grid's cell begins at this share of the edge that should do, so that the first that does is hardly too coarse."""

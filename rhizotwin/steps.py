@@ -72,7 +72,7 @@ def refuse_place(output: Path, source: Path) -> None:
     source : Path
         The dataset or result that it is made from.
     """
-    from rhizotwin.recon.results.result_files import RESULT_NAMES
+    from rhizotwin.stored.result_files import RESULT_NAMES
 
     recover(output)
     there = contents(output)
@@ -133,12 +133,12 @@ def reconstruct_whole(
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
     refuse_place(output, dataset)
-    from rhizotwin.recon.results.result_files import RESULT_NAMES, read_mesh
     from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page
     from rhizotwin.report.pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
+    from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
 
     chosen = Settings() if settings is None else load_settings(settings)
     chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)

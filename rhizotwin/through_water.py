@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics import cameras
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, read_image
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
 from rhizotwin.scenes.trait_table import DEFINITIONS

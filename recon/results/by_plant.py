@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.scenes import subject
 from rhizotwin.scenes.schema import Place, from_plain, to_plain
 from rhizotwin.scenes.subject import Subject

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.results import result_traits
 from rhizotwin.recon.results.by_plant import OfPlant, Pair
-from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import Planted
 from rhizotwin.scenes import rsml, tube_surface
 from rhizotwin.scenes.plants import Plant

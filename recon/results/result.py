@@ -31,7 +31,7 @@ from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.recon.results.by_plant import OfPlant
-from rhizotwin.recon.results.result_files import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
+from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh, picture_path, shape_npz
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
@@ -105,7 +105,7 @@ class Solid:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Everything a reconstruction found; `save` writes it, `rhizotwin.recon.results.load.load_result` reads it back."""
+    """Everything a reconstruction found; `save` writes it, `rhizotwin.load_result` reads it back."""
 
     dataset: str
     """Folder of the dataset."""

@@ -3,17 +3,15 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.recon.results import assessments, by_plant, result_files
+from rhizotwin.recon.results import assessments, by_plant
 from rhizotwin.recon.results.by_plant import OfPlant
-from rhizotwin.recon.results.result_files import Json, Mesh
-from rhizotwin.scenes import rsml, subject, trait_table, tube_surface
+from rhizotwin.recon.results.parts import Json, Mesh
+from rhizotwin.scenes import subject, trait_table, tube_surface
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -55,47 +53,6 @@ def of_shape(
     return measure_traits(roots, points, volume_mm3=volume_mm3, surface_mm2=surface_mm2, mass_g=mass_g)
 
 
-def read(result_folder: Path, *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a result folder; without a mass, with the one that was given at the reconstruction.
-
-    Raises
-    ------
-    UserError
-        Where a file of the result is missing or damaged.
-    """
-    summary = result_files.read_summary(result_folder)
-    mesh = result_files.read_mesh(result_folder / "shape.ply")
-    file = result_folder / "roots.rsml"
-    return of_summary(summary, mesh, rsml.read_rsml(file) if file.is_file() else (), mass_g=mass_g)
-
-
-def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: float | None = None) -> Traits:
-    """Measure the traits of a ``result.json`` with its surface and roots; without a mass, with its own.
-
-    Parameters
-    ----------
-    summary : Json
-        ``result.json``.
-    surface, roots : Mesh, sequence of Root
-        Of the same result.
-    mass_g : float or None
-        Mass of the roots; None: the summary's own.
-
-    Returns
-    -------
-    Traits
-        Of the whole pot.
-    """
-    return of_shape(
-        surface,
-        roots,
-        volume_mm3=float(summary["volume_mm3"]),
-        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
-        mass_g=summary.get("mass_g") if mass_g is None else mass_g,
-        extents_mm=(summary["extents_min_mm"], summary["extents_max_mm"]),
-    )
-
-
 def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     """Return the content of ``traits.json``."""
     plants = by_plant.of_summary(summary, "result.json")
@@ -133,35 +90,6 @@ def edited(summary: Json) -> str:
     return f"{count} edit{'' if count == 1 else 's'} by {who}, {moved:+.1f} % of volume"
 
 
-def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
-    """Return one row a result as CSV, and where several plants are in it, one row a plant.
-
-    A row has name, scene, subject, the traits with their units in the head, the 90 % interval of each trait that has
-    one, the verdict on each trait, edits and warnings.
-
-    Parameters
-    ----------
-    rows : sequence of tuple of str
-        (name, summary, traits) of each result.
-    """
-    above = trait_table.SHOOT if any(summary.get("shoot") for _, summary, _ in rows) else ()
-    found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
-    ranged = [d for d in trait_table.DEFINITIONS if any(one.assessed[d.field].interval is not None for _, _, one in found)]
-    intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
-    verdicts = [f"{d.name}_verdict" for d in trait_table.DEFINITIONS]
-    headings = [d.heading for d in (*trait_table.DEFINITIONS, *above)]
-    table: list[Sequence[Any]] = [["result", "scene", *subject.NAMES, *headings, *intervals, *verdicts, "edits", "warnings"]]
-    for name, summary, one in found:
-        values = [getattr(one.traits, d.field) for d in trait_table.DEFINITIONS]
-        values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
-        values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
-        numbers = [trait_table.written(value) for value in values]
-        judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
-        warnings = "; ".join(str(warning) for warning in summary["warnings"])
-        table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, edited(summary), warnings])
-    return trait_table.csv_text(table)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Own:
     """The roots of one plant of a result."""
@@ -193,11 +121,6 @@ def each(where: str, summary: Json, traits: Traits) -> list[Own]:
         for one in by_plant.of_summary(summary, where)
     ]
     return plants or [Own(subject=subject.of_summary(summary, where), traits=traits, assessed=assessments.assess(summary, traits))]
-
-
-def of_shoot(summary: Json) -> Json | None:
-    """Return ``shoot`` of ``result.json``; None where there is none, or it is of several plants together."""
-    return None if summary.get("plants") else summary.get("shoot")
 
 
 def as_text(traits: Traits, summary: Json, *, mass_g: float | None) -> dict[str, str]:

@@ -12,13 +12,15 @@ import cv2
 import numpy as np
 
 from rhizotwin.batch.jobs import Job
-from rhizotwin.recon.results import assessments, result_files, result_traits
+from rhizotwin.recon.results import assessments, result_traits
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.traits import Traits
+from rhizotwin.stored import result_files, stored_traits
 
 TABLE, PAGE = "traits.csv", "overview.html"
 THUMBNAIL_PX = 180
@@ -32,7 +34,7 @@ class _Row:
     """A finished scan."""
 
     name: str
-    summary: result_files.Json
+    summary: Json
     traits: Traits
     picture: bytes | None
 
@@ -64,13 +66,13 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
         try:
             result = folder / job.name
             summary = result_files.read_summary(result)
-            rows.append(_Row(name=job.name, summary=summary, traits=result_traits.read(result), picture=_thumbnail(result)))
+            rows.append(_Row(name=job.name, summary=summary, traits=stored_traits.read(result), picture=_thumbnail(result)))
         except UserError as error:
             broken.append((job, str(error)))
     refused = [f"{row.name}: {row.assessed['volume_mm3'].reason}" for row in rows if row.assessed["volume_mm3"].verdict == "not reliable"]
     more = f"; and {len(refused) - MOST_NAMED} more" if len(refused) > MOST_NAMED else ""
     sentence = f"{len(refused)} of {len(rows)} volumes are not reliable: {'; '.join(refused[:MOST_NAMED])}{more}" if refused else ""
-    table = result_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
+    table = stored_traits.spreadsheet([(row.name, row.summary, row.traits) for row in rows])
     for name, text in ((TABLE, table), (PAGE, _page(rows, broken, sentence))):
         atomic.write_bytes(folder / name, text.encode("utf-8", "backslashreplace"), follow=False)
     return [folder / TABLE, folder / PAGE], sentence

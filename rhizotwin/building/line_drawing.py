@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from rhizotwin.building.part import surface
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.frames import Array
 from rhizotwin.shading import Side, rasterise
 

@@ -17,7 +17,7 @@ from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.rig_parts import Bought, bought_of, collisions, parts_of
 from rhizotwin.building.wiring import wiring_pages
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.rig.printing.print_files import write_pages
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes.atomic import write_bytes, write_image, write_json, write_text

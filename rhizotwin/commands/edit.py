@@ -44,9 +44,10 @@ def edit(
     steps.refuse_place(output, result)
     from rhizotwin.corrections import corrected, log, refit
     from rhizotwin.corrections.session import Session
-    from rhizotwin.recon.results import result_files, result_traits
+    from rhizotwin.recon.results import result_traits
     from rhizotwin.report import page, words
     from rhizotwin.scenes.dataset import load_dataset
+    from rhizotwin.stored import result_files
 
     session = Session(result)
     if session.summary.get("plants"):

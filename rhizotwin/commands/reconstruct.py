@@ -105,13 +105,13 @@ def reconstruct(
 
 def _tell(summary: dict[str, Any], progress: Progress) -> None:
     """Print what was found."""
-    from rhizotwin.recon.results import calibrated
     from rhizotwin.report import words
+    from rhizotwin.stored import calibration_table
 
     for warning in summary["warnings"]:
         print(f"warning: {warning}")
     if progress.verbose:
-        for line in calibrated.table(summary["rig"]):
+        for line in calibration_table.table(summary["rig"]):
             print(line)
     if progress.verbose and summary["root_mu_per_mm"] is not None:
         sigma = summary["root_mu_sigma_per_mm"]

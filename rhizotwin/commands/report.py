@@ -40,7 +40,7 @@ def report(
     """
     if page is None:
         recover(results[0])
-    from rhizotwin.recon.results import result_files
+    from rhizotwin.stored import result_files
 
     results = result_files.results_in(results)
     if page is None and len(results) > 1:

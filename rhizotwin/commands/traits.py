@@ -41,8 +41,9 @@ def traits(
     rhizotwin traits my_result my_other_result -o traits.csv
     rhizotwin traits my_result my_other_result --mass-g 1.18,0.92 -o traits.csv
     """
-    from rhizotwin.recon.results import result_files, result_traits
+    from rhizotwin.recon.results import result_traits
     from rhizotwin.scenes import atomic
+    from rhizotwin.stored import result_files, stored_traits
 
     results = result_files.results_in(results)
     if mass_g is not None and len(mass_g) != len(results):
@@ -54,14 +55,14 @@ def traits(
     summaries = [result_files.read_summary(folder) for folder in results]
     given = mass_g or (None,) * len(results)
     masses = [summary.get("mass_g") if mass is None else mass for mass, summary in zip(given, summaries, strict=True)]
-    found = [result_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
+    found = [stored_traits.read(folder, mass_g=mass) for folder, mass in zip(results, masses, strict=True)]
     if table is None:
         for folder, summary, one in zip(results, summaries, found, strict=True):
             _print(folder, summary, one)
         return
     if table.suffix.lower() == ".csv":
         rows = [(_name(folder), summary, one) for folder, summary, one in zip(results, summaries, found, strict=True)]
-        atomic.write_text(table, result_traits.spreadsheet(rows))
+        atomic.write_text(table, stored_traits.spreadsheet(rows))
     else:
         contents = [
             {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass)}

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from rhizotwin import engine
 from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import result_files
 from rhizotwin.recon.settings import TrustSettings
 from rhizotwin.recon.uncertainty.budget import Term
 from rhizotwin.recon.uncertainty.checks import Check, foremost, judged
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored import result_files
 
 if TYPE_CHECKING:  # needs the engine, which is started first
     from rhizotwin.recon.hull.agreement import Agreement
@@ -81,7 +81,7 @@ def compare(session: Session, dataset_folder: Path | None) -> Comparison:
     engine.ensure("auto")
     from rhizotwin.recon.hull import agreement, carve
     from rhizotwin.recon.optics.projection import ViewBank
-    from rhizotwin.recon.results.load import load_result
+    from rhizotwin.stored.load import load_result
 
     cameras, kept = Cameras.of(dataset, summary), load_result(session.folder).silhouettes
     known = [k for k, file in enumerate(cameras.files) if file in kept]

@@ -16,14 +16,15 @@ from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
-from rhizotwin.recon.results import result_files, result_traits
-from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.parts import Leaves, Mesh, shape_npz
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failed, verdict
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.schema import to_plain
+from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
 
@@ -61,7 +62,7 @@ def write(
     state, measured = session.state, session.measure()
     mesh, roots = _mesh(session, state, measured), state.roots()
     summary = _summary(session, measured, mesh) | _trust(session, measured.volume_mm3, dataset)
-    traits = result_traits.of_summary(summary, Mesh.of(mesh), roots)
+    traits = stored_traits.of_summary(summary, Mesh.of(mesh), roots)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
@@ -155,7 +156,7 @@ def _shape(session: Session, measured: Measured) -> bytes:
         origin_mm=solid.origin_mm,
         voxel_mm=solid.voxel_mm,
     )
-    return result_files.shape_npz(left, hull)
+    return shape_npz(left, hull)
 
 
 def read_mesh(session: Session) -> Mesh:

@@ -12,9 +12,10 @@ from rhizotwin import engine
 from rhizotwin.corrections.cameras import Cameras
 from rhizotwin.corrections.lines import Lines
 from rhizotwin.corrections.state import Refit, Refitted
-from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored import result_files
 
 if TYPE_CHECKING:  # needs the engine, which is started first
     from rhizotwin.recon.tubes.tubes import Tubes
@@ -45,9 +46,9 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         engine.start("auto")
         from rhizotwin.recon.coverage.evidence import Evidence
         from rhizotwin.recon.optics.projection import ViewBank
-        from rhizotwin.recon.results.load import load_result
         from rhizotwin.recon.roots.rooting import find_blur
         from rhizotwin.recon.tubes import tube_fit
+        from rhizotwin.stored.load import load_result
 
         cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
         missing = [file for file in cameras.files if file not in kept]

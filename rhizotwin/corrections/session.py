@@ -16,9 +16,9 @@ from rhizotwin.corrections import state as states
 from rhizotwin.corrections.log import Edit, Log
 from rhizotwin.corrections.solid import Solid
 from rhizotwin.corrections.state import Refit, State
-from rhizotwin.recon.results import result_files
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.stored import result_files
 
 Array = NDArray[np.float64]
 

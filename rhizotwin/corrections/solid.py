@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Piece
-from rhizotwin.recon.results.result_files import Leaves
+from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.scenes import polyline
 
 if TYPE_CHECKING:  # what corrections need is loaded with the first of them

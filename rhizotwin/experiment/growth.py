@@ -10,10 +10,10 @@ from pathlib import Path
 from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
-from rhizotwin.recon.results import result_files
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.trait_table import csv_text, written
+from rhizotwin.stored import result_files
 
 CURVES = ("total_length", "volume", "depth", "tips")
 """Traits whose growth is shown and compared."""

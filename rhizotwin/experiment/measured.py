@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import get_args
 
 from rhizotwin.experiment import tables
-from rhizotwin.recon.results import result_files, result_traits
+from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes import assessment, subject, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
+from rhizotwin.stored import result_files, stored_traits
 
 IN_90 = 1.6448536269514722
 """Standard deviations on each side that hold 90 % of a normal distribution."""
@@ -121,7 +122,7 @@ def one_species(found: Sequence[Measured]) -> str:
 def _of_folder(folder: Path) -> list[Measured]:
     """Read a result: one, or one a plant where several are in the canister."""
     summary = result_files.read_summary(folder)
-    above = trait_table.shoot_numbers(result_traits.of_shoot(summary))
+    above = trait_table.shoot_numbers(stored_traits.of_shoot(summary))
     return [
         Measured(
             name=folder.resolve().name,
@@ -131,7 +132,7 @@ def _of_folder(folder: Path) -> list[Measured]:
             assessed={d.name: own.assessed[d.field] for d in trait_table.DEFINITIONS},
             folder=folder,
         )
-        for own in result_traits.each(str(folder / "result.json"), summary, result_traits.read(folder))
+        for own in result_traits.each(str(folder / "result.json"), summary, stored_traits.read(folder))
     ]
 
 

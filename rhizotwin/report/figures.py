@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from rhizotwin import shading
-from rhizotwin.recon.results.result_files import Json, Mesh, picture_path, read_grey
+from rhizotwin.recon.results.parts import Json, Mesh, picture_path
 from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.dataset import Dataset, read_image
 from rhizotwin.scenes.errors import UserError
@@ -20,6 +20,7 @@ from rhizotwin.scenes.figures import figure
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.said import printable
 from rhizotwin.scoring import surface_distance
+from rhizotwin.stored.result_files import read_grey
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]

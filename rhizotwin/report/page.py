@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
-from rhizotwin.recon.results import assessments, by_plant, result_files, result_traits
+from rhizotwin.recon.results import assessments, by_plant, result_traits
 from rhizotwin.report import rig_figure, solid, tables, words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
@@ -33,6 +33,7 @@ from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.simpler import simpler
+from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.through_water import Pictures
 
 ANGLES_DEG = (0, 45, 90, 135)
@@ -67,7 +68,7 @@ class _Read:
     def of(cls, folder: Path, dataset: Dataset | Path | None) -> _Read:
         summary = result_files.read_summary(folder)
         roots, surface = read_roots(folder), result_files.read_mesh(folder / "shape.ply")
-        return cls(folder, summary, roots, result_traits.of_summary(summary, surface, roots), _dataset(summary, folder, dataset))
+        return cls(folder, summary, roots, stored_traits.of_summary(summary, surface, roots), _dataset(summary, folder, dataset))
 
     @property
     def name(self) -> str:

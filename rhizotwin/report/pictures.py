@@ -4,11 +4,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from rhizotwin.recon.results import result_files, result_traits
 from rhizotwin.report import figures, root_figures
 from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.figures import png
+from rhizotwin.stored import result_files, stored_traits
 
 DPI = 130
 """Letters of 9 pt are 16 px high."""
@@ -56,7 +56,7 @@ def write_pictures(result_folder: Path, dataset: Path | Dataset, *, truth_mesh: 
         written.append(_save(both, result_folder, "shape_and_truth.png"))
     if (result_folder / "roots.rsml").is_file():
         roots = rsml.read_rsml(result_folder / "roots.rsml")
-        traits = result_traits.of_summary(summary, shape, roots)
+        traits = stored_traits.of_summary(summary, shape, roots)
         written.append(_save(root_figures.roots_and_inputs(roots, summary, dataset), result_folder, "roots.png"))
         written.append(_save(root_figures.length_plots(traits), result_folder, "lengths.png"))
     return written

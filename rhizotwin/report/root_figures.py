@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rhizotwin import shading
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.report import figures
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset

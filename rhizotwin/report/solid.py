@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results.result_files import Mesh, read_mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.recon.uncertainty.budget import NINETY
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.simpler import simpler
+from rhizotwin.stored.result_files import read_mesh
 
 MOST_TRIANGLES = 120_000
 """Of a surface in a page: about 2.5 MB."""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rhizotwin.recon.results import calibrated
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.scenes import frames
+from rhizotwin.stored import calibration_table
 
 
 def table(rows: Sequence[Sequence[str]], *, head: Sequence[str] = (), numbers: Sequence[int] = ()) -> str:
@@ -31,10 +31,10 @@ def calibration(summary: Json) -> str:
             *(row.quantity, f"{row.given:.6g}", f"{row.found:.6g}", "" if row.sigma is None else f"{row.sigma:.2g}", row.unit),
             "" if row.taken else "not sure enough: as given",
         )
-        for row in calibrated.rows(rig)
+        for row in calibration_table.rows(rig)
     ]
     parts = [table(rows, head=("quantity", "given", "found", "sigma", "unit", ""), numbers=(1, 2, 3))] if rows else []
-    off = [[what, f"{before:.4f}", f"{after:.4f}", unit] for what, before, after, unit in calibrated.reprojection(rig)]
+    off = [[what, f"{before:.4f}", f"{after:.4f}", unit] for what, before, after, unit in calibration_table.reprojection(rig)]
     parts += [table(off, head=("what was off", "before", "after", "unit"), numbers=(1, 2))] if off else []
     stood = [row for ring in rig.get("rings") or [] for row in _ring(ring)]
     parts += [table(stood, head=("camera", "found", "sigma", "unit"), numbers=(1, 2))] if stood else []

@@ -12,7 +12,7 @@ from rhizotwin.recon.coverage.silhouettes import Image
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]

@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin.recon.results import result_files
-from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
-from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -38,6 +36,8 @@ from rhizotwin.scoring.score_solid import (
 )
 from rhizotwin.scoring.score_traits import TraitScore, compare_traits
 from rhizotwin.scoring.score_views import MaskScore, PoseScore, compare_masks, compare_poses
+from rhizotwin.stored import result_files
+from rhizotwin.stored.load import load_result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,6 +215,6 @@ def score(result: Result | Path | str, dataset: Dataset | Path | str) -> Score:
     )
 
 
-def _true_traits(roots: Sequence[Root], solid: result_files.Mesh, volume_mm3: float) -> Traits:
+def _true_traits(roots: Sequence[Root], solid: Mesh, volume_mm3: float) -> Traits:
     """Measure the truth as a result is measured, so that a dataset of an older version has the same definitions."""
     return measure_traits(roots, solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=float(solid.areas_mm2.sum()))

@@ -17,15 +17,15 @@ from rhizotwin.recon.calibration.find_cameras import find_cameras
 from rhizotwin.recon.coverage.measure import measure_coverage
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Mask, Silhouette, signed_distance
 from rhizotwin.recon.pictures import content_of, read_pictures
-from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.results.result import Result
-from rhizotwin.recon.results.result_files import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scoring import drawn
 from rhizotwin.scoring.score_solid import table_of
+from rhizotwin.stored.load import load_result
 
 NEAR_PX = 2.0
 """Root that is drawn this near counts as explained: the blur's width to either side, beyond which a picture of a root

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.recon.calibration.cameras import Camera
-from rhizotwin.recon.results.calibrated import Row, rows
-from rhizotwin.recon.results.result_files import Json
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import Truth
+from rhizotwin.stored.calibration_table import Row, rows
 
 _OF_POSE = {"tilt x": 0, "tilt y": 1, "offset x": 2, "offset y": 3}
 """Place of each quantity among tilts and offsets."""

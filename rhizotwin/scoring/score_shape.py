@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.recon import surface_sample
-from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scoring import surface_distance, voxelise
 
 SURFACE_SAMPLES = 20_000

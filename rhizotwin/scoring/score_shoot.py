@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.recon.results import result_files
+from rhizotwin.recon.results.parts import picture_path
 from rhizotwin.recon.shoots.shoot import Shoot
+from rhizotwin.stored import result_files
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +71,7 @@ def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) ->
     half_mm2 = 0.5 * float(result_files.read_mesh(folder / "shoot.ply").areas_mm2.sum())
     errors = []
     for file, pixels in found.covered_px.items():
-        mask = result_files.read_grey(result_files.picture_path(folder / "masks", file))
+        mask = result_files.read_grey(picture_path(folder / "masks", file))
         errors.append(pixels / max(float(mask.sum()), 1e-9) - 1.0)
     return ShootScore(
         height_mm=found.height_mm,

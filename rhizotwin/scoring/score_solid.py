@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result import Result, Triple, triple
-from rhizotwin.recon.results.result_files import Json, Mesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.said import between_ml, ml
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score_shape import SurfaceScore, compare_surfaces
+from rhizotwin.stored.load import load_result
 
 
 @dataclass(frozen=True, kw_only=True)

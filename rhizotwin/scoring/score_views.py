@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
-from rhizotwin.recon.results.result_files import picture_path, read_grey
+from rhizotwin.recon.results.parts import picture_path
 from rhizotwin.scenes import frames, model
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.truth import Truth
+from rhizotwin.stored.result_files import read_grey
 
 HALF = 0.49
 """Half coverage, a little less: sampled coverage is often exactly one half, and rounding must not decide."""

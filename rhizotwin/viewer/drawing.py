@@ -14,7 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.viewer import colours

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhizotwin import shading
 from rhizotwin.corrections.lines import Line
 from rhizotwin.recon.optics.cameras import View
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Scene
 from rhizotwin.through_water import Pictures

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.corrections.session import Measured, Session
-from rhizotwin.recon.results import result_files
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.traits import Traits, measure_traits
 from rhizotwin.simpler import simpler
+from rhizotwin.stored import result_files
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer.scene3d import MOST_TRIANGLES
 

@@ -277,9 +277,9 @@ def stand_ins(*, save: bool) -> None:
     import rhizotwin.sim.simulate
     from rhizotwin.batch.jobs import Outcome
     from rhizotwin.batch.work import work
-    from rhizotwin.recon.results.load import load_result
     from rhizotwin.report import pictures
     from rhizotwin.scenes.dataset import load_dataset, read_image
+    from rhizotwin.stored.load import load_result
     from rhizotwin.viewer import app, guard
     from rhizotwin.viewer.shown import Shown
 

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from rhizotwin.building.measures import load_measures
 from rhizotwin.nerfstudio import read_cameras
-from rhizotwin.recon.results import result_files
-from rhizotwin.recon.results.load import load_result
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import load_dataset
@@ -21,6 +19,8 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_scene
 from rhizotwin.scenes.model import Camera
 from rhizotwin.scenes.pictures import decode_grey
+from rhizotwin.stored import result_files
+from rhizotwin.stored.load import load_result
 from tests.fuzz.mutate import mutated
 
 CORPUS = Path(__file__).parent / "corpus"

@@ -17,8 +17,8 @@ from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics import cameras
 from rhizotwin.recon.optics.cameras import View
 from rhizotwin.recon.optics.refraction import Optics
+from rhizotwin.recon.results.parts import Leaves
 from rhizotwin.recon.results.result import Result, Solid
-from rhizotwin.recon.results.result_files import Leaves
 from rhizotwin.recon.tubes import filling
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import Term, Volume

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.simpler import simpler
 
 

@@ -176,7 +176,7 @@ def test_what_is_no_regular_file_or_too_much_is_refused_before_it_is_read(
 ) -> None:
     trimesh.creation.icosphere(subdivisions=2, radius=8.0).export(tmp_path / "many.stl")
     monkeypatch.setattr("rhizotwin.sim.meshes.MOST_FACES", 100)
-    monkeypatch.setattr("rhizotwin.recon.results.result_files.MOST_SHAPE_MIB", 0)
+    monkeypatch.setattr("rhizotwin.stored.result_files.MOST_SHAPE_MIB", 0)
     with (tmp_path / "huge.rsml").open("wb") as stream:
         stream.truncate(2**36)
     end = ("--views", "1", "-o", tmp_path / "out", "--device", "cpu")

@@ -10,15 +10,16 @@ import pytest
 import trimesh
 
 from rhizotwin.experiment.measured import read_all
-from rhizotwin.recon.results import by_plant, dividing, result_traits
-from rhizotwin.recon.results.load import load_result
-from rhizotwin.recon.results.result_files import Leaves, Mesh
+from rhizotwin.recon.results import by_plant, dividing
+from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.recon.roots.plants import Planted
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scoring.score_plants import compare_plants
+from rhizotwin.stored import stored_traits
+from rhizotwin.stored.load import load_result
 
 A, B = Plant(plant="A", at_mm=(-10.0, 0.0), treatment="low N"), Plant(plant="B", at_mm=(10.0, 0.0))
 WHOLE = Subject(species="Raphanus sativus", day=5.0)
@@ -71,7 +72,7 @@ def test_tables_and_files_have_a_row_a_plant(scan, tmp_path: Path) -> None:
     read = read_all([tmp_path / "two"])
     assert [(one.subject.plant, one.traits["volume"]) for one in read] == [("A", pytest.approx(20.0)), ("B", pytest.approx(40.0))]
     summary = json.loads((tmp_path / "two" / "result.json").read_text())
-    rows = list(csv.DictReader(result_traits.spreadsheet([("two", summary, found.measured)]).splitlines()))
+    rows = list(csv.DictReader(stored_traits.spreadsheet([("two", summary, found.measured)]).splitlines()))
     assert [row["plant"] for row in rows] == ["A", "B"]
     assert [float(row["volume (mm3)"]) for row in rows] == pytest.approx([20.0, 40.0])
     table = list(csv.DictReader((tmp_path / "two" / "traits.csv").read_text().splitlines()))

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.results import result_files, result_traits
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results import result_traits
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.scenes.rsml import Root, write_rsml
 from rhizotwin.scenes.traits import measure_traits
 from rhizotwin.scoring.score_traits import compare_traits
+from rhizotwin.stored import result_files, stored_traits
 
 
 def root(start, end, diameter_mm, **kind) -> Root:
@@ -43,16 +44,16 @@ def test_thin_roots_are_measured_as_tubes_and_thick_ones_on_the_mesh():
 def test_a_spreadsheet_of_two_results(scan):
     made = scan(voxel_mm=1.0)
     summary = result_files.read_summary(made.result)
-    plain = result_traits.read(made.result, mass_g=0.5)
+    plain = stored_traits.read(made.result, mass_g=0.5)
     write_rsml(made.result / "roots.rsml", [root([4.0, -3.0, -45.0], [4.0, -3.0, -55.0], 12.0)])
-    rooted = result_traits.read(made.result)
-    rows = list(csv.DictReader(io.StringIO(result_traits.spreadsheet([("a", summary, plain), ("b, c", summary, rooted)]))))
+    rooted = stored_traits.read(made.result)
+    rows = list(csv.DictReader(io.StringIO(stored_traits.spreadsheet([("a", summary, plain), ("b, c", summary, rooted)]))))
     assert [(row["result"], row["total_length (mm)"]) for row in rows] == [("a", ""), ("b, c", "10")]
     assert float(rows[0]["tissue_density (g/ml)"]) == pytest.approx(0.5 / (summary["volume_mm3"] / 1000.0), rel=1e-5)
     assert float(rows[0]["volume_low (mm3)"]) == pytest.approx(0.95 * summary["volume_mm3"], rel=1e-5)
     assert json.loads(result_traits.as_text(rooted, summary, mass_g=None)["traits.json"])["mass_g"] is None
     made.edit_summary(mass_g=0.9)  # given at the reconstruction
-    assert result_traits.read(made.result).tissue_density_g_per_ml == pytest.approx(0.9 / (4.0 / 3.0 * np.pi * 0.216), rel=1e-2)
+    assert stored_traits.read(made.result).tissue_density_g_per_ml == pytest.approx(0.9 / (4.0 / 3.0 * np.pi * 0.216), rel=1e-2)
 
 
 def test_errors_of_traits():

@@ -9,9 +9,10 @@ import pytest
 
 from rhizotwin.corrections import corrected, lines, log, surface
 from rhizotwin.corrections.session import Session
-from rhizotwin.recon.results import result_files, result_traits
-from rhizotwin.recon.results.load import load_result
+from rhizotwin.recon.results import result_traits
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.stored.load import load_result
 from tests.rhizotwin import plant as plants
 from tests.rhizotwin.plant import Plant
 
@@ -169,7 +170,7 @@ def test_a_log_makes_the_same_result_again_and_the_original_stays(plant: Plant, 
     assert summary["edits"]["who"] == ["ann", "ben"]
     told = result_traits.edited(summary)
     assert told.startswith("2 edits by ann, ben, -")
-    assert told in result_traits.spreadsheet([("a", summary, result_traits.read(tmp_path / "new"))])
+    assert told in stored_traits.spreadsheet([("a", summary, stored_traits.read(tmp_path / "new"))])
     assert json.loads((tmp_path / "new" / "traits.json").read_text())["edits"] == told
 
 

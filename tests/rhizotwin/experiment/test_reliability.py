@@ -10,8 +10,9 @@ from rhizotwin.batch.jobs import Job
 from rhizotwin.experiment import biomass, growth, growth_page, model_file
 from rhizotwin.experiment.masses import read_masses
 from rhizotwin.experiment.measured import left_out, read_all
-from rhizotwin.recon.results import assessments, result_files, result_traits
+from rhizotwin.recon.results import assessments
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored import result_files, stored_traits
 
 HEAD = (
     "result,plant,treatment,day,total_length (mm),total_length_low (mm),total_length_high (mm),total_length_verdict,volume (mm3),trusted\n"
@@ -98,14 +99,14 @@ def test_results_carry_assessments(ball_result: Callable[..., Path]) -> None:
         "verdict": "the number of tips is not to be trusted: few",
     }
     folder = ball_result("one", volume_budget=[TERM], estimates=[tips], mass_g=1.0)
-    summary, traits = result_files.read_summary(folder), result_traits.read(folder)
+    summary, traits = result_files.read_summary(folder), stored_traits.read(folder)
     found = assessments.assess(summary, traits)
     assert (found["volume_mm3"].verdict, found["volume_mm3"].interval) == ("reliable", (850.0, 950.0))
     assert (found["tips"].verdict, found["tips"].reason) == ("not reliable", "the number of tips is not to be trusted: few")
     assert (found["branch_points"].verdict, found["branch_points"].interval) == ("not assessed", None)
     low, high = found["tissue_density_g_per_ml"].interval or (0.0, 0.0)
     assert (low, high) == pytest.approx((1000.0 / 950.0 * 905.0 / traits.volume_mm3, 1000.0 / 850.0 * 905.0 / traits.volume_mm3), rel=0.02)
-    text = result_traits.spreadsheet([("one", summary, traits)]).splitlines()
+    text = stored_traits.spreadsheet([("one", summary, traits)]).splitlines()
     row = dict(zip(text[0].split(","), text[1].split(","), strict=True))
     assert (row["volume_low (mm3)"], row["volume_verdict"], row["depth_verdict"]) == ("850", "reliable", "not assessed")
     assert [one.assessment("volume").interval for one in read_all([folder])] == [(850.0, 950.0)]
@@ -123,7 +124,7 @@ def test_a_scan_that_is_refused_refuses_what_has_no_verdict_of_its_own(ball_resu
 
 def test_a_method_without_uncertainty_has_no_verdict(ball_result: Callable[..., Path]) -> None:
     folder = ball_result("one", volume_budget=[], volume_trusted=False)
-    found = assessments.assess(result_files.read_summary(folder), result_traits.read(folder))
+    found = assessments.assess(result_files.read_summary(folder), stored_traits.read(folder))
     assert {one.verdict for one in found.values()} == {"not assessed"}
 
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from rhizotwin import shading
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.report import pictures
 from rhizotwin.scenes.dataset import load_dataset, save_dataset
 from rhizotwin.scenes.errors import UserError

@@ -10,7 +10,7 @@ import trimesh
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.reconstruct import reconstruct
-from rhizotwin.recon.results.result_files import Mesh
+from rhizotwin.recon.results.parts import Mesh
 from rhizotwin.recon.settings import HullSettings, Settings
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene

@@ -12,10 +12,10 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from rhizotwin.recon.optics import cameras
-from rhizotwin.recon.results.result_files import read_summary
 from rhizotwin.scenes import said
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored.result_files import read_summary
 from rhizotwin.through_water import Pictures
 from rhizotwin.viewer import app, colours, guard, picking, words
 from rhizotwin.viewer.app import Viewer

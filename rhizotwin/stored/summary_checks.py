@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, TypeAlias
 
+from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 
-Json: TypeAlias = dict[str, Any]
 Fits: TypeAlias = Callable[[Any], bool]
 LARGEST = 1e15
 """No number of a result is as large: cubic millimetres, seconds, mebibytes."""

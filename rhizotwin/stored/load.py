@@ -12,13 +12,14 @@ import trimesh
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import STILL
-from rhizotwin.recon.results import by_plant, result_files
+from rhizotwin.recon.results import by_plant
+from rhizotwin.recon.results.parts import Json, picture_path
 from rhizotwin.recon.results.result import POSES, Result, Solid, triple
-from rhizotwin.recon.results.result_files import Json
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 from rhizotwin.scenes import rsml, subject
+from rhizotwin.stored import result_files
 
 
 def load_result(folder: Path | str) -> Result:
@@ -143,8 +144,8 @@ class _Stored(Mapping[str, Silhouette]):
     def __getitem__(self, file: str) -> Silhouette:
         if file not in self.files:
             raise KeyError(file)
-        coverage = result_files.read_grey(result_files.picture_path(self.folder / "silhouettes", file))
-        seen = result_files.picture_path(self.folder / "seen", file)
+        coverage = result_files.read_grey(picture_path(self.folder / "silhouettes", file))
+        seen = picture_path(self.folder / "seen", file)
         known = result_files.read_grey(seen, image_wh=coverage.shape[::-1]) > 0.5 if seen.is_file() else np.ones(coverage.shape, bool)
         return Silhouette(coverage, known)
 

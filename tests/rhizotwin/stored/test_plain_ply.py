@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from rhizotwin.recon.results import plain_ply
-from rhizotwin.recon.results.result_files import read_mesh
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored import plain_ply
+from rhizotwin.stored.result_files import read_mesh
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
 PLAIN = bytes(trimesh.exchange.ply.export_ply(BALL))

@@ -1,17 +1,14 @@
-"""The files of a result folder (`recon.results.result` lists them), read back one by one, and its shapes in memory."""
+"""The files of a result folder (`recon.results.result` lists them), read back one by one."""
 
-import io
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, TypeAlias
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.results import plain_ply, summary_checks
+from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
@@ -19,16 +16,8 @@ from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
 from rhizotwin.scenes.schema import Place, from_plain
+from rhizotwin.stored import plain_ply, summary_checks
 
-if TYPE_CHECKING:
-    import trimesh
-
-Floats = NDArray[np.float64]
-
-Json: TypeAlias = dict[str, Any]
-"""An object of JSON: what a key holds, its reader knows."""
-SCHEMA_VERSION = 1
-"""Of ``result.json``; it grows when what a key means changes."""
 MOST_SHAPE_MIB = 512
 """Of a result's shape when unpacked, 40 bytes a leaf with the hull's, and of its surface, 25 bytes a triangle: 13
 million leaves, which stay within 2 GiB of memory."""
@@ -38,47 +27,6 @@ RESULT_NAMES = (
 )
 """What a result folder may hold and still be replaced by a new result; a log of corrections (edits.json) is not among
 them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Leaves:
-    """The octree's occupied leaves: one covers ``origin_mm + voxel_mm * [low, low + size]``."""
-
-    low: NDArray[np.int32]
-    """(N, 3) lowest voxel."""
-    size: NDArray[np.int32]
-    """(N,) edge in voxels."""
-    occupancy: NDArray[np.float32]
-    """(N,) fraction of the leaf inside, 0..1."""
-    origin_mm: Floats
-    voxel_mm: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mesh:
-    """A triangle mesh in the canister frame."""
-
-    vertices_mm: Floats
-    """(V, 3)"""
-    faces: NDArray[np.int64]
-    """(F, 3)"""
-
-    @staticmethod
-    def of(mesh: "trimesh.Trimesh") -> "Mesh":
-        """Return vertices and faces of a mesh of trimesh's."""
-        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-        return Mesh(vertices_mm=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3))
-
-    @property
-    def corners_mm(self) -> Floats:
-        """The first, second and third corner of the faces (3, F, 3)."""
-        return self.vertices_mm[self.faces.T]
-
-    @property
-    def areas_mm2(self) -> Floats:
-        """Of the faces (F,)."""
-        a, b, c = self.corners_mm
-        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
 
 def read_summary(folder: Path) -> Json:
@@ -167,23 +115,6 @@ def _check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
         raise UserError(f"{path} holds {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; reconstruct with larger voxels.")
 
 
-def shape_npz(shape: Leaves, hull: Leaves) -> bytes:
-    """Return the content of ``shape.npz``."""
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        leaves=shape.low,
-        size=shape.size,
-        occupancy=shape.occupancy,
-        hull_leaves=hull.low,
-        hull_size=hull.size,
-        hull_occupancy=hull.occupancy,
-        origin_mm=shape.origin_mm,
-        voxel_mm=np.float64(shape.voxel_mm),
-    )
-    return buffer.getvalue()
-
-
 def read_mesh(path: Path) -> Mesh:
     """Return a mesh file's vertices and faces; UserError where it is missing, damaged or without faces."""
     if not Path(path).is_file():
@@ -206,11 +137,6 @@ def _of_any_kind(path: Path) -> Mesh:
     import trimesh  # takes half a second, and results hold plain files
 
     return Mesh.of(trimesh.load(path, process=False, force="mesh"))
-
-
-def picture_path(folder: Path, frame_file: str) -> Path:
-    """Return where a frame's picture of the same name lies in ``folder`` (silhouettes, seen, masks): always PNG."""
-    return Path(folder) / f"{PurePosixPath(frame_file).stem}.png"
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:

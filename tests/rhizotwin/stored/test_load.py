@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhizotwin.recon.results.load import load_result
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.stored.load import load_result
 
 
 def test_a_result_saved_again_is_the_same(scan, tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rhizotwin.recon.calibration.cameras import Camera
-from rhizotwin.recon.results import calibrated
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.truth import TrueView, Truth
 from rhizotwin.scoring.score_rig import compare_rig
+from rhizotwin.stored import calibration_table
 from tests.recon.hull.exact_pictures import rows
 
 SEAT = frames.from_rotvec(np.deg2rad([0.1, -0.05, 0.0]), np.array([0.2, 0.3, 0.0]))
@@ -27,16 +27,16 @@ def truth(**drawn: object) -> Truth:
 
 
 def test_the_table_tells_what_was_taken_and_what_was_not() -> None:
-    by_name = {row.quantity: row for row in calibrated.rows(RIG)}
+    by_name = {row.quantity: row for row in calibration_table.rows(RIG)}
     assert by_name["index of the water"].taken
     assert not by_name["focal length over the given"].taken
     assert by_name["canister relative to the marker strip: tilt x"].found == pytest.approx(0.1)
     assert by_name["canister relative to the marker strip: offset y"].sigma == 0.002
-    text = "\n".join(calibrated.table(RIG))
+    text = "\n".join(calibration_table.table(RIG))
     assert "index of the water: given 1.333, found 1.3341 +- 0.0002" in text
     assert "focal length over the given: given 1, found 1.0002 +- 0.0001 (not sure enough: as given)" in text
     assert "roots, sideways: 0.090 px off before, 0.050 px after" in text
-    assert calibrated.table({}) == [], "cameras that were given leave none"
+    assert calibration_table.table({}) == [], "cameras that were given leave none"
 
 
 def test_each_quantity_is_judged_in_its_own_standard_deviations() -> None:

@@ -1,0 +1,1 @@
+"""Result folders read back: checked, as values, as tables."""
