@@ -1,12 +1,13 @@
 """How long the jobs take and how much memory they need, each in a process of its own."""
 
 import statistics
-from typing import Any
+from typing import Any, get_args
 
 from benchmarks import datasets, worker
 from benchmarks.cases import Pictures
 from benchmarks.metric import Metric
 from benchmarks.run import Run, Say
+from rhizotwin.recon.passes import Pass
 
 TIME_TOLERANCE = 0.5
 """A shared machine's wall times move by tens of per cent from run to run."""
@@ -55,13 +56,13 @@ def measure(*, quick: bool, device: str, say: Say) -> Run:
 
 
 def metrics(name: str, repeated: list[dict[str, Any]]) -> list[Metric]:
-    """Return the medians over the repeats: times in s, memory in MiB, stage by stage."""
+    """Return the medians over the repeats: times in s, stage by stage, memory in MiB, and numbers of passes."""
     found = []
     for quantity in repeated[0]:
         if quantity == "stages":
             continue
         middle = statistics.median(float(once[quantity]) for once in repeated)
-        unit = "MiB" if quantity == "peak_memory" else "s"
+        unit = "MiB" if quantity == "peak_memory" else "1" if quantity in get_args(Pass) else "s"
         found.append(_metric(f"{name}/{quantity}", middle, unit))
     for stage in repeated[0].get("stages", {}):
         found.append(_metric(f"{name}/stage/{stage}", statistics.median(float(once["stages"][stage]) for once in repeated), "s"))
@@ -69,7 +70,5 @@ def metrics(name: str, repeated: list[dict[str, Any]]) -> list[Metric]:
 
 
 def _metric(key: str, value: float, unit: str) -> Metric:
-    memory = unit == "MiB"
-    return Metric(
-        key=key, value=value, unit=unit, direction="down", rel_tol=0.2 if memory else TIME_TOLERANCE, abs_tol=100.0 if memory else 1.0
-    )
+    relative, absolute = {"s": (TIME_TOLERANCE, 1.0), "MiB": (0.2, 100.0), "1": (0.1, 2.0)}[unit]
+    return Metric(key=key, value=value, unit=unit, direction="down", rel_tol=relative, abs_tol=absolute)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from benchmarks.cases import METHODS, Pictures
 from benchmarks.mixtures import Mixture
@@ -81,7 +81,7 @@ def render(fidelity: Literal["backlit", "path"], working: Path) -> dict[str, Any
 
 
 def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, Any]:
-    """Return the seconds of a reconstruction by stage.
+    """Return the seconds of a reconstruction by stage, and its passes over all pictures.
 
     Parameters
     ----------
@@ -95,14 +95,16 @@ def stages(dataset_folder: Path, voxel_mm: float, working: Path) -> dict[str, An
     Returns
     -------
     dict
-        Seconds by stage.
+        Seconds by stage, and counts.
     """
+    from rhizotwin.recon.passes import Pass
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
     from rhizotwin.stored.result_files import read_summary
 
     reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
-    return {"stages": read_summary(working / "result")["timings_s"]}
+    summary = read_summary(working / "result")
+    return {"stages": summary["timings_s"], **{kind: summary[kind] for kind in get_args(Pass)}}
 
 
 def dataset(pictures: Pictures | Mixture) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rhizotwin.recon import shaping
+from rhizotwin.recon import passes, shaping
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.calibration.curve import read_by_edges
 from rhizotwin.recon.calibration.find_cameras import find_cameras
@@ -81,17 +81,17 @@ def reconstruct(
         After `Monitor.cancel`.
     """
     dataset, settings = dataset if isinstance(dataset, Dataset) else load_dataset(dataset), settings or Settings()
-    stages, monitor = StageFolder.begin(keep_stages), _releasing(monitor)
+    stages, monitor = StageFolder.begin(keep_stages), _begun(monitor)
     pictures = read_by_edges(read_pictures(dataset, settings=settings.pictures, monitor=monitor), monitor=monitor)
     cameras = stages.keep("cameras", find_cameras(pictures, settings=settings.calibration, monitor=monitor))
     cameras, coverage = measure_coverage(pictures, cameras, settings=settings.coverage, monitor=monitor)
     cameras, coverage = cameras.without({}, unread=pictures.left_out), stages.keep("coverage", coverage)
     pictures = replace(pictures, images=(), measured={})  # as large as all that follows
     (hull, tree), roots = _hull_and_tree(pictures, cameras, coverage, settings, stages, monitor), None
-    cameras = hull.carved.cameras
+    cameras = hull.cameras
     of_pictures = _checks(pictures, cameras, coverage, settings.trust)
     if tree is not None:
-        cameras, settled = _settled(tree, hull.carved.water.top_mm, monitor)
+        cameras, settled = _settled(tree, hull.water.top_mm, monitor)
         roots = stages.keep("roots", settled, leave=_ON_DEVICE)
         told = with_attenuation(coverage, cameras, roots.attenuation.mu_per_mm, settings=settings.coverage, monitor=monitor)
         if told is not coverage or (cameras.roots is not None and cameras.roots.believed):
@@ -104,7 +104,7 @@ def reconstruct(
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures.warnings, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
     found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
-    return replace(found, mass_g=mass_g, estimates=_estimates(hull.carved, solid, monitor), plants=of_plants, shoot=shoot)
+    return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, monitor), plants=of_plants, shoot=shoot)
 
 
 def _settled(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, RootSystem]:
@@ -113,8 +113,9 @@ def _settled(tree: RootTree, top_mm: float, monitor: Monitor) -> tuple[Cameras, 
     return tree.cameras, crown.without(rooting.settle(tree, monitor=monitor), top_mm)
 
 
-def _releasing(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
-    """Return a monitor after whose stages memory that is used no more is given back."""
+def _begun(monitor: Monitor | type[Any] | Listener | None) -> Monitor:
+    """Return a monitor after whose stages memory that is used no more is given back, and count passes from zero."""
+    passes.begin()
     made = Monitor.of(monitor)
     made.after_stage = release
     return made
@@ -162,12 +163,12 @@ def _estimates(carved: shaping.Carved, solid: Solid, monitor: Monitor) -> tuple[
 
 def _hull_and_tree(
     pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, stages: StageFolder, monitor: Monitor
-) -> tuple[shaping.TrimmedHull, RootTree | None]:
+) -> tuple[shaping.Carved, RootTree | None]:
     """Find hull and roots, and both again where the roots tell that they sway from picture to picture."""
     dataset, hull = pictures.dataset, _first_hull(pictures, cameras, coverage, settings, monitor)
     tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
     for _ in range(_SWAYS):
-        if tree is None or not rooting.swayed(tree, hull.carved.cameras):
+        if tree is None or not rooting.swayed(tree, hull.cameras):
             break
         cameras = tree.cameras
         del hull, tree  # as large as what comes in their place
@@ -176,16 +177,16 @@ def _hull_and_tree(
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 
-def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.TrimmedHull:
+def _first_hull(pictures: Pictures, cameras: Cameras, coverage: Coverage, settings: Settings, monitor: Monitor) -> shaping.Carved:
     """Carve, and again without the views that contradict all others where there are some.
 
     Where nothing is left, say what the pictures failed, too: that is the cause more often than not.
     """
     dataset = pictures.dataset
-    hull: shaping.TrimmedHull | UserError
+    hull: shaping.Carved | UserError
     try:
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        if hull.missed <= settings.trust.missed[0]:
+        if shaping.missed_share(hull) <= settings.trust.missed[0]:
             return hull
     except UserError as error:
         failed = checks.failed(_checks(pictures, cameras, coverage, settings.trust))
@@ -272,6 +273,7 @@ def gather(
         warnings=warnings,
         checks=checked,
         timings_s=dict(monitor.timings_s),
+        passes=passes.counted(),
         peak_memory_mib=peak_memory_mib(),
         settings=settings | {"finest_mm": solid.finest_mm},
         versions=versions(_VERSIONED),

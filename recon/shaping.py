@@ -108,16 +108,6 @@ def carve_hull(
     return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrimmedHull:
-    """What the silhouettes need of their hull."""
-
-    carved: Carved
-    trimmed: parsimony.Trimmed
-    missed: float
-    """Share of what some of the views show before which no part of the hull stands."""
-
-
 def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, monitor: Monitor) -> dict[int, str]:
     """Return the frames of views that contradict all others, with the reason.
 
@@ -140,8 +130,8 @@ def water_of(scene: Scene, cameras: Cameras) -> Water:
     return Water(cameras.optics.inner_radius_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm), scene.canister.floor_z_mm)
 
 
-def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> TrimmedHull:
-    """Carve the silhouettes' hull, and trim it to what they need.
+def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Carved:
+    """Carve the silhouettes' hull.
 
     Parameters
     ----------
@@ -151,21 +141,13 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
         Voxels and slack.
     monitor : Monitor
         Hears how far it is.
-
-    Returns
-    -------
-    TrimmedHull
-        The hull as carved and as trimmed.
     """
     halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
     finest_mm = settings.voxel_mm / 2**halvings
-    carved = carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
-    with monitor.stage("trim"):
-        trimmed = parsimony.trim(carved.bank, carved.maps, carved.hull.leaves)
-        return TrimmedHull(carved=carved, trimmed=trimmed, missed=_missed(carved))
+    return carve_hull(dataset, cameras, coverage, finest_mm=finest_mm, slack_px=settings.hull.slack_px, monitor=monitor)
 
 
-def _missed(carved: Carved) -> float:
+def missed_share(carved: Carved) -> float:
     """Return the share of what some views show before which no part of the hull stands."""
     leaves = carved.hull.leaves
     leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
@@ -174,13 +156,13 @@ def _missed(carved: Carved) -> float:
     return agreement.compare(carved.bank.chosen(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
 
 
-def find_roots(found: TrimmedHull, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
+def find_roots(carved: Carved, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
     ----------
-    found : TrimmedHull
-        What bounds the search.
+    carved : Carved
+        Views and silhouettes.
     coverage : Coverage
         How much light roots let through.
     scene : Scene
@@ -193,18 +175,17 @@ def find_roots(found: TrimmedHull, coverage: Coverage, scene: Scene, *, monitor:
     RootTree or None
         Tubes and solids, not yet divided into roots.
     """
-    carved, trimmed = found.carved, found.trimmed
     seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
-    return rooting.find(seen, carved.cameras, trimmed.spheres, carved.water, coverage.attenuation, monitor=monitor)
+    return rooting.find(seen, carved.cameras, carved.water, coverage.attenuation, monitor=monitor)
 
 
-def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the trimmed hull and the tubes, and measure the whole.
+def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
+    """Unite the tubes and the hull of what no tube explains, and measure the whole.
 
     Parameters
     ----------
-    found : TrimmedHull
-        Hull and trimmed hull.
+    carved : Carved
+        The hull.
     system : RootSystem or None
         The roots; None where there are none.
     coverage : Coverage
@@ -219,32 +200,33 @@ def make_solid(found: TrimmedHull, system: RootSystem | None, coverage: Coverage
     Solid
         Voxels, surface, volume and its interval.
     """
-    hull, trimmed = found.carved.hull, found.trimmed
-    # at most the hull with its outlines moved out; at least the trimmed shape, less what moving them in costs the hull
-    moved_in_mm3 = hull.leaves.volume_mm3() - hull.moved_in_mm3
-    if system is None:
-        leaves, thick = trimmed.leaves, trimmed
-        volume = leaves.volume_mm3()
-        bounds = max(0.0, volume - moved_in_mm3), hull.moved_out_mm3
-    else:
+    hull = carved.hull
+    with monitor.stage("trim"):
+        part = hull.leaves if system is None else hull.leaves.near(system.solids_mm, system.margin_mm)
+        solids = parsimony.trim(carved.bank, carved.maps, part)
+    leaves, tubes = solids.leaves, None
+    if system is not None:
         with monitor.stage("unite"):
-            united = tube_volume.unite(trimmed, system)
-        leaves, thick = united.leaves, united.thick
-        volume, share = leaves.volume_mm3(), thick.leaves.volume_mm3() / trimmed.leaves.volume_mm3()
-        bounds = max(0.0, volume - share * moved_in_mm3 - united.thinner_mm3), max(hull.moved_out_mm3, volume + united.thicker_mm3)
+            tubes = tube_volume.paint(solids.leaves, system)
+        leaves = tubes.leaves
+    volume = leaves.volume_mm3()
+    # at most the hull with its outlines moved out; at least the shape, less what moving them in costs about solids
+    moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
+    thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
+    bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
     with monitor.stage("uncertainty"):
         roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
-        hidden = _hidden_top(roots, found.carved)
-        budget = _budget(found, leaves, system, thick, settings=settings)
+        hidden = _hidden_top(roots, carved)
+        budget = _budget(carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, settings=settings)
         if hidden is not None and settings.hull.extrapolate_taproot:
             budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
             bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
-        checks = _checks(found, system, budget)
+        checks = _checks(carved, system, budget)
     solid = measure(
-        hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=thick.kept_mm3, monitor=monitor
+        hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=solids.kept_mm3, monitor=monitor
     )
     concealed = () if hidden is None else (hidden.warning(is_added=settings.hull.extrapolate_taproot),)
-    solid = replace(solid, warnings=(*_warnings(budget, thick.kept_mm3), *solid.warnings, *concealed), checks=checks)
+    solid = replace(solid, warnings=(*_warnings(budget, solids.kept_mm3), *solid.warnings, *concealed), checks=checks)
     if system is None:
         return replace(solid, mu_per_mm=None if coverage.attenuation is None else coverage.attenuation.mu_per_mm)
     attenuation = system.attenuation
@@ -261,11 +243,25 @@ def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop |
     return hidden_top.find(main, sight.gaps_mm(carved.bank, carved.maps, tops_mm, np.array([0.0, 0.0, 1.0]), carved.water))
 
 
-def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick: parsimony.Trimmed, *, settings: Settings) -> Budget:
-    """Gather what every part of the shape leaves open."""
-    carved, trimmed = found.carved, found.trimmed
+def _budget(
+    carved: Carved,
+    leaves: Leaves,
+    system: RootSystem | None,
+    solids: parsimony.Trimmed,
+    part: Leaves,
+    *,
+    wide: Leaves,
+    settings: Settings,
+) -> Budget:
+    """Gather what every part of the shape leaves open.
+
+    Parameters
+    ----------
+    leaves, wide, part : Leaves
+        Of the shape, of thick roots and solids alone, and of the hull about solids.
+    """
     volume_mm3 = leaves.volume_mm3()
-    half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, thick, carved.water)
+    half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
     told = None if system is None else tube_uncertainty.estimate(system.seen, system)
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
@@ -273,14 +269,14 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
         *solid_uncertainty.estimate(
             carved.bank,
             carved.hull,
-            trimmed,
-            thick,
+            part,
+            solids,
             slack_px=settings.hull.slack_px,
             half_excess=half,
             binary=all(silhouette.binary for silhouette in carved.silhouettes),
         ),
         sight.occluded(carved.bank, carved.maps, leaves, carved.water),
-        wall_contact.wall_contact(thick.leaves, carved.water),
+        wall_contact.wall_contact(wide, carved.water),
         solid_uncertainty.water(volume_mm3),
         *bare_uncertainty.terms(
             carved.cameras.bare,
@@ -294,12 +290,12 @@ def _budget(found: TrimmedHull, leaves: Leaves, system: RootSystem | None, thick
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
-def _checks(found: TrimmedHull, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:
+def _checks(carved: Carved, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:
     """Check what views and shape say of each other."""
     asked = None if system is None else system.cameras.roots
     sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
     agreed = shape_checks.of_sight(
-        missed=found.missed,
+        missed=missed_share(carved),
         unexplained=budget.unexplained,
         fill=budget.fill,
         trust=budget.trust,

@@ -20,6 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rhizotwin.recon import passes
 from rhizotwin.recon.device import Bool, Int32, Kernel, Point3f
 from rhizotwin.recon.hull import marks
 from rhizotwin.recon.hull.distance_maps import DistanceMaps, least_votes
@@ -90,6 +91,7 @@ def carve(
     progress : callable, optional
         Called when a level is done.
     """
+    passes.add("carvings")
     i, j, k = (a.ravel() for a in np.meshgrid(*(np.arange(n, dtype=np.int32) for n in grid.coarse_shape), indexing="ij"))
     votes = least_votes(bank.count) if min_votes is None else min_votes
     carving, nodes = _Carving(bank, maps, grid, water, votes, slack_px, ignore_blindness), [mi.Int32(i), mi.Int32(j), mi.Int32(k)]

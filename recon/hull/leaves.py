@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.recon.hull.boxes import Box, Scattered
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -64,10 +67,42 @@ class Leaves:
         """Return those that a mask (N,), numbers (M,) or a slice choose."""
         return Leaves(self.grid, self.index[chosen], self.size[chosen], self.occupancy[chosen])
 
+    def near(self, points_mm: Array, margin_mm: float) -> Leaves:
+        """Return those within a margin of points (M, 3)."""
+        near = np.zeros(len(self.size), bool)
+        if len(points_mm):
+            reach_mm = margin_mm + 0.5 * self.grid.size_mm * (self.size - 1)
+            tree = cKDTree(points_mm)
+            for edge in np.unique(self.size):  # without a bound, what is far takes longest
+                some = np.flatnonzero(self.size == edge)
+                most_mm = float(reach_mm[some[0]])
+                near[some] = tree.query(self.middles_mm[some], distance_upper_bound=most_mm, workers=-1)[0] < most_mm
+        return self.some(near)
+
     def volume_mm3(self, occupancy: NDArray[np.float32] | None = None) -> float:
         """Return the summed volume, also for other occupancies (N,) of the same leaves."""
         cubes = (self.size.astype(np.float64) * self.grid.size_mm) ** 3
         return float(cubes @ (self.occupancy if occupancy is None else occupancy).astype(np.float64))
+
+
+def united(first: Leaves, second: Leaves) -> Leaves:
+    """Unite leaves of one grid: of those within a larger one nothing is left, of two alike the fuller."""
+    parts = (first.some(~_within(first, second)), second.some(~_within(second, first)))
+    index, size, occupancy = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy"))
+    _, place, which = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True)
+    fuller = np.zeros(len(place), np.float32)
+    np.maximum.at(fuller, which, occupancy)
+    return Leaves(first.grid, index[place], size[place], fuller)
+
+
+def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
+    """Tell which leaves (N,) lie within larger ones of others."""
+    within = np.zeros(len(leaves.size), bool)
+    for edge in np.unique(others.size):
+        smaller = np.flatnonzero(leaves.size < edge)
+        larger = Scattered.of(others.index[others.size == edge] // edge)
+        within[smaller] |= larger.holds(leaves.index[smaller] // edge)
+    return within
 
 
 @dataclass(frozen=True)

@@ -73,25 +73,14 @@ class Trimmed:
         """Return the volume that is hull still."""
         return self.leaves.volume_mm3(self.kept)
 
-    def near(self, points_mm: Array, margin_mm: float) -> Trimmed:
-        """Return the part that lies within a margin of points (M, 3)."""
-        leaves, near = self.leaves, np.zeros(len(self.kept), bool)
-        if len(points_mm):
-            reach_mm = margin_mm + 0.5 * leaves.grid.size_mm * (leaves.size - 1)
-            tree = cKDTree(points_mm)
-            for edge in np.unique(leaves.size):  # without a bound, what is far takes longest
-                some = np.flatnonzero(leaves.size == edge)
-                most_mm = float(reach_mm[some[0]])
-                near[some] = tree.query(leaves.middles_mm[some], distance_upper_bound=most_mm, workers=-1)[0] < most_mm
-        return replace(self, leaves=leaves.some(near), kept=self.kept[near])
-
 
 def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
     """Trim a hull to what its silhouettes need.
 
     The trimmed shape's occupancies are at most the hull's.
     """
-    spheres, doubtful = grow_spheres(bank, maps, centre_lines(leaves))
+    points = centre_lines(leaves) if len(leaves.size) else np.zeros((0, 3))
+    spheres, doubtful = grow_spheres(bank, maps, points)
     if not len(spheres.radius_mm):
         return Trimmed(leaves, spheres, doubtful, leaves.occupancy)
     index, size, hull, inside = against(spheres, leaves)

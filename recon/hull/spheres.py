@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rhizotwin.recon.device import Float, UInt32, numbers, vectors, wholes
-from rhizotwin.recon.hull.leaves import Leaves
+from rhizotwin.recon.hull.leaves import Grid, Leaves
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,27 @@ def against(spheres: Spheres, leaves: Leaves) -> tuple[NDArray[np.int32], NDArra
         carried = ((index[~whole][:, None] + offset).reshape(-1, 3), np.repeat(hull[~whole], 8))
     index, size, hull, inside = (np.concatenate(column) for column in zip(*done, strict=True))
     return index, size, hull, inside
+
+
+def fill(spheres: Spheres, grid: Grid) -> Leaves:
+    """Fill spheres with leaves: as large as lie wholly inside, and finest ones at the surface."""
+    low, shape = np.asarray(grid.origin_mm), np.array(grid.coarse_shape)
+    edge = 2**grid.levels
+    if not len(spheres.radius_mm):
+        return Leaves(grid, np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    listed = _Listed.of(spheres, low, low + shape * edge * grid.size_mm, _HALF_DIAGONAL * edge * grid.size_mm)
+    index, done = np.argwhere(np.ones(shape, bool)).astype(np.int32) * edge, list[tuple[NDArray[np.generic], ...]]()
+    offset = np.array(list(np.ndindex(2, 2, 2)), np.int32)
+    while edge >= 1:
+        size_mm = edge * grid.size_mm
+        depth = listed.depth_mm(low + index * grid.size_mm + 0.5 * size_mm)
+        share = np.clip(0.5 + depth / size_mm, 0.0, 1.0).astype(np.float32)
+        whole = depth > _HALF_DIAGONAL * size_mm if edge > 1 else share > 0.0
+        done.append((index[whole], np.full(int(whole.sum()), edge, np.int32), share[whole]))
+        cut = index[~whole & (depth > -_HALF_DIAGONAL * size_mm)]
+        edge //= 2
+        index = (cut[:, None] + offset * edge).reshape(-1, 3)
+    return Leaves(grid, *(np.concatenate(column) for column in zip(*done, strict=True)))
 
 
 def in_common_mm3(spheres: Spheres, leaves: Leaves) -> float:

@@ -136,6 +136,8 @@ class Result:
     """Length, tips and mean diameter, each with an interval and a verdict of its own; empty without roots."""
     timings_s: dict[str, float]
     """Seconds that each stage took."""
+    passes: Mapping[str, int] = field(default_factory=dict)
+    """Passes over all pictures by kind (`recon.passes`); empty in results of earlier versions."""
     peak_memory_mib: float
     settings: Json
     versions: dict[str, str]
@@ -234,6 +236,7 @@ class Result:
             "rig": self.rig,
             "warnings": list(self.warnings),
             "timings_s": self.timings_s,
+            **self.passes,
             "peak_memory_mib": self.peak_memory_mib,
             "settings": self.settings,
             "versions": self.versions,

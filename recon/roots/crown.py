@@ -111,28 +111,32 @@ def _line(corners: Sequence[Array], step_mm: float) -> Array:
 
 
 def without(system: RootSystem, top_mm: float) -> RootSystem:
-    """Return roots of several plants without what only holds them together.
+    """Return roots without what no picture shows: of several plants what only holds them together, of one its base.
 
-    Those nodes count as solid, of which no root is made, and as buried, which adds no volume.
+    Those nodes count as solid, of which no root is made and which add no volume.
 
     Parameters
     ----------
     top_mm : float
         z of the water that is seen, below the net pot.
     """
-    if not system.seen.tops_mm:
-        return system
-    at, height_mm = system.seen.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2]
+    at, height_mm, radius_mm = system.seen.project(system.tubes.centre_mm), system.tubes.centre_mm[:, 2], system.tubes.radius_mm
     shown = np.zeros(len(height_mm), np.int64)
     for view, silhouette in enumerate(system.seen.silhouettes):
         column, row = np.round(np.where(at.seen[view][:, None], at.px[view], 0.0)).astype(np.int64).T
         shown += at.seen[view] & silhouette.seen[row, column]
-    high, radius_mm = height_mm > top_mm - HIDDEN_MM, system.tubes.radius_mm
-    held = (height_mm > top_mm) | (high & (shown < _FEW))
+    hidden = shown < _FEW
+    if not system.seen.tops_mm:
+        base = system.tubes.branches[0]
+        held = np.zeros(len(height_mm), bool)
+        held[base[: int(np.argmin(hidden[base]))]] = True
+        return replace(system, solid=system.solid | held)
+    high = height_mm > top_mm - HIDDEN_MM
+    held = (height_mm > top_mm) | (high & hidden)
     for nodes in system.tubes.branches:
         if held[nodes[0]] and not held[nodes].all():  # below the net pot the fit left little of what is no root
             own = nodes[int(np.argmin(held[nodes])) :]
             thick = radius_mm[own] > _LEFT * float(np.median(radius_mm[own]))
             above = own[: int(np.argmax(thick))]
             held[above[high[above]]] = True
-    return replace(system, solid=system.solid | held, buried=system.buried | held)
+    return replace(system, solid=system.solid | held)

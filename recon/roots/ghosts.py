@@ -106,7 +106,7 @@ def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
     return found & ~organ
 
 
-def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
+def dispensable(tubes: Tubes, without: Mask, more: Array, proved: Proof) -> Mask:
     """Tell the nodes (N,) of branches without which the others, fitted anew, explain the pictures about as well.
 
     Parameters
@@ -115,13 +115,14 @@ def dispensable(tubes: Tubes, without: Mask, more: Array, alone: Array) -> Mask:
         Nodes that were left out.
     more : (N,) float64 array
         By how much the squared difference about each node grew.
-    alone : (N,) float64 array
-        What each explains where nothing else does.
+    proved : Proof
+        What each explains, also where nothing else does.
     """
     gone = np.zeros(len(without), bool)
     for k in np.unique(tubes.owner[without]).tolist():
         own = tubes.own(k)
-        gone[own] = more[own].sum() < _OWN * alone[own].sum()
+        # the difference about a thin tube is mostly that of the thick one which hides it: what it explains counts, too
+        gone[own] = min(more[own].sum(), proved.explained[own].sum()) < _OWN * proved.alone[own].sum()
     return gone & without
 
 

@@ -77,26 +77,27 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
-def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cells, depth: Float, px_a_mm: float) -> Tubes:
+def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, depth: Float, px_a_mm: float) -> Tubes:
     """Hang on a tree the roots that its tubes leave unexplained.
 
     Parameters
     ----------
-    organ : (N,) bool array
-        Nodes of taproot and hypocotyl.
+    thick : (N,) bool array
+        Nodes of thick roots.
     cells : Cells
-        Search space, taproot and hypocotyl left out.
+        Search space, solids left out.
     px_a_mm : float
         Scale in the middle of the water.
     """
-    centre = cells.centre_mm  # once: it is computed anew each time
-    own = own_coverage(evidence, centre, depth)
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
-    away, nearest = cKDTree(line).query(centre, workers=-1)
-    reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(
-        ghosts.flanked(found, organ)[node], ghosts.FLANK_PX / px_a_mm, 0.0
-    )
-    inside = away < reach[nearest]
+    flanked = ghosts.flanked(found, thick)
+    reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
+    away, nearest = cKDTree(line).query(cells.centre_mm, workers=-1)
+    # few views look past the flank of what is thick: nothing begins there that no path in the density did
+    beside = ~((away < reach[nearest]) & thick[node[nearest]])
+    cells, away, nearest = cells.chosen(beside), away[beside], nearest[beside]
+    centre = cells.centre_mm  # once: it is computed anew each time
+    own, inside = own_coverage(evidence, centre, depth), away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found
@@ -113,10 +114,10 @@ def grow(evidence: Evidence, found: Tubes, organ: NDArray[np.bool_], cells: Cell
     lines = tracing.branches(centre, before, np.where(sure & np.isfinite(cost), length, -1.0), claim, _LEAST_MM)
     paths, radii, parents = [], [], []
     for way in lines:
-        thick = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        thick = radius_of(thick, evidence.mu_per_mm, evidence.hairs)
+        opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
+        wide = radius_of(opaque, evidence.mu_per_mm, evidence.hairs)
         paths.append(centre[way])
-        radii.append(np.full(len(way), float(np.median(thick[1:]))))
+        radii.append(np.full(len(way), float(np.median(wide[1:]))))
         first = int(node[nearest[way[0]]])
         if inside[way[0]] and at_tip[way[0]]:
             first = int(ends[np.argmin(np.linalg.norm(found.centre_mm[ends] - centre[way[0]], axis=1))])

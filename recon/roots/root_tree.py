@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.roots import hierarchy, thick_lines
+from rhizotwin.recon.roots import hierarchy, organs, thick_lines
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.rsml import Root
@@ -23,16 +23,12 @@ class RootTree:
     """Roots found as tubes, with what they were fitted to."""
 
     tubes: Tubes
-    buried: Mask
-    """(N,) nodes within taproot or hypocotyl, whose shape the trimmed hull gives."""
-    organ: Mask
-    """(N,) nodes of taproot and hypocotyl: they are not fitted."""
     solid: Mask
     """(N,) nodes in what no root explains: spheres, boxes and bulbs."""
-    core_mm: Array
-    """(M, 3) points deep inside taproot and hypocotyl."""
+    solids_mm: Array
+    """(M, 3) points deep inside of these, whose shape the trimmed hull gives."""
     margin_mm: float
-    """Within this of a core point lies the whole of a taproot or hypocotyl."""
+    """Within this of such a point lies the whole of a solid."""
     px_a_mm: float
     attenuation: TubeAttenuation
     """How much light roots let through, and how blurred the pictures are."""
@@ -40,6 +36,11 @@ class RootTree:
     """What it was fitted to."""
     cameras: Cameras
     """Those of ``seen``."""
+
+    @property
+    def thick(self) -> Mask:
+        """Return the nodes (N,) of thick roots."""
+        return organs.is_thick(self.tubes, self.px_a_mm)
 
     @property
     def blur_px(self) -> float:
@@ -56,16 +57,18 @@ class RootSystem(RootTree):
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children, each from where it leaves its parent's inside."""
-        number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm.copy()  # the root that each node is of
+        number, centre = np.full(len(self.solid), -1), self.tubes.centre_mm  # the root that each node is of
         roots: list[Root] = []
         for k, nodes in enumerate(self.tubes.branches):
-            diameters, added = 2.0 * self.tubes.radii(k), self.tubes.own(k)  # all but the node that is its parent's
-            centre[added] = thick_lines.calmed(self.tubes.centre_mm[nodes], 0.5 * diameters, self.organ[nodes])[-len(added) :]
+            diameters = 2.0 * self.tubes.radii(k)
             for run in np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(self.solid[nodes].astype(np.int64))) + 1):
                 own = nodes[run]
                 if self.solid[own[0]] or len(own) < 2:
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
+                if parent < 0:
+                    run = run[thick_lines.head(centre[own], 0.5 * diameters[run]) :]
+                    own = nodes[run]
                 number[own[number[own] < 0]] = len(roots)
                 order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
                 root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)

@@ -14,9 +14,9 @@ from rhizotwin.recon.coverage.evidence import CORE_PX, Evidence
 from rhizotwin.recon.coverage.translucency import Attenuation
 from rhizotwin.recon.hull.boxes import Scattered
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import density, ghosts, organs, proof, search_space, tracing
 from rhizotwin.recon.roots.density import Cells
+from rhizotwin.recon.roots.organs import Core
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.roots.settling import AFTER_STEPS, Settling
 from rhizotwin.recon.tubes import root_calibration, root_hairs, root_sway, tube_attenuation, tube_fit, tube_picture, tubes
@@ -39,17 +39,13 @@ _FIRST_STEPS = 3
 """Steps of the fits, fewer than a whole one (`tube_fit.STEPS`): before the blur is known."""
 
 
-def find(
-    seen: Evidence, cameras: Cameras, spheres: Spheres, water: Water, learned: Attenuation | None, *, monitor: Monitor
-) -> RootTree | None:
+def find(seen: Evidence, cameras: Cameras, water: Water, learned: Attenuation | None, *, monitor: Monitor) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
     ----------
     seen, cameras : Evidence, Cameras
         Measured coverage, and the cameras of its views in their order.
-    spheres : Spheres
-        Inside the hull, as `parsimony.trim` grew them.
     learned : Attenuation or None
         With which opacity became coverage; None where the pictures were silhouettes already.
     """
@@ -60,38 +56,35 @@ def find(
         return None
     cells, core, start = found
     with monitor.stage("tubes"):
-        near_mm = 1.5 * cells.grid.size_mm
         whole = seen
-        seen, core, fitted, organ = _first_fit(seen, start, core, spheres, near_mm, px_a_mm)
-        depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm, most_mm=0.0)
+        seen, solids, fitted, thick = _first_fit(seen, start, core, px_a_mm)
+        depth = tracing.core_depth(cells, solids.index, reach_mm=margin_mm, most_mm=0.0)
     with monitor.stage("translucency"):
-        attenuation, seen, fitted = _attenuated(seen, fitted, organ, learned)
+        attenuation, seen, fitted = _attenuated(seen, fitted, thick, learned)
     with monitor.stage("branches"):
         whole = replace(seen, seen=whole.seen)
-        settle = Settling(seen, whole, core, spheres, near_mm, attenuation.blur_px, ghosts.FLANK_PX / px_a_mm, px_a_mm)
-        fitted, _, organ = settle.settled(fitted, tube_fit.STEPS)
-        stays = fitted.staying(ghosts.short_leaves(fitted, organ))
-        fitted, organ = fitted.keep(stays), organ[stays]
+        settle = Settling(seen, whole, attenuation.blur_px, px_a_mm)
+        fitted = settle.settled(fitted, tube_fit.STEPS)
+        fitted = fitted.keep(fitted.staying(ghosts.short_leaves(fitted, organs.is_thick(fitted, px_a_mm))))
     with monitor.stage("residue"):
-        fitted, buried, organ = settle.searched(fitted, organ, cells.chosen(depth <= depth.min()))
-    solid = organs.in_solids(fitted, core, organ, margin_mm)
+        fitted = settle.searched(fitted, cells.chosen(depth <= depth.min()))
+    solid = organs.in_solids(fitted, solids, margin_mm)
     if solid.all():
         return None
+    thick = organs.is_thick(fitted, px_a_mm)
     with monitor.stage("sway"):
-        seen, cameras, fitted = root_sway.follow(seen, cameras, fitted, organ, blur_px=attenuation.blur_px, px_a_mm=px_a_mm)
+        seen, cameras, fitted = root_sway.follow(seen, cameras, fitted, thick, blur_px=attenuation.blur_px, px_a_mm=px_a_mm)
     if attenuation.mu_per_mm is not None:
         with monitor.stage("translucency again"):
-            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
+            attenuation, seen, fitted = _refined(seen, fitted, thick, attenuation, learned)
     with monitor.stage("hairs"):
-        attenuation, seen, fitted = root_hairs.find(seen, fitted, organ, attenuation)
+        attenuation, seen, fitted = root_hairs.find(seen, fitted, thick, attenuation)
         if seen.hairs is not None and attenuation.mu_per_mm is not None:  # what was fitted without them was fainter and wider
-            attenuation, seen, fitted = _refined(seen, fitted, organ, attenuation, learned)
+            attenuation, seen, fitted = _refined(seen, fitted, thick, attenuation, learned)
     return RootTree(
         tubes=fitted,
-        buried=buried,
-        organ=organ,
         solid=solid,
-        core_mm=core.centre_mm,
+        solids_mm=solids.centre_mm,
         margin_mm=margin_mm,
         px_a_mm=px_a_mm,
         attenuation=attenuation,
@@ -100,38 +93,37 @@ def find(
     )
 
 
-def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Cells, Tubes] | None:
+def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
     """Find the first tubes.
 
     Return the cells that hold root, the cores of what is thick, and the tubes; None where there is no root.
     """
     with monitor.stage("search"):
-        cells, core = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
+        cells, deep = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
         if not len(cells.index):
             return None
     with monitor.stage("density"):
-        cells, depth = _weighed(seen, cells, core, px_a_mm, margin_mm)
+        cells, depth = _weighed(seen, cells, deep, px_a_mm, margin_mm)
     with monitor.stage("trace"):
         paths = tracing.trace(cells, depth) if len(cells.index) else []
         if not paths:
             return None
+        inside = depth > 0.0
+        core = Core(cells.chosen(inside), depth[inside])
         return cells, core, tubes.string([path.points_mm for path in paths], [tracing.first_radius(path) for path in paths])
 
 
-def _first_fit(
-    seen: Evidence, start: Tubes, core: Cells, spheres: Spheres, near_mm: float, px_a_mm: float
-) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Fit the traced tubes beside taproot and hypocotyl.
+def _first_fit(seen: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
+    """Fit the traced tubes beside the solids.
 
-    Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are organs.
+    Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are thick.
     """
-    # what is wide begins wide, a tube or not
-    start = tubes.from_axes(organs.thicken(start, core, spheres, near_mm)[0])
-    core = organs.thick(core, spheres, organs.LEAST_PX / px_a_mm)
-    seen = seen.beside(organs.footprint(seen, core, CORE_PX + _BEYOND_PX))
-    start, _, organ = organs.centred(start, core, spheres, near_mm)
-    fitted, _ = tube_fit.fit(seen, start, organ, blur_px=0.0, steps=_FIRST_STEPS)
-    return seen, core, fitted, organ
+    start = tubes.from_axes(organs.thicken(start, core, px_a_mm)[0])
+    start, thick = organs.thicken(start, core, px_a_mm)
+    solids = organs.without_roots(core, start, thick, px_a_mm)
+    seen = seen.beside(organs.footprint(seen, solids, CORE_PX + _BEYOND_PX)) if len(solids.index) else seen
+    fitted, _ = tube_fit.fit(seen, start, thick, blur_px=0.0, steps=_FIRST_STEPS)
+    return seen, solids, fitted, organs.is_thick(fitted, px_a_mm)
 
 
 def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
@@ -148,25 +140,25 @@ def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_m
 
 
 def _refined(
-    seen: Evidence, fitted: Tubes, organ: Mask, attenuation: TubeAttenuation, learned: Attenuation | None
+    seen: Evidence, fitted: Tubes, thick: Mask, attenuation: TubeAttenuation, learned: Attenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Find the attenuation once more with all roots there, and fit the tubes with it; return as `_attenuated`."""
-    attenuation, fitted = tube_attenuation.refine(seen, fitted, organ, attenuation, None if learned is None else learned.mu_per_mm)
+    attenuation, fitted = tube_attenuation.refine(seen, fitted, thick, attenuation, None if learned is None else learned.mu_per_mm)
     seen = replace(seen, mu_per_mm=attenuation.mu_per_mm)
-    fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=attenuation.blur_px, steps=AFTER_STEPS)
+    fitted, _ = tube_fit.fit(seen, fitted, thick, blur_px=attenuation.blur_px, steps=AFTER_STEPS)
     return attenuation, seen, fitted
 
 
-def _attenuated(seen: Evidence, fitted: Tubes, organ: Mask, learned: Attenuation | None) -> tuple[TubeAttenuation, Evidence, Tubes]:
+def _attenuated(seen: Evidence, fitted: Tubes, thick: Mask, learned: Attenuation | None) -> tuple[TubeAttenuation, Evidence, Tubes]:
     """Find how much light thin roots let through; return that, what the pictures say then, and the tubes."""
     attenuation, fitted = tube_attenuation.find(
-        seen, fitted, organ, find_blur(seen, fitted), None if learned is None else learned.mu_per_mm
+        seen, fitted, thick, find_blur(seen, fitted), None if learned is None else learned.mu_per_mm
     )
     if attenuation.mu_per_mm is None and learned is not None and learned.mu_per_mm is not None:
         # thick roots seemed translucent, and their coverage was raised, but thin ones are opaque: opacity itself is
         # their coverage
         seen = seen.by_light()
-        fitted, _ = tube_fit.fit(seen, fitted, organ, blur_px=0.0, steps=_FIRST_STEPS)
+        fitted, _ = tube_fit.fit(seen, fitted, thick, blur_px=0.0, steps=_FIRST_STEPS)
         attenuation = replace(attenuation, blur_px=find_blur(seen, fitted))
     if attenuation.mu_per_mm is not None:
         seen = replace(seen.by_light(), mu_per_mm=attenuation.mu_per_mm)
@@ -187,21 +179,19 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
         With cameras to go on with; ``cameras.roots`` tells what came of it, None where there are too few roots to tell.
     """
     with monitor.stage("calibration"):
-        seen, fitted, cameras = root_calibration.calibrate(tree.seen, tree.cameras, tree.tubes, tree.organ, blur_px=tree.blur_px)
+        seen, fitted, cameras = root_calibration.calibrate(tree.seen, tree.cameras, tree.tubes, tree.thick, blur_px=tree.blur_px)
         return replace(tree, seen=seen, tubes=fitted, cameras=cameras)
 
 
 def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
     """Bring the tubes to rest, and tell which ends are likely none."""
     with monitor.stage("last tubes"):
-        fitted, residual = tube_fit.fit(tree.seen, tree.tubes, tree.organ, blur_px=tree.blur_px, steps=AFTER_STEPS)
-        uncertain = ghosts.uncertain_ends(fitted, residual.visible, proof.find(tree.seen, fitted, tree.blur_px), tree.organ)
+        fitted, residual = tube_fit.fit(tree.seen, tree.tubes, tree.thick, blur_px=tree.blur_px, steps=AFTER_STEPS)
+        uncertain = ghosts.uncertain_ends(fitted, residual.visible, proof.find(tree.seen, fitted, tree.blur_px), tree.thick)
     return RootSystem(
         tubes=fitted,
-        buried=tree.buried,
-        organ=tree.organ,
         solid=tree.solid,
-        core_mm=tree.core_mm,
+        solids_mm=tree.solids_mm,
         margin_mm=tree.margin_mm,
         px_a_mm=tree.px_a_mm,
         attenuation=tree.attenuation,

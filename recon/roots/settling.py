@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import Float
-from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import ghosts, linking, organs, proof, residue, tips
 from rhizotwin.recon.roots.density import Cells
 from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
@@ -33,82 +32,77 @@ class Settling:
     """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and linked."""
 
     seen: Evidence
-    """Beside taproot and hypocotyl."""
+    """Beside solids."""
     whole: Evidence
     """With them."""
-    core: Cells
-    spheres: Spheres
-    near_mm: float
     blur_px: float
-    flank_mm: float
-    """Within this of an organ's radius, what is found is the organ's."""
     px_a_mm: float
     """Scale in the middle of the water."""
 
-    def settled(self, tree: Tubes, steps: int) -> tuple[Tubes, Mask, Mask]:
-        """Return the tree at rest, the nodes (N,) buried in taproot and hypocotyl, and those that are its axis."""
-        tree, _, organ = organs.centred(tree, self.core, self.spheres, self.near_mm)
-        tree, _ = tube_fit.fit(self.seen, tree, organ, blur_px=self.blur_px, steps=steps)
+    def settled(self, tree: Tubes, steps: int) -> Tubes:
+        """Return the tree at rest."""
+        tree, _ = tube_fit.fit(self.seen, tree, self.thick(tree), blur_px=self.blur_px, steps=steps)
         tree = tips.placed(self.whole, tree, self.blur_px, self.px_a_mm)
         proved = proof.find(self.seen, tree, self.blur_px)
-        gone = ghosts.unexplaining(tree, proved, organ) | ghosts.inside_another(tree, organ, self.flank_mm)
-        return self.joined(tree.keep(tree.staying(gone)))
+        gone = ghosts.unexplaining(tree, proved, self.thick(tree)) | self.inside_another(tree)
+        return joined(tree.keep(tree.staying(gone)))
 
-    def searched(self, tree: Tubes, organ: Mask, outside: Cells) -> tuple[Tubes, Mask, Mask]:
-        """Add the roots that the tree leaves unexplained; return as `settled` does.
+    def searched(self, tree: Tubes, outside: Cells) -> Tubes:
+        """Add the roots that the tree leaves unexplained, and bring it to rest.
 
         Parameters
         ----------
-        organ : (N,) bool array
-            Nodes of organs.
         outside : Cells
-            Where roots may be, beside organs.
+            Where roots may be, beside solids.
         """
         seen, blur_px = self.seen, self.blur_px
         for _ in range(_SEARCHES):
-            tree, organ = self.alone(tree, organ)
-            tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_BETWEEN_STEPS)
+            tree = self.alone(tree)
+            tree, _ = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=_BETWEEN_STEPS)
             depth = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
-            grown = residue.grow(seen, tree, organ, outside, depth, self.px_a_mm)
-            tree, _, organ = self.settled(grown, _BETWEEN_STEPS)
-        tree, _ = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=_LAST_STEPS)
-        tree, organ = self.alone(tree, organ)
-        tree = tips.placed(self.whole, tree, blur_px, self.px_a_mm)
-        tree, residual = tube_fit.fit(seen, tree, organ, blur_px=blur_px, steps=AFTER_STEPS)
-        return self.ended(tree, residual, organ)
+            grown = residue.grow(seen, tree, self.thick(tree), outside, depth, self.px_a_mm)
+            tree = self.settled(grown, _BETWEEN_STEPS)
+        tree, _ = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=_LAST_STEPS)
+        tree = tips.placed(self.whole, self.alone(tree), blur_px, self.px_a_mm)
+        tree, residual = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=AFTER_STEPS)
+        return self.ended(tree, residual)
 
-    def alone(self, tree: Tubes, organ: Mask) -> tuple[Tubes, Mask]:
-        """Return a tree without the tubes that the others, fitted without them, can do without; and its organs (N,)."""
+    def alone(self, tree: Tubes) -> Tubes:
+        """Return a tree without the tubes that the others, fitted without them, can do without."""
         proved = proof.find(self.seen, tree, self.blur_px)
-        unproven = ghosts.unproven(tree, proved, organ)
-        others = tree.staying(unproven)
+        others = tree.staying(ghosts.unproven(tree, proved, self.thick(tree)))
         if others.all():
-            return tree, organ
-        fitted, _ = tube_fit.fit(self.seen, tree.keep(others), organ[others], blur_px=self.blur_px, steps=_BETWEEN_STEPS)
+            return tree
+        kept = tree.keep(others)
+        fitted, _ = tube_fit.fit(self.seen, kept, self.thick(kept), blur_px=self.blur_px, steps=_BETWEEN_STEPS)
         left, more = (np.nansum(tube_profiles.misfit(self.seen, tree, self._unexplained(drawn)), axis=0) for drawn in (tree, fitted))
-        stays = tree.staying(ghosts.dispensable(tree, ~others, more - left, proved.alone))
-        return tree.keep(stays), organ[stays]
+        return tree.keep(tree.staying(ghosts.dispensable(tree, ~others, more - left, proved)))
 
-    def _unexplained(self, tree: Tubes) -> Float:
-        """Return what a tree leaves of the pictures."""
-        return tube_picture.compared(self.seen, tree, self.seen.project(tree.centre_mm), self.blur_px)[1]
-
-    def ended(self, tree: Tubes, residual: ResidualGradient, organ: Mask) -> tuple[Tubes, Mask, Mask]:
-        """Join the ends that are none where they can go on; return as `settled` does.
+    def ended(self, tree: Tubes, residual: ResidualGradient) -> Tubes:
+        """Join the ends that are none where they can go on.
 
         Parameters
         ----------
         residual : ResidualGradient
             What the pictures said of each node of the tree at rest.
-        organ : (N,) bool array
-            Nodes of organs.
         """
-        uncertain = ghosts.uncertain_ends(tree, residual.visible, proof.find(self.seen, tree, self.blur_px), organ)
-        tree, kept = linking.link(tree, uncertain)
-        inner = ghosts.inside_another(tree, organ[kept], self.flank_mm)
-        return self.joined(tree.keep(tree.staying(inner)))
+        proved = proof.find(self.seen, tree, self.blur_px)
+        tree, _ = linking.link(tree, ghosts.uncertain_ends(tree, residual.visible, proved, self.thick(tree)))
+        return joined(tree.keep(tree.staying(self.inside_another(tree))))
 
-    def joined(self, tree: Tubes) -> tuple[Tubes, Mask, Mask]:
-        """Return the tree with its pieces connected, and the nodes (N,) as above."""
-        tree = tubes.without_gaps(tubes.without_stubs(linking.link(tree)[0]))
-        return organs.centred(tubes.from_axes(tree), self.core, self.spheres, self.near_mm)
+    def thick(self, tree: Tubes) -> Mask:
+        """Tell the nodes (N,) of thick roots."""
+        return organs.is_thick(tree, self.px_a_mm)
+
+    def inside_another(self, tree: Tubes) -> Mask:
+        """Tell the nodes (N,) inside other tubes."""
+        return ghosts.inside_another(tree, self.thick(tree), ghosts.FLANK_PX / self.px_a_mm)
+
+    def _unexplained(self, tree: Tubes) -> Float:
+        """Return what a tree leaves of the pictures."""
+        return tube_picture.compared(self.seen, tree, self.seen.project(tree.centre_mm), self.blur_px)[1]
+
+
+def joined(tree: Tubes) -> Tubes:
+    """Return a tree with its pieces connected."""
+    return tubes.from_axes(tubes.without_gaps(tubes.without_stubs(linking.link(tree)[0])))

@@ -1,6 +1,4 @@
-"""The lines of what is thick: without what no view shows of them.
-
-A line through a taproot or hypocotyl follows the middles of spheres, and wanders where many of these are as large.
+"""The lines of laterals on thick roots: without what no view shows of them.
 
 No view shows where a lateral begins within a storage root, and a path along the middle of what is wide is longer than
 any root. The tissue of such an organ is laid down about laterals that were there before: they begin near its skin.
@@ -24,28 +22,26 @@ BURIED_MM = 1.0
 """Laterals count from their parent's axis, but from no deeper below its surface than this: secondary growth lays down
 a storage root's tissue outside of the stele of the young root, of a diameter of some millimetres, on which they grew
 (Esau 1977, Anatomy of Seed Plants, chapter 15)."""
+_HEAD = 0.02
+"""A section reaches beyond a sphere that holds it by this share of its radius, squared, at most: radii are found to
+that."""
 SWOLLEN = 4.0
 """A root so many times as thick as a lateral on it has swollen since: bulbs and carrots of the library are 6 to 50
 times as thick, the roots of the printed phantom, that never were young, 1.2 to 3.1 times."""
-_CALM_RADII = 0.5
-"""Lines of taproot and hypocotyl are averaged over so many of their radii to both sides: half as far as the views can
-tell one sphere in them from the next. A line that bends with a radius of five of its own becomes 0.2 % shorter."""
-_CALM_SAMPLES = 9
-"""Of that way: its ends are no farther apart than nodes in organs of up to 5 mm."""
 
 
-def calmed(line_mm: Array, radius_mm: Array, organ: NDArray[np.bool_]) -> Array:
-    """Return the nodes (N, 3) of a branch without the wiggles of what is thick; its ends stay.
+def head(points_mm: Array, radius_mm: Array) -> int:
+    """Return the last point of a line whose sphere holds the section at its base.
+
+    A round head belongs to that sphere: lines end at their last spheres' centres, at the base as at the tip.
 
     Parameters
     ----------
-    radius_mm, organ : (N,) float64 and bool arrays
-        Radius of each node, and whether it is taproot or hypocotyl: others were fitted to the pictures.
+    points_mm, radius_mm : (N, 3) and (N,) float64 arrays
+        From the base on.
     """
-    way = polyline.way_mm(line_mm)
-    half = np.where(organ, np.minimum(_CALM_RADII * radius_mm, np.minimum(way, way[-1] - way)), 0.0)
-    at = way[:, None] + half[:, None] * np.linspace(-1.0, 1.0, _CALM_SAMPLES)
-    return np.asarray(polyline.between(line_mm, way, at.ravel()).reshape(len(line_mm), _CALM_SAMPLES, 3).mean(axis=1))
+    rim_2 = np.square(points_mm - points_mm[0]).sum(axis=1) + radius_mm[0] ** 2
+    return int(np.flatnonzero(rim_2 <= (1.0 + _HEAD**2) * np.square(radius_mm))[-1])
 
 
 def emerged(roots: Sequence[Root]) -> tuple[Root, ...]:

@@ -252,9 +252,11 @@ def _on_branches(tubes: Tubes) -> tuple[Array, Array, Index, Array]:
 def levelled(occupancy: Array) -> Array:
     """Return occupancies (N,) of at most 1 with the same sum.
 
-    What sampling put too much into full nodes goes to the others.
+    What sampling put too much into full nodes goes to the others, in proportion.
     """
-    factor, total = 1.0, float(occupancy.sum())
-    for _ in range(5):
-        factor *= total / max(float(np.minimum(factor * occupancy, 1.0).sum()), 1e-12)
-    return np.minimum(factor * occupancy, 1.0)
+    falling = np.sort(occupancy)[::-1]
+    full = np.arange(len(falling))  # so many of them are full, with the factor that the others then have
+    rest = np.cumsum(occupancy[np.argsort(occupancy)])[::-1]
+    factor = np.maximum(rest[:1] - full, 0.0) / np.maximum(rest, 1e-12)
+    enough = np.flatnonzero(factor * falling <= 1.0)
+    return np.minimum((factor[enough[0]] if len(enough) else 1.0) * occupancy, 1.0)

@@ -21,6 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from rhizotwin.recon import passes
 from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
 from rhizotwin.recon.device import Bool, Float, Int32, Kernel, UInt32, Vector2f, numbers, vectors, wholes
 from rhizotwin.recon.optics.projection import Projected
@@ -63,9 +64,9 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
     evidence, tubes, at, blur_px : Evidence, Tubes, Nodes, float
         Views and what hides the tubes; the tree, and where its nodes lie in the pictures; blur of these.
     """
-    depth = (1.0 - mi.Float(evidence.seen)) * _HIDDEN
+    passes.add("renderings")
+    depth, strips = (1.0 - mi.Float(evidence.seen)) * _HIDDEN, _Strips.of(evidence, tubes, at)
     dr.eval(depth)
-    strips = _Strips.of(evidence, tubes, at)
     if strips is None:
         return depth
     (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way

@@ -14,7 +14,7 @@ from rhizotwin.recon import device
 from rhizotwin.recon.hull import carve
 from rhizotwin.recon.hull.carve import Water
 from rhizotwin.recon.hull.distance_maps import DistanceMaps
-from rhizotwin.recon.hull.leaves import Grid, Hull
+from rhizotwin.recon.hull.leaves import Grid, Hull, Leaves
 from rhizotwin.recon.hull.parsimony import Trimmed
 from rhizotwin.recon.hull.spheres import Spheres, in_common_mm3
 from rhizotwin.recon.optics import projection
@@ -46,14 +46,14 @@ _INDEX = 0.002
 
 
 def estimate(
-    bank: ViewBank, hull: Hull, trimmed: Trimmed, thick: Trimmed, *, slack_px: float, half_excess: float, binary: bool
+    bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, binary: bool
 ) -> tuple[Term, ...]:
-    """Return the terms of a trimmed hull.
+    """Return the terms of solids.
 
     Parameters
     ----------
-    thick : Trimmed
-        The part of it that is in the shape (the rest is given by tubes).
+    part, solids : Leaves, Trimmed
+        The part of the hull about them, and that trimmed.
     slack_px : float
         By how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     half_excess : float
@@ -61,12 +61,11 @@ def estimate(
     binary : bool
         Whether the silhouettes tell an outline to the pixel only.
     """
-    volume, whole, thick_mm3 = (leaves.volume_mm3() for leaves in (trimmed.leaves, hull.leaves, thick.leaves))
-    share = thick_mm3 / max(volume, 1e-9)
-    by_px = mm3_per_px(hull, slack_px=slack_px) * min(1.0, volume / whole)
+    thick_mm3, kept = solids.leaves.volume_mm3(), solids.kept_mm3
+    by_px = mm3_per_px(hull, slack_px=slack_px) * thick_mm3 / hull.leaves.volume_mm3()
     outline_px, least_px = (_OUTLINE_BINARY_PX, _LEAST_BINARY_PX) if binary else (_OUTLINE_PX, _LEAST_PX)
-    outline, removed, kept = share * outline_px * by_px, share * max(0.0, whole - volume), thick.kept_mm3
-    beside = min(_beside_spheres(bank, hull, thick, least_px), removed) if removed > 0.0 else 0.0
+    outline, removed = outline_px * by_px, max(0.0, part.volume_mm3() - thick_mm3)
+    beside = min(_beside_spheres(bank, part, solids, least_px), removed) if removed > 0.0 else 0.0
     absent = max(_ABSENT, kept / max(kept + removed, 1e-9))
     trimmable = max(thick_mm3 - kept, 1e-9)
     excess = max(half_excess, min(removed / trimmable, 1.0) if kept < trimmable else 0.0)
@@ -87,7 +86,7 @@ def estimate(
     )
 
 
-def _beside_spheres(bank: ViewBank, hull: Hull, thick: Trimmed, least_px: float) -> float:
+def _beside_spheres(bank: ViewBank, part: Leaves, thick: Trimmed, least_px: float) -> float:
     """Return how much of a hull (mm3) lies beside thick parts' spheres where outlines cannot tell what is there.
 
     That is what lies within some pixels of them, and what spheres would fill that few views bound.
@@ -106,9 +105,9 @@ def _beside_spheres(bank: ViewBank, hull: Hull, thick: Trimmed, least_px: float)
     )
     low = (wider.centre_mm - wider.radius_mm[:, None]).min(axis=0)
     high = (wider.centre_mm + wider.radius_mm[:, None]).max(axis=0)
-    half_mm = 0.5 * hull.leaves.grid.size_mm * hull.leaves.size[:, None]
-    middle = hull.leaves.middles_mm
-    near = hull.leaves.some(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
+    half_mm = 0.5 * part.grid.size_mm * part.size[:, None]
+    middle = part.middles_mm
+    near = part.some(((middle > low - half_mm) & (middle < high + half_mm)).all(axis=1))
     return in_common_mm3(wider, near) - in_common_mm3(spheres, near)
 
 

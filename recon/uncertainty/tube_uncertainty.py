@@ -64,7 +64,7 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
     at = seen.project(tubes.centre_mm)
     depth, difference = tube_picture.compared(seen, tubes, at, system.blur_px)
     profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
-    gain = np.where(system.buried, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
+    gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
     wish = _wishes(tubes, profiles, gain)
     total = float(wish.sum())
     blur_px = system.blur_px + _BLUR_STEP_PX
@@ -102,8 +102,8 @@ def _translucency(system: RootSystem) -> tuple[Term, ...]:
     attenuation, tubes = system.attenuation, system.tubes
 
     def volume_mm3(mu_per_mm: float | None) -> float:
-        radius = attenuation_trials.scaled(tubes, system.buried, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
-        return float(np.pi * np.where(system.buried, 0.0, radius**2) @ _lengths(tubes))
+        radius = attenuation_trials.scaled(tubes, system.solid, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
+        return float(np.pi * np.where(system.solid, 0.0, radius**2) @ _lengths(tubes))
 
     if attenuation.mu_per_mm is not None:
         now, (low, high) = (
@@ -124,7 +124,7 @@ def _hairs(system: RootSystem) -> tuple[Term, ...]:
     if told == "none":
         return ()
     there = system.seen.hairs
-    other = attenuation_trials.with_light_kept(tubes, system.buried, (mu, there), (mu, HAIRS if there is None else None))
+    other = attenuation_trials.with_light_kept(tubes, system.solid, (mu, there), (mu, HAIRS if there is None else None))
     change = float(np.pi * (np.square(other.radius_mm) - np.square(tubes.radius_mm)) @ _lengths(tubes))
     if told == "maybe":
         why = "the pictures do not tell whether hairs stand about the roots"

@@ -29,7 +29,7 @@ _STEPS = 8
 def fitter(result_folder: Path, dataset: Dataset) -> Refit:
     """Return what fits roots to a dataset's pictures again, from the coverage that the result kept of them.
 
-    Taproot and hypocotyl stay as they are: their shape is the hull's. The laterals' first points stay on their parents.
+    Thick roots stay as they are, which every picture shows. Laterals' first points stay on their parents.
 
     Raises
     ------
@@ -48,6 +48,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         from rhizotwin.recon.optics.projection import ViewBank
         from rhizotwin.recon.roots.rooting import find_blur
         from rhizotwin.recon.tubes import tube_fit
+        from rhizotwin.recon.tubes import tubes as tube_shapes
         from rhizotwin.stored.load import load_result
 
         cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
@@ -58,6 +59,8 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
         fitted, _ = tube_fit.fit(seen, tubes, fixed, blur_px=find_blur(seen, tubes), steps=_STEPS)
+        centre = np.where(fixed[:, None], tubes.centre_mm, fitted.centre_mm)
+        fitted = tube_shapes.moved(fitted, centre, np.where(fixed, tubes.radius_mm, fitted.radius_mm))
         found = {}
         for k, number in enumerate(numbers):
             nodes = fitted.branches[k]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import trimesh
@@ -12,6 +13,7 @@ import trimesh
 from rhizotwin.recon.calibration.cameras import Camera
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.optics.cameras import STILL
+from rhizotwin.recon.passes import Pass
 from rhizotwin.recon.results import by_plant
 from rhizotwin.recon.results.parts import Json, picture_path
 from rhizotwin.recon.results.result import POSES, Result, Solid, triple
@@ -51,6 +53,7 @@ def load_result(folder: Path | str) -> Result:
         checks=tuple(Check(**check) for check in summary.get("checks", ())),
         estimates=tuple(Estimate(**{**told, "interval": tuple(told["interval"])}) for told in summary.get("estimates", ())),
         timings_s={str(stage): float(seconds) for stage, seconds in summary["timings_s"].items()},
+        passes={kind: int(summary[kind]) for kind in get_args(Pass) if kind in summary},
         peak_memory_mib=float(summary.get("peak_memory_mib") or 0.0),
         settings=summary.get("settings", {}),
         versions=summary.get("versions", {}),

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
+from rhizotwin.recon.passes import Pass
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
 
@@ -162,6 +163,7 @@ _MAYBE: dict[str, Fits] = {
             },
         )
     ),
+    **dict.fromkeys(get_args(Pass), _number),
     **dict.fromkeys(("mass_g", "root_mu_per_mm", "root_mu_sigma_per_mm", "peak_memory_mib"), _or_none(_number)),
 }
 """Keys that some results have."""

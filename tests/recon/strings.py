@@ -81,15 +81,13 @@ def pictured(system: tubes.Tubes, noise: float = 0.0) -> Evidence:
     return drawn(system, nothing(), noise=noise)
 
 
-def at_rest(found: tubes.Tubes, *, px_a_mm: float, core_mm: np.ndarray | None = None, blur_px: float = 0.0) -> RootSystem:
-    """Return tubes as roots without thick organs; ``core_mm`` (M, 3) puts one beside them."""
+def at_rest(found: tubes.Tubes, *, px_a_mm: float, solids_mm: np.ndarray | None = None, blur_px: float = 0.0) -> RootSystem:
+    """Return tubes as roots without solids; ``solids_mm`` (M, 3) puts one beside them."""
     no_nodes = np.zeros(len(found.radius_mm), bool)
     return RootSystem(
         tubes=found,
-        buried=no_nodes,
-        organ=no_nodes,
         solid=no_nodes,
-        core_mm=np.zeros((0, 3)) if core_mm is None else core_mm,
+        solids_mm=np.zeros((0, 3)) if solids_mm is None else solids_mm,
         margin_mm=0.6,
         px_a_mm=px_a_mm,
         attenuation=TubeAttenuation.opaque(blur_px),

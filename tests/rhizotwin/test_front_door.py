@@ -57,7 +57,7 @@ def test_stages_are_kept_for_study(found: Reconstructed) -> None:
     poses, coverage, hull = (np.load(stages / f"{name}.npz", allow_pickle=False) for name in ("cameras", "coverage", "hull"))
     assert np.array_equal(poses[kept["cameras"]["all"][3]["cam_from_canister"]["npz"]], result.cameras[3].cam_from_canister)
     assert np.array_equal(coverage["silhouettes/3/coverage"], result.silhouettes[result.cameras[3].file].coverage)
-    leaves = kept["hull"]["carved"]["hull"]["leaves"]
+    leaves = kept["hull"]["hull"]["leaves"]
     cubes_mm3 = (hull[leaves["size"]["npz"]] * leaves["grid"]["size_mm"]) ** 3
     assert cubes_mm3 @ hull[leaves["occupancy"]["npz"]] == pytest.approx(result.solid.hull_mm3)
     assert kept["solid"]["volume"]["mm3"] == result.volume_mm3

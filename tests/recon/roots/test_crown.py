@@ -8,7 +8,6 @@ import pytest
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Silhouette
 from rhizotwin.recon.hull.carve import Water
-from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import crown, plants, rooting
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Monitor
@@ -41,8 +40,7 @@ def test_both_plants_are_found_each_with_its_roots() -> None:
     assert all(scene.net_pot.grid_z_mm < z < scene.net_pot.top_mm for _, _, z in tops)
     assert crown.tops(replace(scene, plants=(A,))) == ()
     evidence = replace(Evidence.of(pictures[0].bank, drawn), tops_mm=tops)
-    spheres = Spheres(*(np.concatenate([getattr(one, name) for one in true.values()]) for name in ("centre_mm", "radius_mm")))
-    tree = rooting.find(evidence, standing(), spheres, Water(35.0, GRID_MM, -60.0), None, monitor=Monitor())
+    tree = rooting.find(evidence, standing(), Water(35.0, GRID_MM, -60.0), None, monitor=Monitor())
     assert tree is not None
     system = crown.without(rooting.settle(tree, monitor=Monitor()), GRID_MM)
     given = plants.give(system.roots(), (A, B), grid_z_mm=GRID_MM)

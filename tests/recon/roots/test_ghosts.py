@@ -48,4 +48,4 @@ def test_a_second_tube_of_a_root_is_dispensable_and_a_root_beside_it_is_not():
 
     for without, judged, expected in ((found.owner > 0, found.owner == 1, ()), (found.owner == 2, found.owner == 2, (2,))):
         more = unexplained(found.keep(found.staying(without))) - unexplained(found)
-        np.testing.assert_array_equal(ghosts.dispensable(found, judged, more, proved.alone), np.isin(found.owner, expected))
+        np.testing.assert_array_equal(ghosts.dispensable(found, judged, more, proved), np.isin(found.owner, expected))

@@ -1,9 +1,9 @@
-"""Lines of what is thick: no wiggles, and laterals count from where they leave what has swollen about them."""
+"""Laterals on thick roots count from where they leave what has swollen about them."""
 
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots.thick_lines import BURIED_MM, calmed, emerged
+from rhizotwin.recon.roots.thick_lines import BURIED_MM, emerged, head
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 from tests.recon.strings import line
@@ -41,20 +41,10 @@ def test_where_nothing_has_swollen_laterals_begin_on_the_axis(parent: Root, late
     assert emerged([parent, lateral]) == (parent, lateral)
 
 
-def test_a_line_that_wanders_within_an_organ_is_calmed() -> None:
-    wandering = np.concatenate([np.random.default_rng(1).normal(0.0, 0.2, (40, 3)), np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -40.0], 70)])
-    calm = calmed(wandering, np.full(len(wandering), 8.0), np.ones(len(wandering), bool))
-    assert polyline.length_mm(wandering) > 50.0
-    assert polyline.length_mm(calm) == pytest.approx(40.0, abs=3.0)
-    assert calm[[0, -1]] == pytest.approx(wandering[[0, -1]])
-
-
-def test_straight_lines_bends_and_fitted_nodes_stay() -> None:
-    straight = np.linspace([0.0, 0.0, 0.0], [3.0, 4.0, 0.0], 9)
-    assert calmed(straight, np.full(9, 2.0), np.ones(9, bool)) == pytest.approx(straight)
-    fitted = np.cumsum(np.random.default_rng(2).normal(size=(9, 3)), axis=0)
-    assert calmed(fitted, np.full(9, 2.0), np.zeros(9, bool)) == pytest.approx(fitted)
-    turn = np.linspace(0.0, np.pi, 60)
-    bend = 10.0 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    calm = calmed(bend, np.full(60, 2.0), np.ones(60, bool))
-    assert polyline.length_mm(calm) == pytest.approx(polyline.length_mm(bend), rel=0.003)
+def test_a_round_head_belongs_to_the_sphere_below_it() -> None:
+    z = np.linspace(0.0, -30.0, 61)
+    points = np.column_stack([np.zeros((61, 2)), z])
+    capsule = np.sqrt(np.clip(36.0 - np.clip(z + 6.0, 0.0, None) ** 2, 0.01, None))
+    assert z[head(points, capsule)] == pytest.approx(-6.0, abs=1.6)
+    assert head(points, np.full(61, 6.0)) == 0, "a flat end"
+    assert head(points, np.linspace(2.0, 0.2, 61)) == 0

@@ -1,13 +1,9 @@
-"""The volume of tubes, against closed forms, and their union with thick organs."""
-
-from dataclasses import replace
+"""The volume of tubes, against closed forms, and beside solids."""
 
 import numpy as np
 import pytest
 
 from rhizotwin.recon.hull.leaves import Grid, Leaves
-from rhizotwin.recon.hull.parsimony import Trimmed
-from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots import tube_volume
 from rhizotwin.recon.tubes import filling, tubes
 from tests.recon.strings import at_rest, line, strung
@@ -27,20 +23,17 @@ def test_filled_volume_is_that_of_the_frustum():
     assert filled.volume_mm3.sum() == pytest.approx(expected, rel=2e-3)
 
 
-def test_uniting_keeps_thick_organs_and_adds_tubes():
+def test_tubes_are_painted_beside_solids():
     grid = Grid(np.array([-8.0, -8.0, -48.0]), 0.125, 3, (20, 20, 40))
     index = np.array([[64, 64, 200]], np.int32)
     solid = Leaves(grid, index, np.array([8], np.int32), np.ones(1, np.float32))
-    trimmed = Trimmed(solid, Spheres(np.zeros((0, 3)), np.zeros(0)), Spheres(np.zeros((0, 3)), np.zeros(0)), np.zeros(1, np.float32))
-    core = grid.origin_mm + (index + 4) * 0.125
-    path = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0))
-    system = strung(path)
-    found = at_rest(system, px_a_mm=4.0, core_mm=core, blur_px=0.3)
-    united = tube_volume.unite(trimmed, found)
-    assert united.thick.leaves.volume_mm3() == pytest.approx(1.0)
-    assert united.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0 + half_ball(0.2), rel=0.01)
-    far = replace(found, core_mm=core + 5.0)
-    assert tube_volume.unite(trimmed, far).thick.leaves.volume_mm3() == 0.0
+    path, wide = line((-4.0, 0.0, -40.0), (-4.0, 0.0, -20.0)), line((4.0, 4.0, -20.0), (4.0, 4.0, -40.0))
+    thin = tube_volume.paint(solid, at_rest(strung(path), px_a_mm=4.0, blur_px=0.3))
+    assert thin.thick.volume_mm3() == pytest.approx(1.0)
+    assert thin.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 0.04 * 20.0 + half_ball(0.2), rel=0.01)
+    thick = tube_volume.paint(solid, at_rest(strung(wide, radius_mm=1.0), px_a_mm=4.0, blur_px=0.3))
+    assert thick.thick.volume_mm3() == pytest.approx(thick.leaves.volume_mm3())
+    assert thick.leaves.volume_mm3() == pytest.approx(1.0 + np.pi * 20.0 + half_ball(1.0), rel=0.01)
 
 
 @pytest.mark.parametrize(("radius_mm", "apart_mm"), [(0.3, 0.4), (0.75, 1.05), (0.75, 1.6)])
