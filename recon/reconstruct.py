@@ -170,10 +170,10 @@ def _hull_and_tree(
     for _ in range(_SWAYS):
         if tree is None or not rooting.swayed(tree, hull.cameras):
             break
-        cameras = tree.cameras
+        cameras, known = tree.cameras, tree.attenuation
         del hull, tree  # as large as what comes in their place
         hull = shaping.find_hull(dataset, cameras, coverage, settings, monitor=monitor)
-        tree = shaping.find_roots(hull, coverage, dataset.scene, monitor=monitor)
+        tree = shaping.find_roots(hull, coverage, dataset.scene, known=known, monitor=monitor)
     return stages.keep("hull", hull, leave=_ON_DEVICE), tree
 
 

@@ -20,6 +20,7 @@ from rhizotwin.recon.results.result import Solid, triple
 from rhizotwin.recon.roots import crown, rooting, tube_volume
 from rhizotwin.recon.roots.root_tree import RootSystem, RootTree
 from rhizotwin.recon.settings import Settings
+from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.recon.uncertainty import (
     bare_uncertainty,
     canister_uncertainty,
@@ -156,7 +157,9 @@ def missed_share(carved: Carved) -> float:
     return agreement.compare(carved.bank.chosen(views), [carved.silhouettes[k] for k in views], leaves.middles_mm, edge_mm).share
 
 
-def find_roots(carved: Carved, coverage: Coverage, scene: Scene, *, monitor: Monitor) -> RootTree | None:
+def find_roots(
+    carved: Carved, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
+) -> RootTree | None:
     """Find the roots as a tree of tubes; None where there are none.
 
     Parameters
@@ -167,6 +170,8 @@ def find_roots(carved: Carved, coverage: Coverage, scene: Scene, *, monitor: Mon
         How much light roots let through.
     scene : Scene
         Where plants begin.
+    known : TubeAttenuation, optional
+        As in `rooting.find`.
     monitor : Monitor
         Hears how far it is.
 
@@ -176,7 +181,7 @@ def find_roots(carved: Carved, coverage: Coverage, scene: Scene, *, monitor: Mon
         Tubes and solids, not yet divided into roots.
     """
     seen = replace(Evidence.of(carved.bank, carved.silhouettes), tops_mm=crown.tops(scene))
-    return rooting.find(seen, carved.cameras, carved.water, coverage.attenuation, monitor=monitor)
+    return rooting.find(seen, carved.cameras, carved.water, coverage.attenuation, known=known, monitor=monitor)
 
 
 def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
@@ -262,7 +267,7 @@ def _budget(
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
-    told = None if system is None else tube_uncertainty.estimate(system.seen, system)
+    told = None if system is None else tube_uncertainty.estimate(system)
     edges = None if carved.cameras.markers is None else carved.cameras.markers.canister
     terms = (
         *(() if told is None else told.terms),

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, blurred
-from rhizotwin.recon.coverage.translucency import Hairs
 from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
@@ -49,10 +48,10 @@ class Evidence:
     image_wh: tuple[int, int]
     mu_per_mm: float | None = None
     """Attenuation of the roots; None for opaque ones."""
-    hairs: Hairs | None = None
-    """What stands about the roots; None: nothing that was seen."""
-    light: bool = False
-    """Whether ``coverage`` is opacity, which comes with its noise; coverage comes without."""
+    hairs: float = 0.0
+    """Strength of the hairs about the roots, in those of `translucent_tube.HAIRS`."""
+    blur_px: float = 0.0
+    """Standard deviation of the pictures' blur, beside the square pixel's own."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
     """Where each of several plants hangs, behind the net pot, canister frame, mm; empty: there is one."""
 
@@ -69,7 +68,7 @@ class Evidence:
         return all(silhouette.opacity is not None for silhouette in self.silhouettes)
 
     def by_light(self) -> Evidence:
-        """Return the opacity of all views as the evidence, roots still taken for opaque.
+        """Return the opacity of all views as the evidence: it comes with its noise, coverage without.
 
         Raises
         ------
@@ -79,7 +78,7 @@ class Evidence:
         pictures = [s.opacity for s in self.silhouettes if s.opacity is not None]
         if len(pictures) < len(self.silhouettes):
             raise ValueError(f"only {len(pictures)} of {len(self.silhouettes)} views have an opacity")
-        return replace(self, coverage=halves(pictures), light=True)
+        return replace(self, coverage=halves(pictures))
 
     def beside(self, covered: NDArray[np.bool_]) -> Evidence:
         """Return what the pictures say where nothing else (V, H, W) covers them."""

@@ -34,9 +34,8 @@ _INSIDE = 0.9
 _SHARED = 0.3
 """A branch that explains for itself a smaller part of what it covers may be a second tube of a root, or a ghost among
 roots."""
-_OWN = 0.1
-"""It is one where the others, fitted without it, leave less than this part of what it covers: false ones -0.03 to 0.09,
-true ones 0.19."""
+_THINNER = 0.5
+"""A root whose beginning is thinner than this share of the rest begins elsewhere: roots taper towards their tips."""
 _SHORT_MM = 1.5
 """Branches that stand out less than this must prove that their neighbours, fitted without them, leave them
 unexplained."""
@@ -95,35 +94,18 @@ def inside_another(tubes: Tubes, organ: Mask, flank_mm: float) -> Mask:
 
 
 def unproven(tubes: Tubes, proved: Proof, organ: Mask) -> Mask:
-    """Tell the nodes (N,) of branches that explain for themselves only a small part of what they cover.
+    """Tell the nodes (N,) from the beginnings of branches that together explain only a small part of what they cover.
 
-    Second tubes of a root, perhaps.
+    Second tubes of a root, ghosts among roots, and detours beside other roots to where a branch truly begins.
     """
-    found = np.zeros(len(organ), bool)
+    found = np.zeros(len(tubes.radius_mm), bool)
     for k in range(1, len(tubes.branches)):
         own = tubes.own(k)
-        found[own] = proved.explained[own].sum() < _SHARED * proved.alone[own].sum()
+        little = np.flatnonzero(np.cumsum(proved.explained[own]) < _SHARED * np.cumsum(proved.alone[own]))
+        first, rest = np.split(own, [little.max(initial=-1) + 1])
+        if not len(rest) or (len(first) and np.median(tubes.radius_mm[first]) < _THINNER * np.median(tubes.radius_mm[rest])):
+            found[first] = True
     return found & ~organ
-
-
-def dispensable(tubes: Tubes, without: Mask, more: Array, proved: Proof) -> Mask:
-    """Tell the nodes (N,) of branches without which the others, fitted anew, explain the pictures about as well.
-
-    Parameters
-    ----------
-    without : (N,) bool array
-        Nodes that were left out.
-    more : (N,) float64 array
-        By how much the squared difference about each node grew.
-    proved : Proof
-        What each explains, also where nothing else does.
-    """
-    gone = np.zeros(len(without), bool)
-    for k in np.unique(tubes.owner[without]).tolist():
-        own = tubes.own(k)
-        # the difference about a thin tube is mostly that of the thick one which hides it: what it explains counts, too
-        gone[own] = min(more[own].sum(), proved.explained[own].sum()) < _OWN * proved.alone[own].sum()
-    return gone & without
 
 
 def short_leaves(tubes: Tubes, organ: Mask) -> Mask:

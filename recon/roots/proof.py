@@ -9,12 +9,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.evidence import Evidence, Nodes
-from rhizotwin.recon.device import Float
-from rhizotwin.recon.tubes import tube_picture
-from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
+from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
 from rhizotwin.recon.tubes.tube_profiles import Sections
-from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
 
@@ -40,13 +36,7 @@ class Proof:
         return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
 
 
-def find(seen: Evidence, tree: Tubes, blur_px: float) -> Proof:
-    """Draw tubes, and weigh what every node explains."""
-    at = seen.project(tree.centre_mm)
-    return weigh(seen, tree, at, *tube_picture.compared(seen, tree, at, blur_px), blur_px)
-
-
-def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Proof:
+def find(drawn: Rendering) -> Proof:
     """Weigh what every node explains.
 
     With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the
@@ -54,32 +44,27 @@ def weigh(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference:
 
     Parameters
     ----------
-    evidence : Evidence
-        What the pictures say.
-    tubes, at : Tubes, Nodes
-        The tree, and where its nodes lie in the pictures.
-    depth, difference : Float
-        Of the drawn tubes, as `tube_picture.compared` gives them.
-    blur_px : float
-        Of the pictures.
+    drawn : Rendering
+        The tree.
 
     Returns
     -------
     Proof
         (N,) for each of its fields.
     """
-    cut = Sections.of(evidence, tubes, at)
+    evidence, at = drawn.evidence, drawn.at
+    cut = Sections.of(evidence, drawn.tubes, at)
     if cut is None:
         return Proof(*[np.zeros(at.shape[1])] * 3)
-    per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(blur_px, PIXEL_SIGMA)) * 2.0**0.5))
+    per_px = dr.opaque(mi.Float, 1.0 / (float(np.hypot(evidence.blur_px, PIXEL_SIGMA)) * 2.0**0.5))
     explained, left, alone = (dr.zeros(mi.Float, cut.count) for _ in range(3))
     reach_px = cut.half_px + _FLANK_PX
     for k in range(_SAMPLES):
         o = cut.offset(k, _SAMPLES, reach_px)
-        d, t, told = cut.read(o, difference, depth, evidence.seen)
+        d, passing, told = cut.read(o, drawn.difference, drawn.passing, evidence.seen)
         c = sum(layer.height * 0.5 * (dr.erf((o + layer.half_px) * per_px) - dr.erf((o - layer.half_px) * per_px)) for layer in cut.layers)
         c = dr.minimum(c, FULLEST)
-        own = c * dr.minimum(dr.exp(-t) / (1 - c), 1.0)
+        own = c * dr.minimum(passing / (1 - c), 1.0)
         explained += own * (2.0 * d + own)
         left += dr.square(d)
         alone += dr.square(c) * told

@@ -48,17 +48,16 @@ _TIP_MM = 0.4
 """So near another root's end, an end is the same."""
 
 
-def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
+def own_coverage(evidence: Evidence, points_mm: Array, free: Float) -> Array:
     """Return the coverage (N,) that points have of their own, averaged over the views; 0 where too few tell.
 
     Parameters
     ----------
-    depth : Float
-        Optical depth of the tubes in all views, as `recon.tubes.tube_picture.optical_depth` draws it.
+    free : Float
+        Share of light that the tubes let through in all views (`recon.tubes.tube_picture.transmittance`).
     """
-    free = dr.exp(-depth)
     left = mi.Float16((evidence.coverage - (1.0 - free)) * evidence.seen)
-    dr.eval(free, left)
+    dr.eval(left)
     width, height = evidence.image_wh
     point, pixels = points(points_mm), dr.opaque(mi.UInt32, evidence.pixels)
 
@@ -77,7 +76,7 @@ def own_coverage(evidence: Evidence, points_mm: Array, depth: Float) -> Array:
     return np.where(np.array(weight) > _LEAST_VIEWS, np.array(top) / np.maximum(np.array(weight), 1e-6), 0.0)
 
 
-def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, depth: Float, px_a_mm: float) -> Tubes:
+def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cells, free: Float, px_a_mm: float) -> Tubes:
     """Hang on a tree the roots that its tubes leave unexplained.
 
     Parameters
@@ -97,7 +96,7 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
     cells, away, nearest = cells.chosen(beside), away[beside], nearest[beside]
     centre = cells.centre_mm  # once: it is computed anew each time
-    own, inside = own_coverage(evidence, centre, depth), away < reach[nearest]
+    own, inside = own_coverage(evidence, centre, free), away < reach[nearest]
     sure = ~inside & (own > _SURE)
     if not sure.any() or not inside.any():
         return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.roots import hierarchy, organs, thick_lines
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.scenes.rsml import Root
 
@@ -31,7 +33,9 @@ class RootTree:
     """Within this of such a point lies the whole of a solid."""
     px_a_mm: float
     attenuation: TubeAttenuation
-    """How much light roots let through, and how blurred the pictures are."""
+    """How much light roots let through."""
+    learned_per_mm: float | None = None
+    """Attenuation as the widest roots seem to have it."""
     seen: Evidence
     """What it was fitted to."""
     cameras: Cameras
@@ -42,11 +46,6 @@ class RootTree:
         """Return the nodes (N,) of thick roots."""
         return organs.is_thick(self.tubes, self.px_a_mm)
 
-    @property
-    def blur_px(self) -> float:
-        """Return the standard deviation of the pictures' blur."""
-        return self.attenuation.blur_px
-
 
 @dataclass(frozen=True, kw_only=True)
 class RootSystem(RootTree):
@@ -54,6 +53,11 @@ class RootSystem(RootTree):
 
     uncertain: Mask
     """(N,) nodes of ends whose tips are likely none."""
+
+    @cached_property
+    def drawn(self) -> Rendering:
+        """The roots as the views show them."""
+        return Rendering.of(self.seen, self.tubes)
 
     def roots(self) -> tuple[Root, ...]:
         """Return the branches as roots, parents before children, each from where it leaves its parent's inside."""

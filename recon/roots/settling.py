@@ -8,23 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.device import Float
 from rhizotwin.recon.roots import ghosts, linking, organs, proof, residue, tips
 from rhizotwin.recon.roots.density import Cells
-from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
-from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
+from rhizotwin.recon.tubes import tube_fit, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_fit import Fit
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Mask = NDArray[np.bool_]
 
 _SEARCHES = 2
 """Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
-_BETWEEN_STEPS = 4
-"""Steps of the fits, fewer than a whole one (`tube_fit.STEPS`): between searches ..."""
-_LAST_STEPS = 4
-"""... before ends are judged ..."""
-AFTER_STEPS = 2
-"""... and after something that all roots share has changed a little."""
+_STEPS = 4
+"""Steps of each fit: tubes that stay are fitted again and again, and what is new is judged on its way."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +31,16 @@ class Settling:
     """Beside solids."""
     whole: Evidence
     """With them."""
-    blur_px: float
     px_a_mm: float
     """Scale in the middle of the water."""
 
-    def settled(self, tree: Tubes, steps: int) -> Tubes:
+    def settled(self, tree: Tubes) -> Tubes:
         """Return the tree at rest."""
-        tree, _ = tube_fit.fit(self.seen, tree, self.thick(tree), blur_px=self.blur_px, steps=steps)
-        tree = tips.placed(self.whole, tree, self.blur_px, self.px_a_mm)
-        proved = proof.find(self.seen, tree, self.blur_px)
+        tree = self.fitted(tree).tubes
+        tree = tips.placed(self.whole, tree, self.px_a_mm)
+        proved = proof.find(Rendering.of(self.seen, tree))
         gone = ghosts.unexplaining(tree, proved, self.thick(tree)) | self.inside_another(tree)
+        tree = tree.without_detours(gone)
         return joined(tree.keep(tree.staying(gone)))
 
     def searched(self, tree: Tubes, outside: Cells) -> Tubes:
@@ -55,40 +51,30 @@ class Settling:
         outside : Cells
             Where roots may be, beside solids.
         """
-        seen, blur_px = self.seen, self.blur_px
         for _ in range(_SEARCHES):
-            tree = self.alone(tree)
-            tree, _ = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=_BETWEEN_STEPS)
-            depth = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
-            grown = residue.grow(seen, tree, self.thick(tree), outside, depth, self.px_a_mm)
-            tree = self.settled(grown, _BETWEEN_STEPS)
-        tree, _ = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=_LAST_STEPS)
-        tree = tips.placed(self.whole, self.alone(tree), blur_px, self.px_a_mm)
-        tree, residual = tube_fit.fit(seen, tree, self.thick(tree), blur_px=blur_px, steps=AFTER_STEPS)
-        return self.ended(tree, residual)
+            fit = self.proven(tree)
+            grown = residue.grow(self.seen, fit.tubes, self.thick(fit.tubes), outside, fit.drawn.passing, self.px_a_mm)
+            tree = self.settled(grown)
+        return self.ended(tips.placed(self.whole, self.proven(tree).tubes, self.px_a_mm))
 
-    def alone(self, tree: Tubes) -> Tubes:
-        """Return a tree without the tubes that the others, fitted without them, can do without."""
-        proved = proof.find(self.seen, tree, self.blur_px)
-        others = tree.staying(ghosts.unproven(tree, proved, self.thick(tree)))
-        if others.all():
-            return tree
-        kept = tree.keep(others)
-        fitted, _ = tube_fit.fit(self.seen, kept, self.thick(kept), blur_px=self.blur_px, steps=_BETWEEN_STEPS)
-        left, more = (np.nansum(tube_profiles.misfit(self.seen, tree, self._unexplained(drawn)), axis=0) for drawn in (tree, fitted))
-        return tree.keep(tree.staying(ghosts.dispensable(tree, ~others, more - left, proved)))
+    def proven(self, tree: Tubes) -> Fit:
+        """Fit a tree without what explains little by itself: second tubes of a root, or pieces of its flank."""
+        fit = self.fitted(tree)
+        gone = ghosts.unproven(fit.tubes, proof.find(fit.drawn), self.thick(fit.tubes)) | self.inside_another(fit.tubes)
+        tree = fit.tubes.without_detours(gone)
+        stays = tree.staying(gone)
+        return fit if stays.all() else self.fitted(tree.keep(stays))
 
-    def ended(self, tree: Tubes, residual: ResidualGradient) -> Tubes:
-        """Join the ends that are none where they can go on.
-
-        Parameters
-        ----------
-        residual : ResidualGradient
-            What the pictures said of each node of the tree at rest.
-        """
-        proved = proof.find(self.seen, tree, self.blur_px)
-        tree, _ = linking.link(tree, ghosts.uncertain_ends(tree, residual.visible, proved, self.thick(tree)))
+    def ended(self, tree: Tubes) -> Tubes:
+        """Join the ends that are none where they can go on."""
+        drawn = Rendering.of(self.seen, tree)
+        visible = tube_profiles.profiles(drawn).residual_gradient().visible
+        tree, _ = linking.link(tree, ghosts.uncertain_ends(tree, visible, proof.find(drawn), self.thick(tree)))
         return joined(tree.keep(tree.staying(self.inside_another(tree))))
+
+    def fitted(self, tree: Tubes) -> Fit:
+        """Fit a tree."""
+        return tube_fit.fit(self.seen, tree, self.thick(tree), steps=_STEPS)
 
     def thick(self, tree: Tubes) -> Mask:
         """Tell the nodes (N,) of thick roots."""
@@ -97,10 +83,6 @@ class Settling:
     def inside_another(self, tree: Tubes) -> Mask:
         """Tell the nodes (N,) inside other tubes."""
         return ghosts.inside_another(tree, self.thick(tree), ghosts.FLANK_PX / self.px_a_mm)
-
-    def _unexplained(self, tree: Tubes) -> Float:
-        """Return what a tree leaves of the pictures."""
-        return tube_picture.compared(self.seen, tree, self.seen.project(tree.centre_mm), self.blur_px)[1]
 
 
 def joined(tree: Tubes) -> Tubes:

@@ -40,7 +40,7 @@ _LEAST_LENGTH = 0.5
 """Ends are shortened to this part of their length at most; what has less is judged as a whole."""
 
 
-def placed(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Tubes:
+def placed(seen: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
     """Move the tips of a tree along their axes to where the pictures say that they end.
 
     Parameters
@@ -50,14 +50,14 @@ def placed(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Tubes
     px_a_mm : float
         Scale in the middle of the water.
     """
-    off_mm = _off(seen, tree, blur_px, px_a_mm)
+    off_mm = _off(seen, tree, px_a_mm)
     centre = tree.centre_mm.copy()
     for line, move in zip(tree.ends, off_mm, strict=True):
         centre[line] = _stretched(tree.centre_mm[line], float(move))
     return tubes.moved(tree, centre, tree.radius_mm)
 
 
-def _off(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Array:
+def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
     """Return how far (T,) each tip lies beyond where it was put, mm; 0 where too few views tell."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
@@ -68,10 +68,9 @@ def _off(seen: Evidence, tree: Tubes, blur_px: float, px_a_mm: float) -> Array:
     way = reach[:, None] * np.linspace(-1.0, 1.0, _SAMPLES)  # (T, S)
     point = tree.centre_mm[tip][:, None] + way[..., None] * axis[:, None]
     at = seen.project(point.reshape(-1, 3))
-    depth = tube_picture.optical_depth(seen, tree, seen.project(tree.centre_mm), blur_px)
+    explained_there = 1.0 - tube_picture.transmittance(seen, tree, seen.project(tree.centre_mm))
     views, p = at.shape[0], at.on_device
     start = wholes(np.repeat(np.arange(views), at.shape[1]) * seen.pixels)
-    explained_there = 1.0 - dr.exp(-depth)
     dr.eval(explained_there)
     measured, explained, told = (
         np.array(bilinear(picture, start, seen.image_wh[0], p.px.x, p.px.y, p.seen)).reshape(views, *way.shape)

@@ -31,8 +31,10 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import inverse, scatter
-from rhizotwin.recon.tubes import sight_change, tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import sight_change, tube_fit, tube_profiles
+from rhizotwin.recon.tubes.root_light import LEAST_VARIANCE
 from rhizotwin.recon.tubes.sight_change import QUANTITIES, Quantity
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles, ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes
 
@@ -63,8 +65,6 @@ LEAST_TURN_RAD = 1e-5
 """No table angle is known better: markers tell it to 7e-5 at 800x600."""
 _LEAST_VIEWS = 8
 """Fewer views than this leave a node's own place uncertain."""
-LEAST_VARIANCE = 1e-5
-"""Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
 _RIDGE, _ALONG = 1e-3, 0.5
 """Parts of a node's own curvature that hold it in all directions, and along its root, where nothing is seen."""
 _PASSES = 4
@@ -128,7 +128,7 @@ class Columns:
         return Columns(of, precision, shared)
 
 
-def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float) -> tuple[Evidence, Tubes, Cameras]:
+def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tuple[Evidence, Tubes, Cameras]:
     """Ask fitted tubes for the index.
 
     Where it is believed, change index and cameras and fit the tubes anew, until nothing changes; where that explains
@@ -138,8 +138,8 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, bl
     ----------
     seen : Evidence
         With the views of ``cameras``, in their order.
-    fixed : (N,) bool array
-        Nodes that were not fitted.
+    thick : (N,) bool array
+        As in `tube_fit.fit`.
 
     Returns
     -------
@@ -150,7 +150,7 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, bl
     cameras : Cameras
         To go on with; their ``roots`` tell what came of it, None where there are too few nodes.
     """
-    first = estimate(seen, cameras, tubes, fixed, blur_px=blur_px)
+    first = estimate(seen, cameras, tubes)
     if first is None:
         return seen, tubes, cameras
     given, found, now = (seen, tubes), first, cameras
@@ -158,9 +158,9 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, bl
         for _ in range(_ROUNDS):
             now = changed(cameras, found.change)
             seen = replace(seen, bank=ViewBank.of(now.views, now.optics))
-            tubes, _ = tube_fit.fit(seen, tubes, fixed, blur_px=blur_px, steps=_STEPS)
+            tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
             last = found
-            found = estimate(seen, now, tubes, fixed, blur_px=blur_px, taken=last.change) or last
+            found = estimate(seen, now, tubes, taken=last.change) or last
             if abs(found.change[0] - last.change[0]) < _SETTLED * found.sigma[0]:
                 break
         if found.after_px > first.before_px:
@@ -178,19 +178,17 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, bl
     return seen, tubes, replace(now, roots=told)
 
 
-def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float, taken: Array | None = None) -> Found | None:
+def estimate(seen: Evidence, cameras: Cameras, tubes: Tubes, *, taken: Array | None = None) -> Found | None:
     """Find from fitted tubes what of the rig is other than thought; None where there are too few nodes.
 
     Parameters
     ----------
-    fixed : (N,) bool array
-        Nodes that were not fitted.
     taken : (K,) float64 array or None
         Change that the cameras hold already, beyond what markers and edges said.
     """
     known = cameras.uncertainty
     columns, wanted = Columns.to(cameras.order, known), QUANTITIES if known is not None else QUANTITIES[:1]
-    found = system(seen, cameras, tubes, fixed, wanted, columns, blur_px=blur_px)
+    found = system(seen, cameras, tubes, wanted, columns)
     if found is None:
         return None
     before = np.zeros(len(columns.precision)) if taken is None else taken
@@ -208,11 +206,8 @@ def system(
     seen: Evidence,
     cameras: Cameras,
     tubes: Tubes,
-    fixed: Mask,
     wanted: tuple[Quantity, ...],
     columns: Columns,
-    *,
-    blur_px: float,
 ) -> System | None:
     """Return what fitted tubes say of quantities of the rig; None where there are too few nodes.
 
@@ -220,19 +215,15 @@ def system(
     ----------
     seen, cameras, tubes : Evidence, Cameras, Tubes
         Views, and what was fitted to them.
-    fixed : (N,) bool array
-        Nodes that were not fitted.
     wanted : tuple of Quantity
         What may change.
     columns : Columns
         Which unknown each of them is in each view.
-    blur_px : float
-        Of the pictures.
     """
-    at = seen.project(tubes.centre_mm)
-    profiles = tube_profiles.profiles(seen, tubes, at, *tube_picture.compared(seen, tubes, at, blur_px), blur_px)
+    drawn = Rendering.of(seen, tubes)
+    at, profiles = drawn.at, tube_profiles.profiles(drawn)
     told = np.array(profiles.shift_2).reshape(profiles.shape) > 0.0
-    chosen = np.flatnonzero(~fixed & (told.sum(axis=0) >= _LEAST_VIEWS))
+    chosen = np.flatnonzero(told.sum(axis=0) >= _LEAST_VIEWS)
     if len(chosen) < LEAST_NODES:
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]

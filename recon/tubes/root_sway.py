@@ -38,9 +38,7 @@ it: a plant that sways by it loses two hundredths of its volume (0.3 mm at the t
 lost 8 %)."""
 
 
-def follow(
-    seen: Evidence, cameras: Cameras, tubes: Tubes, fixed: Mask, *, blur_px: float, px_a_mm: float
-) -> tuple[Evidence, Cameras, Tubes]:
+def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
     """Ask fitted tubes how far aside they are in each picture, and fit them anew, until nothing changes.
 
     Parameters
@@ -49,10 +47,8 @@ def follow(
         With the same views, in the same order.
     tubes : Tubes
         Fitted to them.
-    fixed : (N,) bool array
-        Nodes that were not fitted.
-    blur_px : float
-        Of the pictures.
+    thick : (N,) bool array
+        As in `tube_fit.fit`.
     px_a_mm : float
         Pixels a millimetre.
 
@@ -64,7 +60,7 @@ def follow(
     given, nearest_px = (seen, cameras, tubes), np.inf
     columns = root_calibration.Columns.own(len(cameras.views), len(SWAY), _LOOSE)
     for _ in range(_ROUNDS):
-        system = root_calibration.system(seen, cameras, tubes, fixed, SWAY, columns, blur_px=blur_px)
+        system = root_calibration.system(seen, cameras, tubes, SWAY, columns)
         if system is None:
             break
         before = np.array([view.sway for view in cameras.views])
@@ -78,7 +74,7 @@ def follow(
         moved = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(cameras.views, sways, strict=True)]
         cameras = cameras.moved(moved, cameras.optics)
         seen = replace(seen, bank=ViewBank.of(cameras.views, cameras.optics))
-        tubes, _ = tube_fit.fit(seen, tubes, fixed, blur_px=blur_px, steps=_STEPS)
+        tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
     return (seen, cameras, tubes) if is_far(seen, given[1], tubes, px_a_mm) or _sways(given[1]) else given
 
 

@@ -88,7 +88,7 @@ class Layer:
     """Derivative of the height by the root's half-width, 1/px."""
 
 
-def layers(mu_per_mm: float | None, hairs: Hairs | None, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips in place of roots.
 
     `strips` in a picture, as a kernel has it; one and opaque without attenuation.
@@ -97,8 +97,8 @@ def layers(mu_per_mm: float | None, hairs: Hairs | None, radius_mm: Float, sine:
     ----------
     mu_per_mm : float or None
         Attenuation; None for opaque roots.
-    hairs : Hairs or None
-        What stands about them.
+    hairs : float
+        Strength of the hairs about them, in those of `HAIRS`.
     radius_mm, half_px : Float
         The roots', mi.Float.
     sine : Float
@@ -109,7 +109,7 @@ def layers(mu_per_mm: float | None, hairs: Hairs | None, radius_mm: Float, sine:
         own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
     else:
         own = _translucent(mu_per_mm, radius_mm, sine, half_px)
-    return own if hairs is None else _hairy(own, hairs, radius_mm, sine, half_px)
+    return _hairy(own, hairs, radius_mm, sine, half_px) if hairs else own
 
 
 def _translucent(mu_per_mm: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
@@ -130,9 +130,9 @@ def _translucent(mu_per_mm: float, radius_mm: Float, sine: Float, half_px: Float
     return [Layer(half_px * e[n], h[n], h[n] * (e[n] + e_slope[n]), h_slope[n] / half_px) for n in range(LAYERS)]
 
 
-def _hairy(own: list[Layer], hairs: Hairs, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+def _hairy(own: list[Layer], strength: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips of roots behind that of their hairs, and that."""
-    long, mu = dr.opaque(mi.Float, hairs.length_mm), dr.opaque(mi.Float, hairs.mu_per_mm)
+    long, mu = dr.opaque(mi.Float, HAIRS.length_mm), dr.opaque(mi.Float, strength * HAIRS.mu_per_mm)
     px_a_mm = half_px / radius_mm
     outer = radius_mm + long
     half_mm = dr.sqrt(0.75 * (dr.square(radius_mm) + dr.square(outer)))
@@ -149,18 +149,18 @@ _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
 """Radii at which it is tabulated how much light roots take, a third of a percent apart."""
 
 
-def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: Hairs | None = None) -> Array:
+def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0) -> Array:
     """Return the radii (N,) of roots that absorb as much light as opaque bare ones of given radii (N,).
 
     Seen from the side.
     """
-    if mu_per_mm is None and hairs is None:
+    if mu_per_mm is None and not hairs:
         return opaque_mm
     area = np.log(opaque_radius(_RADII_MM, mu_per_mm, hairs))
     return np.asarray(np.exp(np.interp(np.log(opaque_mm), area, np.log(_RADII_MM))))
 
 
-def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: Hairs | None = None) -> Array:
+def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0) -> Array:
     """Return the radii (N,) of opaque bare roots that absorb as much light as given ones (N,).
 
     Seen from the side.
@@ -169,10 +169,10 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: Hairs | None
     if mu_per_mm is not None:
         seen = strips(mu_per_mm * radius_mm)
         own = np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
-    if hairs is None:
+    if not hairs:
         return own
-    half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + hairs.length_mm) ** 2))
-    left = np.exp(-0.5 * np.pi * hairs.mu_per_mm * hairs.length_mm * (2.0 * radius_mm + hairs.length_mm) / half_mm)
+    half_mm = np.sqrt(0.75 * (radius_mm**2 + (radius_mm + HAIRS.length_mm) ** 2))
+    left = np.exp(-0.5 * np.pi * hairs * HAIRS.mu_per_mm * HAIRS.length_mm * (2.0 * radius_mm + HAIRS.length_mm) / half_mm)
     return np.asarray(own * left + half_mm * (1.0 - left))
 
 

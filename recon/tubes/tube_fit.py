@@ -7,15 +7,20 @@ agree.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
 
 from rhizotwin.recon import passes
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.device import release
-from rhizotwin.recon.tubes import tube_picture, tube_profiles
+from rhizotwin.recon.tubes import root_light, tube_profiles
+from rhizotwin.recon.tubes.root_light import LEAST_LONE, LightSystem, Prior
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from rhizotwin.recon.tubes.tube_profiles import ResidualGradient
 from rhizotwin.recon.tubes.tubes import Tubes, moved
 
@@ -39,8 +44,8 @@ centimetre.
 With less, crowds made one root fat and its neighbour thin from node to node, on average too fat: a root that others
 hide is not held thin.
 """
-_DAMPING, _ALONG, _RADIUS_DAMPING = 0.05, 0.5, 0.1
-"""Fractions of a node's own curvature added to all its directions, to that along the branch, and to the radius."""
+_DAMPING, _ALONG = 0.05, 0.5
+"""Fractions of a node's own curvature added to all its directions, and to that along the branch."""
 _RELAXED = 0.6
 """Share of a radius's step that is taken: where tubes share pixels all of them answer at once, and whole steps swing
 without end between too wide and too thin."""
@@ -58,55 +63,95 @@ _BULGE = 1.12
 """A radius stays within this ratio of its stretch's median: a bulge is another root that runs beside."""
 
 
-def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, blur_px: float, steps: int = STEPS) -> tuple[Tubes, ResidualGradient]:
-    """Move the nodes and change their radii until the tubes explain the pictures.
+@dataclass(frozen=True)
+class Fit:
+    """Tubes that were fitted, and what the pictures said at the last step."""
+
+    evidence: Evidence
+    """With the light as it was fitted."""
+    tubes: Tubes
+    residual: ResidualGradient
+    light: LightSystem | None
+    """The equations of the light; None where it was not fitted."""
+    prior: Prior | None
+    """With which it was fitted."""
+    few: bool
+    """Lone roots are few, and the blur alone was fitted, to all of them."""
+
+    @cached_property
+    def drawn(self) -> Rendering:
+        """The tubes as they are now."""
+        return Rendering.of(self.evidence, self.tubes)
+
+
+def fit(evidence: Evidence, tubes: Tubes, thick: Mask, *, steps: int = STEPS, light: Prior | None = None) -> Fit:
+    """Move the nodes and change their radii, and the light, until the tubes explain the pictures.
 
     Parameters
     ----------
     thick : (N,) bool array
-        Nodes of thick roots, which show both flanks: their radii are not held near those about them.
-    blur_px : float
-        Standard deviation of the pictures' blur.
-
-    Returns
-    -------
-    tubes : Tubes
-        Fitted.
-    residual : ResidualGradient
-        What the pictures said of each node at the last step.
+        Nodes of thick roots, which show both flanks: their radii are not held near those about them, and tell no light.
+    light : Prior, optional
+        What is known of attenuation, blur and hairs, which are fitted with the tubes; without, they stay.
     """
-    smooth = prior(tubes)
+    system, few = None, False
     for _ in range(steps):
         passes.add("gauss_newton_steps")
-        residual = _asked(evidence, tubes, blur_px)
-        tubes = _step(tubes, residual, smooth)
+        drawn, smooth, change = Rendering.of(evidence, tubes), prior(tubes), None
+        profiles = tube_profiles.profiles(drawn, None if light is None else root_light.changes(drawn, light.seen), every=few)
+        residual = profiles.residual_gradient()
+        if light is not None:
+            equations = profiles.light_equations()
+            system = LightSystem.of(equations, profiles, tubes, smooth, thick)
+            if not few and system.lone < LEAST_LONE:
+                few, light = True, light.of_blur()
+            else:
+                now = root_light.light_of(evidence)
+                step = system.step(now, light)
+                evidence, change = root_light.with_light(evidence, now + step), equations.by_light @ step
+        tubes = _step(tubes, residual, smooth, change)
         tubes = moved(tubes, tubes.centre_mm, np.where(thick, tubes.radius_mm, _even(tubes)))
     release()  # no other tree's kernels have these sizes
-    return tubes, residual
+    return Fit(evidence, tubes, residual, system, light, few)
 
 
-def _asked(evidence: Evidence, tubes: Tubes, blur_px: float) -> ResidualGradient:
-    """Return what the pictures want of each node."""
-    at = evidence.project(tubes.centre_mm)
-    depth, difference = tube_picture.compared(evidence, tubes, at, blur_px)
-    return tube_profiles.profiles(evidence, tubes, at, depth, difference, blur_px).residual_gradient()
+def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix, change: Array | None) -> Tubes:
+    """Take one damped Gauss-Newton step, in which the nodes follow a change of the light.
 
-
-def _step(tubes: Tubes, residual: ResidualGradient, prior: sparse.csr_matrix) -> Tubes:
-    """Take one damped Gauss-Newton step."""
+    ``change`` (N, 4) is that of their gradient.
+    """
     count, tangent = len(tubes.radius_mm), tubes.tangents
     hessian = residual.hessian.copy()
     mean = np.trace(hessian[:, :3, :3], axis1=1, axis2=2)[:, None, None] / 3.0
     hessian[:, :3, :3] += (_DAMPING * mean + LEAST) * np.eye(3) + _ALONG * mean * tangent[:, :, None] * tangent[:, None, :]
-    hessian[:, 3, 3] += _RADIUS_DAMPING * hessian[:, 3, 3] + LEAST
+    hessian[:, 3, 3] += LEAST
     blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
     state = np.concatenate([tubes.centre_mm, tubes.radius_mm[:, None]], axis=1).ravel()
-    step = spsolve((blocks + prior).tocsc(), residual.gradient.ravel() - prior @ state, permc_spec="MMD_AT_PLUS_A").reshape(count, 4)
+    wanted = residual.gradient.ravel() - prior @ state
+    asked = np.stack([wanted, np.zeros_like(wanted) if change is None else change.ravel()], axis=1)
+    step, follow = splu((blocks + prior).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(asked).T.reshape(2, count, 4)
+    step[:, 3] *= _RELAXED
+    step = step - follow
     way = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     centre = tubes.centre_mm + step[:, :3] * np.minimum(1.0, _LARGEST_STEP_MM / np.maximum(way, 1e-12))
     most = _MOST_SHARE * tubes.radius_mm + _MOST_MM
-    radius = np.maximum(tubes.radius_mm + np.clip(_RELAXED * step[:, 3], -most, most), _THINNEST_MM)
+    radius = np.maximum(tubes.radius_mm + np.clip(step[:, 3], -most, most), _THINNEST_MM)
     return moved(tubes, centre, radius)
+
+
+def followed(tubes: Tubes, hessian: Array, by_light: Array) -> Array:
+    """Return how nodes (N, 4, L) follow the light: positions and radii that explain the pictures alike.
+
+    Parameters
+    ----------
+    hessian, by_light : (N, 4, 4), (N, 4, L) array
+        Of `ResidualGradient` and `LightEquations`.
+    """
+    count, many = len(tubes.radius_mm), by_light.shape[2]
+    hessian = hessian + LEAST * np.eye(4)
+    blocks = sparse.bsr_matrix((hessian, np.arange(count), np.arange(count + 1)), shape=(4 * count, 4 * count))
+    solved = splu((blocks + prior(tubes)).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(by_light.reshape(-1, many))
+    return np.asarray(-solved.reshape(count, 4, many))
 
 
 def _even(tubes: Tubes) -> Array:

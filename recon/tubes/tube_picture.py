@@ -16,6 +16,7 @@ of each strip, from where it begins to cover them to where it ends: of its bound
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import drjit as dr
 import mitsuba as mi
@@ -56,27 +57,27 @@ def _on_one_side(x: Float, outer: Float, inner: Float, per_area: Float) -> Float
     return (ramps[0] - ramps[1] - ramps[2] + ramps[3]) * per_area
 
 
-def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> Float:
-    """Return the optical depth of tubes, and of what hides them, in all views: mi.Float, (V, H, W) flattened.
+def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
+    """Return the light that tubes, and what hides them, let through in all views: mi.Float, (V, H, W) flattened.
 
     Parameters
     ----------
-    evidence, tubes, at, blur_px : Evidence, Tubes, Nodes, float
-        Views and what hides the tubes; the tree, and where its nodes lie in the pictures; blur of these.
+    evidence, tubes, at : Evidence, Tubes, Nodes
+        Views and what hides the tubes; the tree, and where its nodes lie in the pictures.
     """
     passes.add("renderings")
     depth, strips = (1.0 - mi.Float(evidence.seen)) * _HIDDEN, _Strips.of(evidence, tubes, at)
     dr.eval(depth)
     if strips is None:
-        return depth
+        return dr.exp(-depth)
     (width, height), (x, y), (t_x, t_y) = evidence.image_wh, strips.begin, strips.way
     # opaque: as a literal every blur would be a kernel of its own
-    sigma, spread = dr.opaque(mi.Float, float(np.hypot(blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * blur_px**2)
+    sigma, spread = dr.opaque(mi.Float, float(np.hypot(evidence.blur_px, PIXEL_SIGMA))), dr.opaque(mi.Float, 6.0 * evidence.blur_px**2)
     scale = 1.0 / (sigma * 2.0**0.5)
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
     # covered are the pixels with |d| < side_px and -end_px < s < length + end_px: an oblique cut reaches farther
-    side_px = dr.maximum(*strips.half_px) + outer
+    side_px = strips.widest_px + outer
     oblique = dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
     end_px = strips.cap_px + _ENDS * sigma + side_px * oblique
     (begin_x, begin_y), (end_x, end_y) = strips.cuts
@@ -114,8 +115,7 @@ def optical_depth(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 
     dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
-    dr.eval(depth)
-    return depth
+    return dr.exp(-depth)
 
 
 def _faded(c: Float, before: Float, beyond: Float, is_tip: Bool) -> Float:
@@ -156,6 +156,11 @@ class _Strips:
     """mi.Float, how far along the segment the round tip reaches that follows; 0 where the branch goes on."""
     layers: tuple[list[Layer], list[Layer]]
     """The strips as which it is seen, at both ends."""
+
+    @property
+    def widest_px(self) -> Float:
+        """Return the largest half-width of them, mi.Float: hairs reach farther than the root."""
+        return reduce(dr.maximum, [layer.half_px for end in self.layers for layer in end])
 
     @staticmethod
     def of(evidence: Evidence, tubes: Tubes, at: Nodes) -> _Strips | None:
@@ -220,29 +225,37 @@ def _cuts(p: Projected, beside: list[UInt32], here: Vector2f, there: Vector2f, w
     return cut(onto, joined[0], onward, joined[1]), cut(onward, joined[1], onto, joined[0])
 
 
-def compared(evidence: Evidence, tubes: Tubes, at: Nodes, blur_px: float) -> tuple[Float, Kernel]:
-    """Return the optical depth of tubes, and what they leave `unexplained`, in all views, flattened.
+@dataclass(frozen=True)
+class Rendering:
+    """Tubes drawn into all views, and what they leave of the pictures."""
 
-    Parameters
-    ----------
-    evidence : Evidence
-        What the pictures say.
-    tubes, at : Tubes, Nodes
-        The tree, and where its nodes lie in the pictures.
-    blur_px : float
-        Of the pictures.
+    evidence: Evidence
+    tubes: Tubes
+    at: Nodes
+    """Where the nodes lie in the pictures."""
+    passing: Float
+    """mi.Float, (V, H, W) flattened: `transmittance`, which pixels average where they would not its logarithm."""
+    difference: Kernel
+    """mi.Float16, (V, H, W) flattened: measured less explained coverage, 0 where nothing is seen."""
 
-    Returns
-    -------
-    mi.Float, mi.Float16
-        (V, H, W) flattened.
-    """
-    depth = optical_depth(evidence, tubes, at, blur_px)
-    return depth, unexplained(evidence, depth)
+    @staticmethod
+    def of(evidence: Evidence, tubes: Tubes) -> Rendering:
+        """Draw tubes."""
+        at = evidence.project(tubes.centre_mm)
+        passing = transmittance(evidence, tubes, at)
+        difference = mi.Float16((evidence.coverage - (1 - passing)) * evidence.seen)
+        dr.eval(passing, difference)
+        return Rendering(evidence, tubes, at, passing, difference)
 
+    def change(self, evidence: Evidence, tubes: Tubes, step: float) -> Kernel:
+        """Return the difference quotient of coverage with other light or radii: mi.Float16, (V, H, W) flattened.
 
-def unexplained(evidence: Evidence, depth: Float) -> Kernel:
-    """Return measured less explained coverage in all views, 0 where nothing is seen: mi.Float16, flattened."""
-    difference = mi.Float16((evidence.coverage - (1 - dr.exp(-depth))) * evidence.seen)
-    dr.eval(difference)
-    return difference
+        Parameters
+        ----------
+        evidence, tubes : Evidence, Tubes
+            With a little more of something, by ``step``; the nodes where they are.
+        """
+        change = (self.passing - transmittance(evidence, tubes, self.at)) * mi.Float(self.evidence.seen)
+        change = mi.Float16(change * dr.opaque(mi.Float, 1.0 / step))
+        dr.eval(change)
+        return change

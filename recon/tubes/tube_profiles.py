@@ -9,8 +9,9 @@ visible.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -21,7 +22,7 @@ from rhizotwin.recon.coverage.evidence import Evidence, Nodes, sine_to_sight
 from rhizotwin.recon.device import TO_LAST, Float, Kernel, UInt32, Vector2f, Vector3f, bilinear, numbers, vectors, wholes
 from rhizotwin.recon.tubes import translucent_tube
 from rhizotwin.recon.tubes.translucent_tube import Layer
-from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA
+from rhizotwin.recon.tubes.tube_picture import FULLEST, PIXEL_SIGMA, Rendering
 from rhizotwin.recon.tubes.tubes import Tubes
 
 Array = NDArray[np.float64]
@@ -35,6 +36,13 @@ _INTERPOLATION_VARIANCE = 0.1
 """Variance, px2, by which bilinear interpolation blurs."""
 _LEAST_SPEED_PX = 0.3
 """A tube seen end-on (px/mm along its axis) shows no strip."""
+LIGHT = ("log mu", "blur variance", "hairs")
+"""What all roots share: attenuation, variance of the pictures' blur (px2), and strength of the hairs."""
+_ALONE = 0.95
+"""Share of the light beside a lone root that passes: others take no more of it. What they hide of the root itself would
+tell less: where it covers a pixel nearly, the quotient of two small numbers."""
+_LEAST_SINE = 0.3
+"""Roots that lean towards the camera more than this tell more of their bends than of their light."""
 OUTLIER = 0.05
 """Sum of squared differences over a profile, px, from which a view loses weight: something else is there.
 
@@ -65,6 +73,8 @@ class Sections:
     """mi.Float, px/mm across the tube."""
     half_px: Float
     """mi.Float, half-width of the tube."""
+    sine: Float
+    """mi.Float, of the angle between the tube and the line of sight."""
     layers: list[Layer]
     """The strips as which the tube is seen."""
 
@@ -84,10 +94,10 @@ class Sections:
         normal = dr.normalize(mi.Vector2f(-dr.dot(dv, t), dr.dot(du, t)))
         across = normal.x * du + normal.y * dv
         scale = dr.norm(across)
-        half_px = radius_mm * scale
-        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine_to_sight(du, dv, t), half_px)
+        half_px, sine = radius_mm * scale, sine_to_sight(du, dv, t)
+        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
-        return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, layers)
+        return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, sine, layers)
 
     @property
     def count(self) -> int:
@@ -143,6 +153,18 @@ class ResidualGradient:
 
 
 @dataclass(frozen=True)
+class LightEquations:
+    """What pictures want of nodes and light together."""
+
+    by_light: Array
+    """(N, 4, L) of x, y, z, radius by `LIGHT`, of all profiles: how the nodes' gradient changes with the light."""
+    lone: Array
+    """(N, 4 + L, 4 + L) of x, y, z, radius and `LIGHT`, of lone profiles."""
+    gradient: Array
+    """(N, 4 + L)"""
+
+
+@dataclass(frozen=True)
 class HostProfiles:
     """What each view (V) says across the tube at each node (N), integrated over its profile."""
 
@@ -163,6 +185,40 @@ class HostProfiles:
 
 
 @dataclass(frozen=True)
+class Changes:
+    """How coverage changes in all views, mi.Float16, (V, H, W) flattened: differences of pictures.
+
+    Along the valley in which wider and fainter roots look alike less than a hundredth of the derivatives is left: edges
+    that are a Gaussian's, and no pixel's, would hide it.
+    """
+
+    radius: Kernel
+    """By the logarithm of all radii."""
+    light: dict[int, Kernel]
+    """By those of `LIGHT` that are asked for."""
+
+
+@dataclass(frozen=True)
+class LightProfiles:
+    """What every profile says of the light; on the device, (V, N) flattened, 0 where it is no lone root's."""
+
+    by_shift: tuple[Float, ...]
+    """Derivatives by `LIGHT` times the shift's; of all profiles."""
+    by_width: tuple[Float, ...]
+    """... and the width's."""
+    shift_radius: Float
+    """Derivative by the radius as `Changes` have it, times the shift's; px/mm as all that follow by the radius."""
+    radius_2: Float
+    radius: Float
+    """Times what is unexplained."""
+    by_radius: tuple[Float, ...]
+    light_2: tuple[Float, ...]
+    """Products of the derivatives by `LIGHT`, upper triangle."""
+    light: tuple[Float, ...]
+    """Times what is unexplained."""
+
+
+@dataclass(frozen=True)
 class Profiles:
     """`HostProfiles` on the device, (V, N) flattened."""
 
@@ -177,6 +233,14 @@ class Profiles:
     width: Float
     shown: Float
     whole: Float
+    lone: Float
+    """1 where nothing else hides the root or stands on it, else 0."""
+    light: LightProfiles | None = None
+
+    @property
+    def is_lone(self) -> NDArray[np.bool_]:
+        """Which profiles (V, N) are a lone root's."""
+        return np.array(self.lone).reshape(self.shape) > 0.0
 
     def host(self, nodes: NDArray[np.int64] | None = None) -> HostProfiles:
         """Return them, or those of some nodes (M,), as NumPy has them."""
@@ -187,20 +251,18 @@ class Profiles:
         def read(part: Float) -> Array:
             return np.array(dr.gather(mi.Float, part, place), np.float64).reshape(views, len(chosen))
 
-        return HostProfiles(
-            np.stack([read(part) for part in self.across], axis=-1), *(read(getattr(self, field.name)) for field in fields(self)[2:])
-        )
+        names = [field.name for field in fields(HostProfiles)[1:]]
+        return HostProfiles(np.stack([read(part) for part in self.across], axis=-1), *(read(getattr(self, name)) for name in names))
 
     def residual_gradient(self) -> ResidualGradient:
         """Return the normal equations of all views together."""
-        views, count = self.shape
-        nodes = dr.opaque(mi.UInt32, count)
 
         def terms(at: UInt32) -> Iterator[Float]:
             """Give what a view adds: position by position (upper triangle), by radius, gradient, coverage."""
             parts = [dr.gather(mi.Float, part, at) for part in self.across]
+            names = [field.name for field in fields(HostProfiles)[1:]]
             scale, shift_2, shift_width, width_2, shift, width, shown, whole = (
-                dr.gather(mi.Float, getattr(self, field.name), at) for field in fields(self)[2:]
+                dr.gather(mi.Float, getattr(self, name), at) for name in names
             )
             yield from (shift_2 * parts[i] * parts[j] for i in range(3) for j in range(i, 3))
             yield from (shift_width * scale * part for part in parts)
@@ -209,40 +271,89 @@ class Profiles:
             yield width * scale
             yield from (shown, whole)
 
+        found = self._over_views(terms, 16)
+        shown, whole = found[:, 14:].T
+        return ResidualGradient(_symmetric(found[:, :10], _NODE), found[:, 10:14], shown / np.maximum(whole, 1e-9))
+
+    def light_equations(self) -> LightEquations:
+        """Return the normal equations of nodes and light, from lone profiles."""
+        of, many = self.light, len(LIGHT)
+        if of is None:
+            raise ValueError("these profiles were made without changes by the light")
+
+        def terms(at: UInt32) -> Iterator[Float]:
+            """Give what a view adds: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""
+            read = partial(dr.gather, mi.Float, index=at)
+            parts, scale, lone = [read(part) for part in self.across], read(self.scale), read(self.lone)
+            by_shift, by_width, by_radius = ([read(part) for part in group] for group in (of.by_shift, of.by_width, of.by_radius))
+            for i in range(3):
+                yield from (lone * read(self.shift_2) * parts[i] * parts[j] for j in range(i, 3))
+                yield read(of.shift_radius) * parts[i]
+                yield from (lone * part * parts[i] for part in by_shift)
+            yield read(of.radius_2)
+            yield from by_radius
+            yield from (read(part) for part in of.light_2)
+            yield from (lone * read(self.shift) * part for part in parts)
+            yield read(of.radius)
+            yield from (read(part) for part in of.light)
+            yield from (part * along for along in parts for part in by_shift)
+            yield from (part * scale for part in by_width)
+
+        size = 4 + many
+        products = size * (size + 1) // 2
+        found = self._over_views(terms, products + size + 4 * many)
+        by_light = found[:, products + size :].reshape(-1, 4, many)
+        return LightEquations(by_light, _symmetric(found[:, :products], np.triu_indices(size)), found[:, products : products + size])
+
+    def _over_views(self, terms: Callable[[UInt32], Iterator[Float]], size: int) -> Array:
+        """Return sums (N, size) of what each view adds."""
+        views, count = self.shape
+        nodes = dr.opaque(mi.UInt32, count)
+
         def body(view: UInt32, at: UInt32, *sums: Float) -> tuple[Kernel, ...]:
             return view + 1, at + nodes, *(total + term for total, term in zip(sums, terms(at), strict=True))
 
-        begin = dr.zeros(mi.UInt32, count), dr.arange(mi.UInt32, count), *(dr.zeros(mi.Float, count) for _ in range(16))
+        begin = dr.zeros(mi.UInt32, count), dr.arange(mi.UInt32, count), *(dr.zeros(mi.Float, count) for _ in range(size))
         sums = dr.while_loop(begin, lambda view, *_: view < views, body)[2:]
         dr.eval(sums)
-        found = np.stack([np.array(total, np.float64) for total in sums], axis=-1)
-        hessian = np.empty((count, 4, 4))
-        row, column = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
-        hessian[:, row, column] = hessian[:, column, row] = found[:, :10]
-        shown, whole = found[:, 14:].T
-        return ResidualGradient(hessian, found[:, 10:14], shown / np.maximum(whole, 1e-9))
+        return np.stack([np.array(total, np.float64) for total in sums], axis=-1)
 
 
-def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, difference: Float, blur_px: float) -> Profiles:
+_NODE = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
+"""Rows and columns of the products of x, y, z and radius, in the order in which they are summed."""
+
+
+def _symmetric(products: Array, place: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Array:
+    """Return symmetric matrices (N, K, K) of products (N, P) in their rows and columns."""
+    row, column = place
+    size = int(column.max()) + 1
+    found = np.empty((len(products), size, size))
+    found[:, row, column] = found[:, column, row] = products
+    return found
+
+
+def profiles(drawn: Rendering, changes: Changes | None = None, *, every: bool = False) -> Profiles:
     """Compare pictures and tubes across every node in every view.
 
     Parameters
     ----------
-    at : Nodes
-        Where the nodes lie.
-    depth, difference : Float
-        As `tube_picture.optical_depth` and `tube_picture.unexplained` have them.
+    drawn : Rendering
+        The tubes.
+    changes : Changes, optional
+        What changes with the light; without, nothing is told of it.
+    every : bool
+        Every profile tells of the light, where those of lone roots are too few.
     """
-    cut = Sections.of(evidence, tubes, at)
+    evidence, at = drawn.evidence, drawn.at
+    cut = Sections.of(evidence, drawn.tubes, at)
     if cut is None:
-        empty = dr.zeros(mi.Float, at.shape[0] * at.shape[1])
-        return Profiles(at.shape, mi.Vector3f(empty, empty, empty), *[empty] * 8)
-    sigma = float(np.sqrt(blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
+        return _arranged(at.shape, [dr.zeros(mi.Float, at.shape[0] * at.shape[1])] * _size(changes), changes)
+    sigma = float(np.sqrt(evidence.blur_px**2 + PIXEL_SIGMA**2 + _INTERPOLATION_VARIANCE))
     per_px, peak = (dr.opaque(mi.Float, 1.0 / (sigma * root)) for root in (2.0**0.5, (2.0 * np.pi) ** 0.5))
 
     def body(k: UInt32, *sums: Float) -> tuple[Kernel, ...]:
         o = cut.at_edge(k)
-        d, t = cut.read(o, difference, depth)
+        d, passing = cut.read(o, drawn.difference, drawn.passing)
         c, shift, width = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         for layer in cut.layers:
             plus, minus = (o + layer.half_px) * per_px, (o - layer.half_px) * per_px
@@ -252,25 +363,70 @@ def profiles(evidence: Evidence, tubes: Tubes, at: Nodes, depth: Float, differen
             shift += layer.height * (g_minus - g_plus)
             width += layer.by_width * (g_plus + g_minus) + layer.by_height * box
         c = dr.minimum(c, FULLEST)
-        visible = dr.minimum(dr.exp(-t) / (1 - c), 1.0)  # what the others leave of it
+        visible = dr.minimum(passing / (1 - c), 1.0)  # what the others leave of it
         shift, width = shift * visible, width * visible
-        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c, dr.square(dr.maximum(d, 0.0)))
-        return k + 1, *(total + term for total, term in zip(sums, terms, strict=True))
+        terms = (shift * shift, shift * width, width * width, shift * d, width * d, visible * c, c)
+        about = dr.square(dr.maximum(d, 0.0)), passing, 1 - c
+        of_light = () if changes is None else _of_light(cut, o, changes, shift, width, d)
+        return k + 1, *(total + term for total, term in zip(sums, (*terms, *about, *of_light), strict=True))
 
-    begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(8))
-    *sums, uncovered = dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:]
+    many = _size(changes) - 5  # beside direction, scale and lone
+    begin = dr.zeros(mi.UInt32, cut.count), *(dr.zeros(mi.Float, cut.count) for _ in range(many + 3))
+    sums = list(dr.while_loop(begin, lambda k, *_: k < _SAMPLES, body)[1:])
+    uncovered, passing, passing_alone = sums[7:10]
     step = cut.edge_step
     weight = step / (1.0 + uncovered * step / OUTLIER)
-    found = [cut.spread(total * factor) for total, factor in zip(sums, [weight] * 5 + [step] * 2, strict=True)]
-    across, scale = mi.Vector3f(*(cut.spread(part) for part in cut.across)), cut.spread(cut.scale)
-    dr.eval(across, scale, found)  # one by one, each would look at all profiles anew
-    return Profiles(cut.shape, across, scale, *found)
+    alone = dr.select((passing > _ALONE * passing_alone) & (cut.sine > _LEAST_SINE) | every, mi.Float(1.0), 0.0)
+    of_all = 2 * len(LIGHT)
+    factors = [weight] * 5 + [step] * 2 + [weight] * of_all + [weight * alone] * (many - 7 - of_all)
+    summed = [total * factor for total, factor in zip(sums[:7] + sums[10:], factors if changes else factors[:7], strict=True)]
+    found = [cut.spread(part) for part in (*cut.across, cut.scale, alone, *summed)]
+    dr.eval(found)  # one by one, each would look at all profiles anew
+    return _arranged(cut.shape, found, changes)
+
+
+def _of_light(cut: Sections, o: Float, changes: Changes, shift: Float, width: Float, d: Float) -> Iterator[Float]:
+    """Give what a sample at an offset says of the light: the products of `LightProfiles`, in its order."""
+    (radius,) = cut.read(o, changes.radius)
+    radius *= cut.scale / cut.half_px  # by mm
+    light = [cut.read(o, changes.light[k])[0] if k in changes.light else mi.Float(0.0) for k in range(len(LIGHT))]
+    yield from (shift * part for part in light)
+    yield from (width * part for part in light)
+    yield from (shift * radius, radius * radius, radius * d)
+    yield from (radius * part for part in light)
+    yield from (light[i] * light[j] for i in range(len(light)) for j in range(i, len(light)))
+    yield from (part * d for part in light)
+
+
+def _size(changes: Changes | None) -> int:
+    """Return how many numbers a profile has."""
+    many = len(LIGHT)
+    return 12 if changes is None else 12 + 4 * many + 3 + many * (many + 1) // 2
+
+
+def _arranged(shape: tuple[int, int], parts: list[Float], changes: Changes | None) -> Profiles:
+    """Put the numbers of all profiles in their places."""
+    x, y, z, scale, lone, shift_2, shift_width, width_2, shift, width, shown, whole, *rest = parts
+    across, many = mi.Vector3f(x, y, z), len(LIGHT)
+    light = None
+    if changes is not None:
+        shift_radius, radius_2, radius = rest[2 * many : 2 * many + 3]
+        others = rest[: 2 * many] + rest[2 * many + 3 :]
+        by_shift, by_width, by_radius = (tuple(others[k * many : (k + 1) * many]) for k in range(3))
+        light_2, of_light = tuple(others[3 * many : -many]), tuple(others[-many:])
+        light = LightProfiles(by_shift, by_width, shift_radius, radius_2, radius, by_radius, light_2, of_light)
+    return Profiles(shape, across, scale, shift_2, shift_width, width_2, shift, width, shown, whole, lone, light)
 
 
 def misfit(evidence: Evidence, tubes: Tubes, difference: Float) -> Array:
     """Return the squared difference (V, N), px, integrated over both edges of every node.
 
     Not a number where a view has none.
+
+    Parameters
+    ----------
+    tubes, difference : Tubes, Float
+        About whose nodes, and what which tubes leave (`Rendering`).
     """
     at = evidence.project(tubes.centre_mm)
     cut = Sections.of(evidence, tubes, at)

@@ -24,7 +24,7 @@ TANGENT_NODES = 4
 SMOOTH_MM = 0.4
 """Standard deviation of the Gaussian that takes the steps of the cells out of a traced path."""
 _FEW = 16  # nodes near a path's beginning, among which one that came before it is sought first
-_OBLIQUE = 3.0  # radii of its parent from its axis to where a lateral comes out of it, at most: 20 degrees
+_OBLIQUE = 3.0  # times as far from a parent's axis to where a lateral comes out of it as straight away, at most: 20 degrees
 _STUB_MM = 0.7  # a little more than the distance between nodes
 
 
@@ -140,6 +140,27 @@ class Tubes:
             if last and k > 0:
                 stays[self.branches[k][0]] = True
         return stays
+
+    def without_detours(self, gone: NDArray[np.bool_]) -> Tubes:
+        """Hang branches on the nearest earlier tube where their first nodes are ``gone`` (N,) and go a long way round.
+
+        The nodes of the detours stay, in no branch.
+        """
+        owner, branches = self.owner, list(self.branches)
+        bears = np.zeros(len(owner), bool)
+        bears[[nodes[0] for nodes in branches[1:]]] = True
+        for k, nodes in enumerate(branches[1:], 1):
+            begin = 1 + int(np.argmin(np.append((gone & ~bears)[nodes[1:]], False)))
+            if begin == 1 or begin == len(nodes):
+                continue
+            earlier = np.flatnonzero((owner < k) & ~gone)
+            if not len(earlier):
+                continue
+            away = np.linalg.norm(self.centre_mm[earlier] - self.centre_mm[nodes[begin]], axis=1)
+            parent = int(np.argmin(away - self.radius_mm[earlier]))
+            if polyline.length_mm(self.centre_mm[nodes[: begin + 1]]) > _OBLIQUE * away[parent]:
+                branches[k] = np.concatenate([earlier[parent : parent + 1], nodes[begin:]])
+        return replace(self, branches=tuple(branches))
 
 
 def string(paths: Sequence[Array], radius_mm: Sequence[Array]) -> Tubes:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from rhizotwin.recon.device import Float
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles
+from rhizotwin.recon.tubes import tube_fit, tube_profiles
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.tube_uncertainty import EXPLAINED, UNTOLD
@@ -46,12 +46,10 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
 
 def of_radii(system: RootSystem) -> Array:
     """Return the standard deviation (N,) of each node's radius, mm."""
-    seen, tubes = system.seen, system.tubes
-    at = seen.project(tubes.centre_mm)
-    depth, difference = tube_picture.compared(seen, tubes, at, system.blur_px)
-    profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
-    covered = dr.select(1.0 - dr.exp(-depth) > EXPLAINED, mi.Float(1.0), 0.0) * seen.seen
-    return combined(tubes, profiles, _mean(dr.square(mi.Float(difference)), covered))
+    drawn = system.drawn
+    covered = dr.select(1.0 - drawn.passing > EXPLAINED, mi.Float(1.0), 0.0) * system.seen.seen
+    variance = _mean(dr.square(mi.Float(drawn.difference)), covered)
+    return combined(system.tubes, tube_profiles.profiles(drawn).host(), variance)
 
 
 def combined(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:

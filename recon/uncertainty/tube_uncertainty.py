@@ -15,16 +15,14 @@ from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 from rhizotwin.recon.device import Float, Kernel
 from rhizotwin.recon.roots.root_tree import RootSystem
-from rhizotwin.recon.tubes import attenuation_trials, tube_fit, tube_picture, tube_profiles
-from rhizotwin.recon.tubes.translucent_tube import HAIRS
+from rhizotwin.recon.tubes import root_light, tube_fit, tube_profiles
+from rhizotwin.recon.tubes.root_light import HAIRS
 from rhizotwin.recon.tubes.tube_profiles import HostProfiles
 from rhizotwin.recon.tubes.tubes import Tubes
 from rhizotwin.recon.uncertainty.budget import NINETY, Term
 
 Array = NDArray[np.float64]
 
-_BLUR_STEP_PX = 0.1
-"""The blur is found to half of this: the spacing of the blurs that are tried."""
 UNTOLD = 0.25
 """Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as
 much."""
@@ -40,6 +38,9 @@ _FLATTEST = 0.26
 _HAIRS_KNOWN = 0.5
 """Hairs of radish are a tenth to half a millimetre long: what they take is known to half of what those of the middle
 do."""
+_OVAL = 0.01
+"""Share of a thick root's volume that a circle of its mean width has too much, at most: of an ellipse whose axes are as
+6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
 _FLAT_NODES = 5
 """Nodes along which a section is taken to be alike: 3 mm."""
 _LEAST_FREE = 0.1
@@ -58,19 +59,16 @@ class TubeUncertainty:
     fill: float
 
 
-def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
+def estimate(system: RootSystem) -> TubeUncertainty:
     """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
-    tubes = system.tubes
-    at = seen.project(tubes.centre_mm)
-    depth, difference = tube_picture.compared(seen, tubes, at, system.blur_px)
-    profiles = tube_profiles.profiles(seen, tubes, at, depth, difference, system.blur_px).host()
+    tubes, drawn = system.tubes, system.drawn
+    found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
+    profiles, equations = found.host(), found.light_equations()
+    by_light = tube_fit.followed(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
     gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
     wish = _wishes(tubes, profiles, gain)
     total = float(wish.sum())
-    blur_px = system.blur_px + _BLUR_STEP_PX
-    other = tube_profiles.profiles(seen, tubes, at, *tube_picture.compared(seen, tubes, at, blur_px), blur_px).host()
-    by_blur = 0.5 * abs(float(_wishes(tubes, other, gain).sum()) - total)
-    rest = _Rest.of(seen, depth, difference, system.px_a_mm)
+    rest = _Rest.of(system.seen, drawn.passing, drawn.difference, system.px_a_mm)
     tube_mm3 = float(0.5 * gain @ tubes.radius_mm)
     views = NINETY * float(np.sqrt(len(wish) * np.var(wish)))
     untold = _untold(tubes, profiles, gain, rest.variance)
@@ -78,9 +76,9 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
     missing = rest.missing_px3 / system.px_a_mm**3
     flat = float(0.5 * (gain * tubes.radius_mm) @ _flatness(tubes, profiles, system.px_a_mm))
     ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
+    oval = _OVAL * float(0.5 * gain @ (tubes.radius_mm * system.thick))
     terms = (
         Term.even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
-        Term.even("radii, blur", by_blur, "radii depend on the pictures' blur, which is found to a twentieth of a pixel"),
         Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
         _signed(
             "radii, residual gradient",
@@ -88,50 +86,46 @@ def estimate(seen: Evidence, system: RootSystem) -> TubeUncertainty:
             "the fit stops where the pictures still ask for other radii, against the smoothness of branches",
         ),
         _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
-        *_translucency(system),
-        *_hairs(system),
+        *_light(system, gain @ by_light),
         Term.even("uncertain ends", ends, "ends whose tips others hide may be no roots"),
         Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
+        Term(
+            name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are taken to be round, and have less volume where they are not"
+        ),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeUncertainty(terms, rest.unexplained, rest.fill)
 
 
-def _translucency(system: RootSystem) -> tuple[Term, ...]:
-    """Return what the uncertainty of the roots' attenuation means: other radii would absorb as much light."""
-    attenuation, tubes = system.attenuation, system.tubes
+def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
+    """Return what attenuation, blur and hairs leave open, of which the volume changes by ``by_light`` (L,).
 
-    def volume_mm3(mu_per_mm: float | None) -> float:
-        radius = attenuation_trials.scaled(tubes, system.solid, attenuation.mu_per_mm, mu_per_mm, system.seen.hairs).radius_mm
-        return float(np.pi * np.where(system.solid, 0.0, radius**2) @ _lengths(tubes))
+    Roots follow them along the valley in which they absorb as much light.
+    """
+    attenuation, seen = system.attenuation, system.seen
+    half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
+    if seen.mu_per_mm is None:
+        terms = [Term.even("radii, blur", half, "radii depend on the pictures' blur")]
+        if attenuation.rival_per_mm is not None:
+            more = _volume_change(system, replace(seen, mu_per_mm=attenuation.rival_per_mm))
+            why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+            terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
+        if attenuation.hairs == "maybe":
+            change = _volume_change(system, replace(seen, hairs=1.0))
+            terms.append(_signed("hairs", change, "the pictures do not tell whether hairs stand about the roots"))
+        return tuple(terms)
+    why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * attenuation.sigma:.0f} % only"
+    terms = [Term.even("translucency", half, why)]
+    if attenuation.hairs != "none":
+        why = "hairs stand about the roots, and what they take of the light depends on their length, which is known to a half"
+        terms.append(Term.even("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
+    return tuple(terms)
 
-    if attenuation.mu_per_mm is not None:
-        now, (low, high) = (
-            volume_mm3(attenuation.mu_per_mm),
-            (attenuation.mu_per_mm * np.exp(side * NINETY * attenuation.sigma) for side in (-1.0, 1.0)),
-        )
-        why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * attenuation.sigma:.0f} % only"
-        return (Term(name="translucency", less_mm3=now - volume_mm3(high), more_mm3=volume_mm3(low) - now, why=why),)
-    if attenuation.rival_per_mm is not None:
-        why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
-        return (Term(name="translucency", less_mm3=0.0, more_mm3=volume_mm3(attenuation.rival_per_mm) - volume_mm3(None), why=why),)
-    return ()
 
-
-def _hairs(system: RootSystem) -> tuple[Term, ...]:
-    """Return what the light that hairs take means: roots without them would be wider."""
-    told, tubes, mu = system.attenuation.hairs, system.tubes, system.attenuation.mu_per_mm
-    if told == "none":
-        return ()
-    there = system.seen.hairs
-    other = attenuation_trials.with_light_kept(tubes, system.solid, (mu, there), (mu, HAIRS if there is None else None))
-    change = float(np.pi * (np.square(other.radius_mm) - np.square(tubes.radius_mm)) @ _lengths(tubes))
-    if told == "maybe":
-        why = "the pictures do not tell whether hairs stand about the roots"
-        known = 0.0 if there is None else _HAIRS_KNOWN * abs(change)
-        return (Term(name="hairs", less_mm3=max(known, -change), more_mm3=max(known, change), why=why),)
-    why = "hairs stand about the roots, and what they take of the light is known to a half"
-    return (Term.even("hairs", _HAIRS_KNOWN * abs(change), why),)
+def _volume_change(system: RootSystem, other: Evidence) -> float:
+    """Return by how much the volume would change with other light that is kept back alike."""
+    tubes = root_light.with_light_kept(system.tubes, system.solid, system.seen, other)
+    return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
 
 def _signed(name: str, change_mm3: float, why: str) -> Term:
@@ -228,13 +222,13 @@ class _Rest:
     fill: float
 
     @staticmethod
-    def of(seen: Evidence, depth: Float, difference: Kernel, px_a_mm: float) -> _Rest:
+    def of(seen: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Rest:
         """Look at all views, one after the other: together they would fill the memory."""
         (width, height), count = seen.image_wh, seen.bank.count
-        pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, depth, difference)]
+        pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, passing, difference)]
         views = [
-            _RestOfView.of(seen, silhouette, known > 0, 1.0 - np.exp(-drawn), left.astype(np.float32), px_a_mm)
-            for silhouette, known, drawn, left in zip(seen.silhouettes, *pictures, strict=True)
+            _RestOfView.of(seen, silhouette, known > 0, 1.0 - free, left.astype(np.float32), px_a_mm)
+            for silhouette, known, free, left in zip(seen.silhouettes, *pictures, strict=True)
         ]
         area, pixels = sum(view.area for view in views), sum(view.pixels for view in views)
         beyond = max(0.0, sum(view.beyond for view in views))
@@ -282,7 +276,7 @@ class _RestOfView:
         drawn = drawn * known
         near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
-        if seen.light:  # what does not stand out from the noise is none
+        if seen.has_opacity:  # what does not stand out from the noise is none
             far *= picture.coverage > 0.0
         rest = _RestOfView(
             area=float(drawn.sum(dtype=np.float64)),

@@ -46,9 +46,9 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         engine.start("auto")
         from rhizotwin.recon.coverage.evidence import Evidence
         from rhizotwin.recon.optics.projection import ViewBank
-        from rhizotwin.recon.roots.rooting import find_blur
         from rhizotwin.recon.tubes import tube_fit
         from rhizotwin.recon.tubes import tubes as tube_shapes
+        from rhizotwin.recon.tubes.root_light import Prior
         from rhizotwin.stored.load import load_result
 
         cameras, kept = Cameras.of(dataset, summary), load_result(result_folder).silhouettes
@@ -58,7 +58,7 @@ def fitter(result_folder: Path, dataset: Dataset) -> Refit:
         seen = Evidence.of(ViewBank.of(cameras.views, cameras.optics), [kept[file] for file in cameras.files])
         thick_mm = result_traits.THICK_CELLS * float(summary["settings"].get("finest_mm", summary["voxel_mm"]))
         tubes, fixed, numbers = as_tubes(lines, thick_mm)
-        fitted, _ = tube_fit.fit(seen, tubes, fixed, blur_px=find_blur(seen, tubes), steps=_STEPS)
+        fitted = tube_fit.fit(seen, tubes, fixed, steps=_STEPS, light=Prior.of(seen)).tubes
         centre = np.where(fixed[:, None], tubes.centre_mm, fitted.centre_mm)
         fitted = tube_shapes.moved(fitted, centre, np.where(fixed, tubes.radius_mm, fitted.radius_mm))
         found = {}

@@ -1,5 +1,6 @@
 """Tubes strung on polylines, and the pictures they cast, for tests."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -53,11 +54,11 @@ def blank_of(scene: Scene) -> Evidence:
     return blank(views_of(scene), Optics.of(scene))
 
 
-def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: bool = False) -> Evidence:
+def drawn(system: tubes.Tubes, empty: Evidence, *, noise: float = 0.0, opacity: bool = False, seed: int = 0) -> Evidence:
     """Return the coverage that tubes cast into empty pictures, or their opacity; noise with a standard deviation."""
-    depth = tube_picture.optical_depth(empty, system, empty.project(system.centre_mm), 0.0)
-    pictures = 1.0 - np.exp(-np.array(depth)).reshape(empty.bank.count, *empty.silhouettes[0].seen.shape)
-    pictures = (pictures + np.random.default_rng(0).normal(0.0, noise, pictures.shape)).astype(np.float32)
+    passing = tube_picture.transmittance(empty, system, empty.project(system.centre_mm))
+    pictures = 1.0 - np.array(passing).reshape(empty.bank.count, *empty.silhouettes[0].seen.shape)
+    pictures = (pictures + np.random.default_rng(seed).normal(0.0, noise, pictures.shape)).astype(np.float32)
     everywhere = np.ones(pictures.shape[1:], bool)
     shown = [Silhouette(np.clip(one, 0.0, 1.0), everywhere, one) if opacity else Silhouette(one, everywhere) for one in pictures]
     return Evidence.of(empty.bank, shown)
@@ -90,8 +91,8 @@ def at_rest(found: tubes.Tubes, *, px_a_mm: float, solids_mm: np.ndarray | None 
         solids_mm=np.zeros((0, 3)) if solids_mm is None else solids_mm,
         margin_mm=0.6,
         px_a_mm=px_a_mm,
-        attenuation=TubeAttenuation.opaque(blur_px),
-        seen=pictured(found),
+        attenuation=TubeAttenuation.opaque(),
+        seen=replace(pictured(found), blur_px=blur_px),
         cameras=standing(),
         uncertain=no_nodes,
     )

@@ -39,8 +39,8 @@ def test_what_tubes_leave_unexplained_is_hung_on_them():
     seen = pictured(true)
     found = tubes.Tubes(true.centre_mm[true.branches[0]], true.radius_mm[true.branches[0]], (true.branches[0],))
     near = cKDTree(np.concatenate([TRUNK, TWIG])).query(GRID.origin_mm + (INDEX + 0.5) * 0.4)[0] < 0.5
-    depth = tube_picture.optical_depth(seen, found, seen.project(found.centre_mm), 0.0)
-    grown = residue.grow(seen, found, np.zeros(len(found.radius_mm), bool), cells(INDEX[near]), depth, 4.0)
+    passing = tube_picture.transmittance(seen, found, seen.project(found.centre_mm))
+    grown = residue.grow(seen, found, np.zeros(len(found.radius_mm), bool), cells(INDEX[near]), passing, 4.0)
     assert len(grown.branches) == 2
     assert np.linalg.norm(grown.centre_mm[grown.branches[1][-1]] - TWIG[-1]) < 0.8
     assert grown.branches[1][0] in found.branches[0]

@@ -7,31 +7,30 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from rhizotwin.recon.coverage.translucency import Hairs
-from rhizotwin.recon.tubes import root_hairs, translucent_tube, tubes
-from rhizotwin.recon.tubes.attenuation_trials import Trials
+from rhizotwin.recon.tubes import root_light, translucent_tube, tube_attenuation, tube_fit
+from rhizotwin.recon.tubes.root_light import Prior
 from rhizotwin.recon.tubes.translucent_tube import HAIRS
 from rhizotwin.recon.tubes.tube_attenuation import TubeAttenuation
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from tests.recon.strings import blank_of, drawn
-from tests.recon.tubes.test_translucent_tubes import ORGAN, STAR, dark, straight
+from tests.recon.tubes.test_translucent_tubes import straight
 
 CROWD = straight(
     *(((0.0, 0.0, -25.0 - 2.0 * k), (18.0 * np.cos(2.4 * k), 18.0 * np.sin(2.4 * k), -32.0 - 2.4 * k), 0.15 + 0.02 * k) for k in range(14))
 )
-HAIRY = Hairs(length_mm=0.3, mu_per_mm=1e-4)
+FAINT = 2e-3
 
 
 @pytest.mark.parametrize(("radius", "sine"), [(0.05, 1.0), (2.0, 0.5)])
 def test_the_sleeves_strip_has_the_moments_of_a_ring(radius: float, sine: float) -> None:
-    *_, sleeve = translucent_tube.layers(None, HAIRY, mi.Float(radius), mi.Float(sine), mi.Float(4.0 * radius))
+    *_, sleeve = translucent_tube.layers(None, FAINT, mi.Float(radius), mi.Float(sine), mi.Float(4.0 * radius))
     half, height = float(sleeve.half_px[0]) / 4.0, float(sleeve.height[0])
-    outer = radius + HAIRY.length_mm
+    outer = radius + HAIRS.length_mm
     for k in range(2):
 
         def ring(x: float, power: int = 2 * k) -> float:
             chord = np.sqrt(outer**2 - x**2) - np.sqrt(max(radius**2 - x**2, 0.0))
-            return float(x**power * 2.0 * HAIRY.mu_per_mm / sine * chord)
+            return float(x**power * 2.0 * FAINT * HAIRS.mu_per_mm / sine * chord)
 
         expected = 2.0 * quad(ring, 0.0, outer, points=[radius], limit=200)[0]
         assert 2.0 * half ** (2 * k + 1) / (2 * k + 1) * height == pytest.approx(expected, rel=2e-3)
@@ -42,7 +41,7 @@ def test_slopes_of_strips_with_hairs_are_derivatives(mu: float | None) -> None:
     radius, scale, step = 0.3, 4.0, 1e-3
 
     def at(mm: float) -> list[translucent_tube.Layer]:
-        return translucent_tube.layers(mu, HAIRS, mi.Float(mm), mi.Float(0.8), mi.Float(scale * mm))
+        return translucent_tube.layers(mu, 1.0, mi.Float(mm), mi.Float(0.8), mi.Float(scale * mm))
 
     for now, more, less in zip(at(radius), at(radius + step), at(radius - step), strict=True):
         change = 2.0 * scale * step
@@ -50,36 +49,25 @@ def test_slopes_of_strips_with_hairs_are_derivatives(mu: float | None) -> None:
         assert float(now.by_height[0]) == pytest.approx((more.height[0] - less.height[0]) / change, abs=2e-3)
 
 
-@pytest.mark.parametrize("hairs", [None, HAIRS], ids=["none", "hairs"])
+@pytest.mark.parametrize("hairs", [0.0, 1.0])
 @pytest.mark.parametrize("mu", [None, 2.0])
-def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, hairs: Hairs | None) -> None:
+def test_radii_that_keep_back_as_much_light_are_found_again(mu: float | None, hairs: float) -> None:
     radius = np.array([0.05, 0.1, 0.4, 2.0])
     light = translucent_tube.opaque_radius(radius, mu, hairs)
-    assert hairs is None or (light > translucent_tube.opaque_radius(radius, mu)).all()
+    assert not hairs or (light > translucent_tube.opaque_radius(radius, mu)).all()
     np.testing.assert_allclose(translucent_tube.radius_of(light, mu, hairs), radius, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("hairs", "state"), [(HAIRS, "there"), (None, "none")], ids=["hairs", "none"])
-def test_pictures_tell_whether_roots_have_hairs_which_are_not_counted_as_root(hairs: Hairs | None, state: str) -> None:
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_pictures_tell_whether_roots_have_hairs_which_are_not_counted_as_root(strength: float) -> None:
     """In pictures that are fine enough to show hairs: 0.2 mm a pixel."""
     sharp = blank_of(Scene(camera=Camera().resized((1200, 900)), plan=CapturePlan(rings=(Ring(views=6),))))
-    seen = replace(drawn(CROWD, replace(sharp, mu_per_mm=1.0, hairs=hairs), noise=0.003, opacity=True), mu_per_mm=1.0)
-    start = tubes.moved(
-        CROWD, CROWD.centre_mm, translucent_tube.radius_of(translucent_tube.opaque_radius(CROWD.radius_mm, 1.0, hairs), 1.0)
-    )
-    before = TubeAttenuation(mu_per_mm=1.0, sigma=0.1, blur_px=0.0, against_opaque=2.0, profiles=1000)
-    attenuation, after, found = root_hairs.find(seen, start, np.zeros(len(start.radius_mm), bool), before)
-    assert (attenuation.hairs, after.hairs) == (state, hairs)
-    assert np.median(found.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02 if hairs else 0.01)
-    assert ("hairs" in " ".join(attenuation.warnings())) == (hairs is not None)
-
-
-@pytest.mark.parametrize(("deviations", "mu", "expected"), [(-1.4, 1.0, HAIRS), (-3.1, 1.0, None)])
-def test_where_pictures_cannot_tell_glassy_roots_have_hairs(
-    deviations: float, mu: float | None, expected: Hairs | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Trials, "significance", lambda *_: deviations)
-    before = replace(TubeAttenuation.opaque(0.0, 1000), mu_per_mm=mu)
-    attenuation, after, _ = root_hairs.find(replace(dark(), mu_per_mm=mu), STAR, ORGAN, before)
-    assert after.hairs == expected
-    assert attenuation.hairs == ("none" if deviations < -3.0 else "maybe")
+    true = replace(sharp, mu_per_mm=1.0, hairs=strength)
+    seen = replace(drawn(CROWD, true, noise=0.003, opacity=True).by_light(), mu_per_mm=1.0, hairs=0.5)
+    fixed = np.zeros(len(CROWD.radius_mm), bool)
+    fit = tube_fit.fit(seen, root_light.with_light_kept(CROWD, fixed, true, seen), fixed, steps=10, light=Prior.of(seen))
+    found = tube_attenuation.described(TubeAttenuation.opaque(), fit)
+    assert found.hairs == ("there" if strength else "none")
+    assert fit.evidence.hairs == pytest.approx(strength, abs=0.1)
+    assert np.median(fit.tubes.radius_mm / CROWD.radius_mm) == pytest.approx(1.0, abs=0.02)
+    assert ("hairs" in " ".join(found.warnings())) == (strength > 0.0)

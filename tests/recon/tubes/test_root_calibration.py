@@ -75,9 +75,9 @@ def test_a_wrong_index_is_found_from_the_roots() -> None:
     true = replace(optics, n_water=optics.n_water + 0.002)
     seen = replace(evidence(views, true), bank=projection.ViewBank.of(views, optics))
     free = np.zeros(len(system().radius_mm), bool)
-    start, _ = tube_fit.fit(seen, system(), free, blur_px=0.0, steps=4)
+    start = tube_fit.fit(seen, system(), free, steps=4).tubes
     given = Cameras.given(views, optics, sure_rig(12))
-    _, _, cameras = root_calibration.calibrate(seen, given, start, free, blur_px=0.0)
+    _, _, cameras = root_calibration.calibrate(seen, given, start, free)
     found = cameras.roots
     assert found is not None
     assert found.believed
@@ -90,7 +90,7 @@ def test_a_right_index_stays_as_it_was_given() -> None:
     views, optics = rig()
     seen, free = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
     given = Cameras.given(views, optics, sure_rig(12))
-    same, fitted, cameras = root_calibration.calibrate(seen, given, system(), free, blur_px=0.0)
+    same, fitted, cameras = root_calibration.calibrate(seen, given, system(), free)
     found = cameras.roots
     assert found is not None
     assert not found.believed
@@ -107,9 +107,9 @@ def test_swaying_roots_are_followed() -> None:
     true = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(views, truth, strict=True)]
     seen = replace(evidence(true, optics), bank=projection.ViewBank.of(views, optics))
     fixed = np.zeros(len(system().radius_mm), bool)
-    start, _ = tube_fit.fit(seen, system(), fixed, blur_px=0.0, steps=4)
+    start = tube_fit.fit(seen, system(), fixed, steps=4).tubes
     given = Cameras.given(views, optics, sure_rig(len(views)))
-    followed, cameras, fitted = root_sway.follow(seen, given, start, fixed, blur_px=0.0, px_a_mm=PX_A_MM)
+    followed, cameras, fitted = root_sway.follow(seen, given, start, fixed, px_a_mm=PX_A_MM)
     exact = replace(seen, bank=projection.ViewBank.of(true, optics)).project(system().centre_mm)
     still = seen.project(start.centre_mm)
 
@@ -128,7 +128,7 @@ def test_still_roots_stay() -> None:
     views, optics = rig()
     seen, fixed = evidence(views, optics), np.zeros(len(system().radius_mm), bool)
     given = Cameras.given(views, optics, sure_rig(len(views)))
-    same, cameras, fitted = root_sway.follow(seen, given, system(), fixed, blur_px=0.0, px_a_mm=PX_A_MM)
+    same, cameras, fitted = root_sway.follow(seen, given, system(), fixed, px_a_mm=PX_A_MM)
     assert same is seen
     assert cameras is given
     assert fitted is system()

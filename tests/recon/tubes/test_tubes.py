@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.tubes import tube_fit, tube_picture, tube_profiles, tubes
+from rhizotwin.recon.tubes import tube_fit, tube_profiles, tubes
+from rhizotwin.recon.tubes.tube_picture import Rendering
 from tests.recon.strings import TRUNK, TWIG, line, pictured, strung
 
 
@@ -29,7 +30,8 @@ def test_fit_finds_moved_and_swollen_tubes_again():
     rng = np.random.default_rng(3)
     wave = 0.15 * np.sin(np.arange(len(true.radius_mm)) / 4.0)[:, None] * rng.normal(size=3)
     start = tubes.moved(true, true.centre_mm + wave, np.full(len(true.radius_mm), 0.15))
-    fitted, residual = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=15)
+    fit = tube_fit.fit(seen, start, np.zeros(len(true.radius_mm), bool), steps=15)
+    fitted, residual = fit.tubes, fit.residual
     inner = slice(3, -3)
     for branch in true.branches:
         off = fitted.centre_mm[branch][inner] - true.centre_mm[branch][inner]
@@ -46,7 +48,7 @@ def test_radii_of_tubes_that_share_pixels_do_not_swing():
     seen, fixed = pictured(true), np.zeros(len(true.radius_mm), bool)
     found, areas = tubes.moved(true, true.centre_mm, 0.85 * true.radius_mm), []
     for _ in range(9):
-        found, _ = tube_fit.fit(seen, found, fixed, blur_px=0.0, steps=1)
+        found = tube_fit.fit(seen, found, fixed, steps=1).tubes
         areas.append(np.square(found.radius_mm / 0.25).mean())
     assert np.abs(np.diff(areas[4:])).max() < 0.03
     assert abs(np.mean(areas[-2:]) - 1.0) < 0.03
@@ -67,7 +69,6 @@ def test_a_lateral_leaves_its_parents_axis_where_its_course_points_to():
 def test_a_tube_that_no_view_sees_has_no_say():
     seen, system = pictured(strung(TRUNK)), strung(TRUNK)
     away = tubes.moved(system, system.centre_mm + np.array([0.0, 0.0, 500.0]), system.radius_mm)
-    at = seen.project(away.centre_mm)
-    depth = tube_picture.optical_depth(seen, away, at, 0.0)
-    assert not np.array(depth).any()
-    assert not tube_profiles.profiles(seen, away, at, depth, tube_picture.unexplained(seen, depth), 0.0).residual_gradient().hessian.any()
+    drawn = Rendering.of(seen, away)
+    assert (np.array(drawn.passing) == 1.0).all()
+    assert not tube_profiles.profiles(drawn).residual_gradient().hessian.any()

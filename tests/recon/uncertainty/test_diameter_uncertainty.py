@@ -38,7 +38,7 @@ def test_noise_in_the_pictures_comes_out_in_the_diameters() -> None:
     """Fitted to pictures with noise, diameters miss the truth by what is told or less: what neighbours share is not counted."""
     true = strung(TRUNK, TWIG, radius_mm=0.25)
     seen = pictured(true, noise=0.02)
-    fitted, _ = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), blur_px=0.0, steps=6)
+    fitted = tube_fit.fit(seen, true, np.zeros(len(true.radius_mm), bool), steps=6).tubes
     system = replace(at_rest(fitted, px_a_mm=4.0), seen=seen)
     sigma, wrong = diameter_uncertainty.of_radii(system), fitted.radius_mm - 0.25
     inner = np.ones(len(wrong), bool)

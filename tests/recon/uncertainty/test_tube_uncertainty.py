@@ -1,5 +1,7 @@
 """What the pictures leave open about tubes."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rhizotwin.recon.coverage.evidence import Evidence
@@ -12,7 +14,7 @@ from tests.recon.strings import TRUNK, TWIG, at_rest, pictured, strung
 def estimated(seen: Evidence, found: tubes.Tubes) -> tuple[dict[str, Term], float]:
     """Return the terms of tubes by name, and the share of the pictures that they do not explain."""
     px_a_mm = float(np.median(np.linalg.norm(seen.project(TRUNK).du, axis=-1)))
-    made = tube_uncertainty.estimate(seen, at_rest(found, px_a_mm=px_a_mm))
+    made = tube_uncertainty.estimate(replace(at_rest(found, px_a_mm=px_a_mm), seen=seen))
     return {term.name: term for term in made.terms}, made.unexplained
 
 
