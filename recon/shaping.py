@@ -220,13 +220,16 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
     with monitor.stage("uncertainty"):
+        missed = missed_share(carved)
         roots = () if system is None else diameter_uncertainty.told(system.roots(), system)
         hidden = _hidden_top(roots, carved)
-        budget = _budget(carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, settings=settings)
+        budget = _budget(
+            carved, leaves, system, solids, part, wide=leaves if tubes is None else tubes.thick, missed=missed, settings=settings
+        )
         if hidden is not None and settings.hull.extrapolate_taproot:
             budget = replace(budget, volume_mm3=volume + hidden.volume_mm3, terms=(*budget.terms, hidden.term))
             bounds = bounds[0], bounds[1] + hidden.interval_mm3[1]
-        checks = _checks(carved, system, budget)
+        checks = _checks(system, budget, missed)
     solid = measure(
         hull, leaves, voxel_mm=settings.voxel_mm, budget=budget, bounds_mm3=bounds, untrimmed_mm3=solids.kept_mm3, monitor=monitor
     )
@@ -256,6 +259,7 @@ def _budget(
     part: Leaves,
     *,
     wide: Leaves,
+    missed: float,
     settings: Settings,
 ) -> Budget:
     """Gather what every part of the shape leaves open.
@@ -264,6 +268,8 @@ def _budget(
     ----------
     leaves, wide, part : Leaves
         Of the shape, of thick roots and solids alone, and of the hull about solids.
+    missed : float
+        As `missed_share` has it.
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
@@ -278,6 +284,7 @@ def _budget(
             solids,
             slack_px=settings.hull.slack_px,
             half_excess=half,
+            missed=missed,
             binary=all(silhouette.binary for silhouette in carved.silhouettes),
         ),
         sight.occluded(carved.bank, carved.maps, leaves, carved.water),
@@ -295,12 +302,12 @@ def _budget(
     return Budget(volume_mm3=volume_mm3, terms=terms, views=carved.bank.count, unexplained=unexplained, fill=fill, trust=settings.trust)
 
 
-def _checks(carved: Carved, system: RootSystem | None, budget: Budget) -> tuple[Check, ...]:
+def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
     """Check what views and shape say of each other."""
     asked = None if system is None else system.cameras.roots
     sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
     agreed = shape_checks.of_sight(
-        missed=missed_share(carved),
+        missed=missed,
         unexplained=budget.unexplained,
         fill=budget.fill,
         trust=budget.trust,

@@ -41,12 +41,14 @@ _COARSER = 4
 """The hull of half the views is carved with nodes this much larger: only its excess is wanted."""
 _MUCH_KEPT = 0.05
 """With less untrimmed hull than this share of the volume its excess is no concern."""
+_BY_AREA = 1.5
+"""Relative change of a solid's volume by that of its pictures' area: volumes grow with the third power of the size."""
 _INDEX = 0.002
 """An index wrong by 0.001 (salts, ten degrees) changes a volume by less than this share."""
 
 
 def estimate(
-    bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, binary: bool
+    bank: ViewBank, hull: Hull, part: Leaves, solids: Trimmed, *, slack_px: float, half_excess: float, missed: float, binary: bool
 ) -> tuple[Term, ...]:
     """Return the terms of solids.
 
@@ -58,6 +60,8 @@ def estimate(
         By how much outlines were moved for `Hull.moved_in_mm3` and ``moved_out_mm3``.
     half_excess : float
         By how much the hull grows when half of the views carve it, as a share.
+    missed : float
+        Share of what some views show before which no part of the hull stands.
     binary : bool
         Whether the silhouettes tell an outline to the pixel only.
     """
@@ -76,6 +80,12 @@ def estimate(
             less_mm3=0.0,
             more_mm3=beside + absent * (removed - beside),
             why="parts of the hull that no picture needs may be there all the same, most of all next to the outlines",
+        ),
+        Term(
+            name="views disagree",
+            less_mm3=0.0,
+            more_mm3=_BY_AREA * missed * thick_mm3,
+            why="some views show what others exclude: where cameras or edges are wrong, the hull of all views is too small",
         ),
         Term(
             name="untrimmed hull",
