@@ -15,12 +15,15 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from rhizotwin.native import ensure_libatomic
 from rhizotwin.scenes.errors import UserError
 
 DEVICES = ("auto", "cpu", "cuda")
 MIN_LLVM = 17
 APT_LLVM = (19, 22, 21, 20, 18, 17)
 """Versions to install by apt, best first: 19 and 22 were tried longest."""
+LLVM_WHEEL = "karellen-llvm-core==19.1.7"
+"""The wheel that is a dependency on Linux on x86-64; those of 21 and 23 do not start Dr.Jit 1.5."""
 NO_LLVM = "/no-usable-llvm/libLLVM.so"
 """Where Dr.Jit is pointed when there is no usable LLVM, so that it does not find an old one by itself."""
 
@@ -49,11 +52,13 @@ def llvm_version(library: Path) -> int | None:
 def usual_folders() -> list[Path]:
     """Return the folders in which package managers put LLVM's shared library.
 
-    The first is where ``rhizotwin[llvm]`` and conda do.
+    The first two are where `LLVM_WHEEL` and conda do.
     """
     machine = {"arm64": "aarch64", "amd64": "x86_64"}.get(platform.machine().lower(), platform.machine().lower())
     folders = [
         Path(sys.prefix) / "lib",
+        Path(sys.prefix) / "Library" / "bin",
+        Path(os.environ.get("PROGRAMFILES", "C:/Program Files")) / "LLVM" / "bin",
         Path(f"/usr/lib/{machine}-linux-gnu"),
         Path("/usr/lib64"),
         Path("/usr/lib"),
@@ -72,9 +77,9 @@ def find_llvm(folders: Iterable[Path]) -> tuple[Path, int] | None:
     """
     found: list[tuple[int, Path]] = []
     for folder in folders:
-        for pattern in ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib"):
+        for pattern in ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib", "LLVM-C.dll"):
             for library in folder.glob(pattern):
-                version = llvm_version(library)
+                version = llvm_version(library) or (_ask_version(library) if library.suffix == ".dll" else None)
                 if version is not None and version >= MIN_LLVM and library.is_file():
                     found.append((version, library))
     if not found:
@@ -87,9 +92,12 @@ def install_hint() -> str:
     """Return the command that installs a usable LLVM, and what Dr.Jit needs beside it, on this platform."""
     if platform.system() == "Darwin":
         return "brew install llvm"
+    if platform.system() == "Windows":
+        return "winget install LLVM.LLVM"
+    if has_llvm_wheel():
+        return f"pip install {LLVM_WHEEL}"
     if shutil.which("apt-get"):
-        wheel = ", or without root: pip install 'rhizotwin[llvm]'" if has_llvm_wheel() else ""
-        return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}{wheel}"
+        return f"sudo apt-get update && sudo apt-get install -y {' '.join(apt_packages())}"
     if shutil.which("dnf"):
         return "sudo dnf install llvm-libs"
     if shutil.which("pacman"):
@@ -98,7 +106,7 @@ def install_hint() -> str:
 
 
 def has_llvm_wheel() -> bool:
-    """Tell whether ``rhizotwin[llvm]`` brings LLVM as a wheel to this platform."""
+    """Tell whether LLVM comes as a wheel (`LLVM_WHEEL`) to this platform."""
     return platform.system() == "Linux" and platform.machine().lower() in ("x86_64", "amd64")
 
 
@@ -242,6 +250,7 @@ def choose_on_first_use() -> None:
 
 def _load() -> tuple[Any, Any]:
     """Import Dr.Jit and Mitsuba; a system library that they lack is the user's to install."""
+    ensure_libatomic()
     try:
         import drjit
         import mitsuba
