@@ -13,8 +13,8 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from typing import Any
 
-import imagecodecs
 import numpy as np
 import simplejpeg
 import tifffile
@@ -27,6 +27,10 @@ _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BARE, _LZW, _DEFLATE, _PACKBITS = 1, 5, (8, 32946), 32773
 """Compressions of a TIFF (TIFF 6.0, section 3 and supplement 2)."""
+_WITHOUT_CODECS = (_BARE, *_DEFLATE, _PACKBITS)
+"""Of these tifffile decodes itself; all others it leaves to imagecodecs, which takes 80 MB and is an extra."""
+_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+"""Each byte with its bits in the opposite order (TIFF 6.0, FillOrder 2)."""
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -214,11 +218,13 @@ def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
             _check_size(page.imagewidth, page.imagelength, image_wh)
             if page.samplesperpixel * page.bitspersample > 128:
                 raise UnfitError(f"has {page.samplesperpixel} times {page.bitspersample} bits a pixel; convert it to a 16-bit PNG")
+            codecs = None if page.compression in _WITHOUT_CODECS else _codecs(page.compression)
             for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
                 if count <= 0 or offset + count > len(data):
                     raise DamagedError("truncated (the TIFF file ends too early)")
-            _tiff_pieces(data, page)
-            page.asarray()
+            _tiff_pieces(data, page, codecs)
+            if page.compression != _PACKBITS:  # unpacked above; newer imagecodecs has no codec for it
+                page.asarray()
     except UnfitError:
         raise
     except Exception as error:  # noqa: BLE001 - tifffile and its codecs raise whatever they meet
@@ -226,7 +232,33 @@ def _tiff(data: bytes, image_wh: tuple[int, int] | None) -> None:
         raise DamagedError(f"damaged (the TIFF file cannot be decoded: {said})") from None
 
 
-def _tiff_pieces(data: bytes, page: tifffile.TiffPage) -> None:
+def _codecs(compression: int) -> Any:
+    """Return the module imagecodecs, which must be installed for this compression of a TIFF."""
+    try:
+        import imagecodecs
+    except ImportError:
+        name = getattr(compression, "name", compression)
+        raise UnfitError(
+            f"is a TIFF compressed by {name}, which needs another package: pip install 'rhizotwin[tiff]', or convert it to PNG"
+        ) from None
+    return imagecodecs
+
+
+def _packbits(packed: bytes) -> bytes:
+    """Unpack a piece compressed by PackBits (TIFF 6.0, section 9), as far as it goes."""
+    found, at = bytearray(), 0
+    while at < len(packed):
+        header, at = packed[at], at + 1
+        if header < 128:
+            found += packed[at : at + header + 1]
+            at += header + 1
+        elif header > 128:
+            found += packed[at : at + 1] * (257 - header)
+            at += 1
+    return bytes(found)
+
+
+def _tiff_pieces(data: bytes, page: tifffile.TiffPage, codecs: Any) -> None:
     """Unpack each strip or tile: it must hold as many bytes as it has pixels. Decoders fill up or cut off instead."""
     high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
     across = -(-page.imagewidth // wide)
@@ -237,13 +269,13 @@ def _tiff_pieces(data: bytes, page: tifffile.TiffPage) -> None:
         rows = high if page.is_tiled else min(high, page.imagelength - k // across % down * high)
         packed = data[offset : offset + count]
         if page.fillorder == 2:
-            packed = bytes(imagecodecs.bitorder_decode(packed))
+            packed = packed.translate(_MIRRORED)
         if page.compression in _DEFLATE:
             found = len(zlib.decompress(packed))
         elif page.compression == _LZW:
-            found = len(imagecodecs.lzw_decode(packed))
+            found = len(codecs.lzw_decode(packed))
         elif page.compression == _PACKBITS:
-            found = len(imagecodecs.packbits_decode(packed))
+            found = len(_packbits(packed))
         elif page.compression == _BARE:
             found = min(count, rows * row)
         else:
