@@ -139,7 +139,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     from benchmarks.thesis import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
-    from rhizotwin.scenes.provenance import peak_memory_mib
+    from rhizotwin.scenes import memory
     from rhizotwin.scoring import score as scoring
     from rhizotwin.stored.result_files import read_summary
 
@@ -156,7 +156,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
     taken = {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,
-        "peak_memory_mib": peak_memory_mib(),
+        "peak_memory_mib": memory.peak_mib(),
         "load": os.getloadavg()[0],
         "vectors": vectors,
     }
@@ -200,7 +200,7 @@ def main() -> int:
     given = parser().parse_args()
 
     from rhizotwin import engine
-    from rhizotwin.scenes.provenance import peak_memory_mib
+    from rhizotwin.scenes import memory
 
     engine.start(given.device)
     work = {
@@ -211,7 +211,7 @@ def main() -> int:
         "projection": projection,
     }
     found = work[given.job]()
-    sys.stdout.write("\n" + json.dumps({"peak_memory": peak_memory_mib(), **found}) + "\n")
+    sys.stdout.write("\n" + json.dumps({"peak_memory": memory.peak_mib(), **found}) + "\n")
     return 0
 
 

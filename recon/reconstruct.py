@@ -29,11 +29,12 @@ from rhizotwin.recon.shoots.find_shoot import find_shoot
 from rhizotwin.recon.stages import StageFolder
 from rhizotwin.recon.uncertainty import checks, halo, picture_checks, root_uncertainty, root_width, shape_checks
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
+from rhizotwin.scenes import memory
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
-from rhizotwin.scenes.provenance import peak_memory_mib, versions
+from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.schema import to_plain
 
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh")
@@ -274,7 +275,7 @@ def gather(
         checks=checked,
         timings_s=dict(monitor.timings_s),
         passes=passes.counted(),
-        peak_memory_mib=peak_memory_mib(),
+        peak_memory_mib=memory.peak_mib(),
         settings=settings | {"finest_mm": solid.finest_mm},
         versions=versions(_VERSIONED),
         silhouettes={files[k]: silhouette for k, silhouette in coverage.silhouettes.items()},

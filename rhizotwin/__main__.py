@@ -12,6 +12,10 @@ signal.signal(signal.SIGINT, signal.SIG_DFL)
 # before NumPy is loaded: its matrices here are small, and threads that wait for the next one spin
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+if sys.platform == "win32":  # whose pipes and files have a few letters only
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="replace")
+
 from rhizotwin.cli import main  # noqa: E402 - first the signal
 from rhizotwin.scenes.said import DEBUG_VARIABLE  # noqa: E402
 

@@ -43,14 +43,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def stop(_: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if _loading(frame):
+        if _loading(frame) and hasattr(signal, "setitimer"):  # Windows has none: libraries may report an error of their own there
             signal.setitimer(signal.ITIMER_REAL, ASK_AGAIN_S)
         elif not stops or now - stops[-1] > ONE_STOP_S:
             stops.append(now)
             raise KeyboardInterrupt
 
     in_main_thread = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM) if in_main_thread}
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGALRM") if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in numbers if in_main_thread}
     try:
         from rhizotwin import command_line  # it takes time to load, and Ctrl-C may come meanwhile
 

@@ -9,12 +9,13 @@ import json
 import os
 import re
 import secrets
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.lock import NO_LINK, try_lock
+from rhizotwin.scenes.lock import BYTES, NO_LINK, remove_open, try_lock
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,10 +62,10 @@ def write_bytes(path: Path | str, data: bytes, *, new: bool = False, follow: boo
                 stream.write(data)
                 stream.flush()
                 os.fsync(descriptor)
-                if new:
-                    _link(temporary, path)
-                else:
-                    temporary.replace(path)
+                if sys.platform != "win32":
+                    _put(temporary, path, new=new)
+            if sys.platform == "win32":  # which renames no open file
+                _put(temporary, path, new=new)
             sync_folder(path.parent)
         finally:
             with suppress(OSError):
@@ -173,7 +174,7 @@ def _open_beside(path: Path) -> tuple[Path, int]:
     """Open a new file beside a path, locked, so that others see that it is in use."""
     while True:
         temporary = beside(path)
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BYTES, 0o666)
         if try_lock(descriptor) is not False and os.fstat(descriptor).st_nlink:
             return temporary, descriptor
         os.close(descriptor)  # another writer took it for one that was left, before it was locked
@@ -186,11 +187,18 @@ def _remove_left(path: Path) -> None:
         if name.startswith(begin) and re.fullmatch(TEMPORARY, name):
             with suppress(OSError):
                 descriptor = os.open(path.parent / name, os.O_WRONLY | NO_LINK)
-                try:
-                    if try_lock(descriptor):
-                        (path.parent / name).unlink()
-                finally:
+                if try_lock(descriptor):
+                    remove_open(path.parent / name, descriptor)
+                else:
                     os.close(descriptor)
+
+
+def _put(temporary: Path, path: Path, *, new: bool) -> None:
+    """Give a file its name; ``new``: unless that is taken."""
+    if new:
+        _link(temporary, path)
+    else:
+        temporary.replace(path)
 
 
 def _link(temporary: Path, path: Path) -> None:

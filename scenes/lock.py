@@ -19,17 +19,23 @@ from typing import Any
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.said import printable
 
-if sys.platform != "win32":
+if sys.platform == "win32":
+    import msvcrt
+else:
     import fcntl
 
 MOST_TRIES = 100
 """Each try ends by another process that takes or leaves the same lock at the same moment."""
 MOST_LETTERS = 64
 """Of each of a holder's words; names of computers have at most 64 on Linux."""
-NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+BYTES = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Opens a file for its bytes as they are (Windows translates line ends otherwise) and for this program alone."""
+NO_WAIT = getattr(os, "O_NONBLOCK", 0) | BYTES
 """Opens what may be a pipe, and waits for nobody."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | NO_WAIT
 """Opens a file in a folder that may come from anybody."""
+_WINDOWS_LOCK_AT = 2**30
+"""Windows locks bytes against reading, too: one far behind the words of the holder."""
 _NO_LOCK = "{path}: is a link or no plain file, so that this program did not make it; remove it and run again"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
@@ -63,18 +69,24 @@ def locked(path: Path, *, what: str) -> Iterator[bool]:
             logging.getLogger(__name__).warning("%s: %s left it unfinished; taken over", printable(what), _holder(left))
         said = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, json.dumps(said).encode(), 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, json.dumps(said).encode())
         yield left is not None
     finally:
-        with suppress(OSError):
-            path.unlink()
-        os.close(descriptor)
+        remove_open(path, descriptor)
 
 
 def try_lock(descriptor: int) -> bool | None:
     """Lock an open file without waiting; False where another holds it, None where this file system has no locks."""
     if sys.platform == "win32":
-        return None
+        os.lseek(descriptor, _WINDOWS_LOCK_AT, os.SEEK_SET)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -86,12 +98,22 @@ def try_lock(descriptor: int) -> bool | None:
     return True
 
 
+def remove_open(path: Path, descriptor: int) -> None:
+    """Remove a file and close it; Windows removes no open file, so that there it is closed first."""
+    if sys.platform == "win32":
+        os.close(descriptor)
+    with suppress(OSError):
+        path.unlink()
+    if sys.platform != "win32":
+        os.close(descriptor)
+
+
 def _take(path: Path, what: str) -> tuple[int, bytes | None]:
     """Return the locked file, and what a run that is over had written into it; None where it is new."""
     for _ in range(MOST_TRIES):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            descriptor, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644), True
+            descriptor, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | BYTES, 0o644), True
         except FileExistsError:
             try:
                 descriptor, new = os.open(path, os.O_RDWR | NO_LINK), False
@@ -108,7 +130,8 @@ def _take(path: Path, what: str) -> tuple[int, bytes | None]:
             if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
                 raise UserError(_NO_LOCK.format(path=path))
             free = try_lock(descriptor)
-            said = os.pread(descriptor, 4096, 0)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+            said = os.read(descriptor, 4096)
             if free is None:
                 free = new or _is_over(said)
             if not free:

@@ -1,8 +1,6 @@
-"""What a file was made with: versions of the program and its libraries, and how much memory it took."""
+"""What a file was made with: versions of the program and its libraries."""
 
 import platform
-import resource
-import sys
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 
@@ -21,12 +19,6 @@ def versions(names: Iterable[str] = ()) -> dict[str, str]:
         ``rhizotwin`` and ``python`` first; ``unknown`` for a distribution that is not installed as one.
     """
     return {"rhizotwin": _version("rhizotwin"), "python": platform.python_version()} | {name: _version(name) for name in names}
-
-
-def peak_memory_mib() -> float:
-    """Return the largest resident memory of this process so far, in MiB."""
-    unit = 1024**2 if sys.platform == "darwin" else 1024  # getrusage(2): bytes on macOS, KiB elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def _version(name: str) -> str:

@@ -11,7 +11,6 @@ no tree is kept: the thesis's dictionary of leaves becomes arrays of positions, 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +25,7 @@ from rhizotwin.recon.hull import marks
 from rhizotwin.recon.hull.distance_maps import DistanceMaps, least_votes
 from rhizotwin.recon.hull.leaves import Grid, Hull, Index, Leaves
 from rhizotwin.recon.optics.projection import ViewBank
+from rhizotwin.scenes.memory import MIB, total_mib
 
 _BLIND_MM = 2.5
 """Larger nodes that too few views see are cut: some of their parts may be seen."""
@@ -223,7 +223,7 @@ def _compress(arrays: list[Kernel], mask: Bool) -> list[Kernel]:
 
 def _check_memory(count: int) -> None:
     """Raise a MemoryError where so many nodes do not fit in the computer."""
-    fitting = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // _BYTES_A_NODE
+    fitting = int(total_mib() * MIB) // _BYTES_A_NODE
     if count > fitting:
         raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
 

@@ -14,10 +14,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 from rhizotwin.batch.jobs import Job, Outcome
+from rhizotwin.scenes.memory import available_mib
 from rhizotwin.scenes.monitor import threads
 
 MOST_TRIES = 3
@@ -71,25 +71,6 @@ def run(jobs: Sequence[Job], *, workers: int | None = None, memory_mib: float | 
             worker.process.kill()  # what it was building is removed by the next run
             worker.process.join()
             worker.line.close()
-
-
-def available_mib() -> float:
-    """Return the memory that is free, by the system and by the group that this process is confined to."""
-    free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2.0**20
-    for line in _lines("/proc/meminfo"):
-        if line.startswith("MemAvailable:"):
-            free = float(line.split()[1]) / 1024.0
-    limit, used = _lines("/sys/fs/cgroup/memory.max"), _lines("/sys/fs/cgroup/memory.current")
-    if limit and used and limit[0].isdecimal():
-        free = min(free, (float(limit[0]) - float(used[0])) / 2.0**20)
-    return free
-
-
-def _lines(path: str) -> list[str]:
-    try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
 
 
 def _hand_out(waiting: list[Job], crew: list[_Worker], most: int, allowed_mib: float) -> None:

@@ -14,9 +14,8 @@ from rhizotwin import engine
 from rhizotwin.arguments import Progress
 from rhizotwin.batch import places
 from rhizotwin.batch.jobs import HEADS, Job, Outcome, State, note
-from rhizotwin.scenes import said
+from rhizotwin.scenes import memory, said
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.provenance import peak_memory_mib
 
 OF_DISK = (*said.FULL, errno.EIO, errno.ESTALE)
 """Errors of a disk or a network, not of a scan."""
@@ -51,7 +50,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
     except Exception as error:  # one scan's fault must not end the others
         logging.getLogger(__name__).debug("job %s", job.name, exc_info=True)
         state, sentence = "failed", said.failure(error)
-    outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=peak_memory_mib())
+    outcome = Outcome(name=job.name, state=state, sentence=sentence, seconds=time.perf_counter() - begin, peak_mib=memory.peak_mib())
     try:
         note(job, outcome)
     except (OSError, UserError) as error:

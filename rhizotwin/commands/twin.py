@@ -1,5 +1,6 @@
 """`rhizotwin twin`."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -63,6 +64,8 @@ def twin(
     rhizotwin twin --scene sphere_20mm --profile bench --seed 3 -o my_twin_rig.toml
     rhizotwin rig check my_twin_rig.toml
     """
+    if sys.platform == "win32":
+        raise UserError("rhizotwin twin needs pseudo-terminals, which Windows lacks; use scan --rig twin, which needs none, or WSL")
     from rhizotwin.rig.twin.faults import parse_fault
     from rhizotwin.rig.twin.server import run_twin
     from rhizotwin.rig.twin.twin import Twin, default_rig

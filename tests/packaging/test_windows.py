@@ -1,0 +1,77 @@
+"""Commands without what only POSIX has, as far as that can be tried without Windows."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "tests" / "packaging" / "as_windows.py"
+
+
+def run(folder: Path, *commands: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, SCRIPT, *commands], cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+@pytest.mark.slow
+def test_scenes_simulate_reconstruct_and_view(tmp_path: Path) -> None:
+    done = run(
+        tmp_path,
+        "scenes",
+        "simulate sphere_20mm -o dataset --views 8 --image-wh 160x120 --device cpu",
+        "reconstruct dataset -o result --device cpu",
+        "view result --no-browser",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Ctrl-C ends it" in done.stdout
+    assert (tmp_path / "result" / "report.html").is_file()
+    left = list(tmp_path.rglob(".*"))  # locks and temporary files: Windows removes none that is open
+    assert left == []
+    head = (tmp_path / "dataset" / "images" / "view_000.png").read_bytes()[:8]
+    assert head == b"\x89PNG\r\n\x1a\n"
+
+
+def test_twin_says_what_to_use_instead(tmp_path: Path) -> None:
+    done = run(tmp_path, "twin")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith(
+        "rhizotwin: rhizotwin twin needs pseudo-terminals, which Windows lacks; use scan --rig twin"
+    )
+
+
+def test_a_second_run_finds_the_lock_and_a_later_one_does_not(tmp_path: Path) -> None:
+    code = """
+import subprocess, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from as_windows import hide_posix
+hide_posix()
+from rhizotwin.scenes.atomic import write_text
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.lock import locked
+lock = Path("lock")
+with locked(lock, what="a folder"):
+    try:
+        with locked(lock, what="a folder"):
+            print("twice")
+    except UserError as error:
+        print("refused" if "works in it" in str(error) else error)
+lock.write_text("left by a killed run")
+with locked(lock, what="a folder") as left:
+    print("left", left)
+print("removed", not lock.exists())
+write_text("a.txt", "one\\n")
+write_text("a.txt", "two\\n")
+print(Path("a.txt").read_bytes(), sorted(path.name for path in Path().iterdir()))
+"""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", code, SCRIPT.parent], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["refused", "left True", "removed True", r"b'two\n' ['a.txt']"]
