@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -188,11 +187,9 @@ class Result:
     def traits(self) -> Any:
         """The traits with units, 90 % intervals, verdicts and definitions.
 
-        A pandas frame, indexed by name, where pandas is installed, otherwise a list of dicts.
+        A pandas frame, indexed by name.
         """
         rows = trait_table.to_json(self.measured, assessments.assess(self.summary(), self.measured))["traits"]
-        if find_spec("pandas") is None:
-            return rows
         import pandas as pd
 
         return pd.DataFrame(rows).set_index("name")

@@ -1,0 +1,187 @@
+"""The release, rehearsed: packages are built, put into an index of their own, installed from it and run from an empty folder."""
+
+import functools
+import hashlib
+import http.server
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import threading
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+VERSION = PROJECT["version"]
+MOST_WHEEL_BYTES = 2_000_000
+
+
+def script(name: str) -> ModuleType:
+    """Load a script of `packaging/`."""
+    spec = importlib.util.spec_from_file_location(f"release_{name}", ROOT / "packaging" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def test_one_version_everywhere() -> None:
+    released = re.search(rf"^## {re.escape(VERSION)} \((\d{{4}}-\d\d-\d\d)\)$", text("CHANGELOG.md"), re.MULTILINE)
+    assert released is not None
+    assert re.search(r"^version: (.*)$", text("CITATION.cff"), re.MULTILINE)[1] == VERSION  # type: ignore[index]
+    assert f'date-released: "{released[1]}"' in text("CITATION.cff")
+    assert f'version: "{VERSION}"' in text("packaging/conda/recipe.yaml")
+
+
+def test_metadata_is_complete() -> None:
+    assert {"Homepage", "Documentation", "Repository", "Issues", "Changelog"} <= PROJECT["urls"].keys()
+    assert PROJECT["authors"]
+    assert PROJECT["keywords"]
+    assert all((ROOT / name).is_file() for name in PROJECT["license-files"])
+    lowest, highest = re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups()  # type: ignore[union-attr]
+    named = {int(one.rpartition(".")[2]) for one in PROJECT["classifiers"] if ":: 3." in one}
+    assert named == set(range(int(lowest), int(highest)))
+
+
+def test_conda_recipe_has_every_dependency_with_its_bound() -> None:
+    called = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+    recipe = text("packaging/conda/recipe.yaml")
+    for need in PROJECT["dependencies"]:
+        name, bound = re.fullmatch(r"([A-Za-z0-9-]+)(\S*).*", need.partition(";")[0]).groups()  # type: ignore[union-attr]
+        if name == "karellen-llvm-core":
+            assert "- libllvm19" in recipe
+        else:
+            assert f"    - {called.get(name, name)} {bound}\n" in recipe
+
+
+def test_containers_pin_what_the_tests_run_with() -> None:
+    pins = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", text("requirements.lock"), re.MULTILINE))
+    pinned = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", text("packaging/requirements-runtime.lock"), re.MULTILINE))
+    assert pinned.items() <= pins.items()
+    assert {re.split(r"[<>=!~ ;]", need)[0] for need in PROJECT["dependencies"]} <= pinned.keys()
+    assert "://" not in text("packaging/requirements-runtime.lock")
+
+
+def test_notes_are_the_section_of_the_tag() -> None:
+    notes = script("release_notes")
+    assert notes.check_tag(f"v{VERSION}") == VERSION
+    with pytest.raises(ValueError, match=r"the tag v9\.9\.9 is not v"):
+        notes.check_tag("v9.9.9")
+    log = "# Changelog\n\n## Unreleased\n\n## 0.2.0 (2026-01-01)\n\n- a\n\n## 0.1.0\n\n- b\n"
+    assert notes.section(log, "0.2.0") == "- a\n"
+    assert notes.section(log, "0.1.0") == "- b\n"
+    for missing in ("0.2", "1.0.0", "Unreleased"):
+        with pytest.raises(ValueError, match="has no section"):
+            notes.section(log, missing)
+    assert notes.section(text("CHANGELOG.md"), VERSION).startswith("### Added")
+
+
+def test_licences() -> None:
+    licences = script("licences")
+    found = {one.metadata["Name"].lower() for one in licences.needed()}
+    assert {"rhizotwin", "mitsuba", "pandas", "viser", "certifi"} <= found  # the last through others
+    assert not {"pytest", "imagecodecs", "rawpy", "statsmodels"} & found
+    for copyleft in ("GPL-3.0-or-later", "GNU Lesser General Public License v3 (LGPLv3)", "MIT AND AGPL-3.0-only", licences.UNKNOWN):
+        assert licences.refused("a", copyleft)
+    assert licences.refused("a", "MPL-2.0")
+    assert not licences.refused("tqdm", "MPL-2.0 AND MIT")
+    assert not licences.refused("a", "BSD-3-Clause AND 0BSD AND MIT AND Zlib AND CC0-1.0")
+    bad = {one.metadata["Name"] for one in licences.needed() if licences.refused(one.metadata["Name"].lower(), licences.licence(one))}
+    assert bad == set()
+    listed = set(re.findall(r"^\| ([A-Za-z0-9_.-]+) \|", text("docs/licences.md"), re.MULTILINE))
+    assert {name.lower().replace("_", "-") for name in listed} >= {name.replace("_", "-") for name in found}
+
+
+@contextmanager
+def index(files: list[Path], folder: Path) -> Iterator[str]:
+    """Serve files as a package index does (PEP 503) and yield its address."""
+    place = folder / "simple" / "rhizotwin"
+    place.mkdir(parents=True)
+    for file in files:
+        shutil.copy(file, place)
+    links = [f'<a href="{file.name}#sha256={hashlib.sha256(file.read_bytes()).hexdigest()}">{file.name}</a>' for file in files]
+    (place / "index.html").write_text("<!DOCTYPE html><html><body>" + "\n".join(links) + "</body></html>")
+    handler = functools.partial(Quiet, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/simple"
+        finally:
+            server.shutdown()
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """Serves files and says nothing."""
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def build(source: Path, kind: str, goal: Path) -> Path:
+    """Return the package that the build backend makes of a source tree."""
+    code = f"from setuptools import build_meta; import sys; print(build_meta.build_{kind}(sys.argv[1]))"
+    command = [sys.executable, "-W", "ignore", "-c", code, goal]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return goal / done.stdout.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_release_to_an_index_and_install_from_it(tmp_path: Path) -> None:
+    dist, source = tmp_path / "dist", tmp_path / "source"
+    dist.mkdir()
+    source.mkdir()
+    for name in ("LICENSE", "README.md", "pyproject.toml"):
+        shutil.copy(ROOT / name, source)
+    unwanted = shutil.ignore_patterns("__pycache__")
+    for name in ("recon", "rig", "scenes", "sim", "rhizotwin"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=unwanted)
+    sdist = build(source, "sdist", dist)
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    # the wheel is made of the sdist alone, as pip and conda-forge do
+    wheel = build(tmp_path / "unpacked" / f"rhizotwin-{VERSION}", "wheel", dist)
+    assert wheel.name == f"rhizotwin-{VERSION}-py3-none-any.whl"
+    assert wheel.stat().st_size < MOST_WHEEL_BYTES
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    tops = ("rhizotwin", *(f"rhizotwin/{name}" for name in ("recon", "rig", "scenes", "sim")))
+    files = [path for top in tops for path in (ROOT / top).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    ours = {path.relative_to(ROOT).as_posix() for path in files}
+    assert {name for name in names if ".dist-info/" not in name} == ours
+
+    installed = tmp_path / "installed"
+    with index([sdist, wheel], tmp_path / "index") as address:
+        pip = [sys.executable, "-m", "pip", "--isolated", "--disable-pip-version-check", "install", "--quiet"]
+        options = ["--no-deps", "--no-cache-dir", "--no-compile", "--only-binary", ":all:"]
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("PIP_")} | {"PIP_CONFIG_FILE": os.devnull}
+        done = subprocess.run(
+            [*pip, *options, "--index-url", address, "--target", installed, f"rhizotwin=={VERSION}"],
+            env=environment, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    anywhere = tmp_path / "anywhere"
+    anywhere.mkdir()
+    code = "import rhizotwin, sys; from rhizotwin.__main__ import main; print(rhizotwin.__file__); sys.exit(main(['scenes']))"
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=anywhere, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0].startswith(str(installed))
+    assert "printed_8ml" in done.stdout
