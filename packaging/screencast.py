@@ -26,6 +26,8 @@ COMMANDS = (
     "rhizotwin score demo/result demo/dataset",
 )
 PICTURE = "demo/result/pictures/shape_and_truth.png"
+ENVIRONMENT = "my_environment"
+"""Shown in place of the environment's folder, which is nobody's business."""
 KEY_S = 0.06
 """Between two typed letters: 200 words a minute."""
 READ_S = 6.0
@@ -58,7 +60,9 @@ def record(folder: Path) -> tuple[list[Line], float]:
             command.split(), cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
         ) as running:
             for text in running.stdout or ():
-                lines += [Line(now + time.monotonic() - begin, part) for part in wrapped(text.rstrip("\n"))]
+                lines += [
+                    Line(now + time.monotonic() - begin, part) for part in wrapped(text.rstrip("\n").replace(sys.prefix, ENVIRONMENT))
+                ]
         if running.returncode:
             raise SystemExit(f"screencast: `{command}` ended with exit code {running.returncode}")
         now += time.monotonic() - begin + READ_S

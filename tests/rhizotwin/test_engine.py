@@ -72,6 +72,40 @@ def test_hint_names_packages_of_a_usable_version() -> None:
     assert int(packages[0].removeprefix("libllvm").removesuffix("t64")) >= engine.MIN_LLVM
 
 
+@pytest.mark.parametrize(
+    ("system", "machine", "hint"),
+    [
+        ("Linux", "x86_64", f"pip install {engine.LLVM_WHEEL}"),
+        ("Linux", "aarch64", "libllvm"),
+        ("Darwin", "arm64", "brew install llvm"),
+        ("Windows", "AMD64", "winget install LLVM.LLVM"),
+    ],
+)
+def test_each_platform_has_a_command_that_brings_llvm(
+    system: str, machine: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine.platform, "system", lambda: system)
+    monkeypatch.setattr(engine.platform, "machine", lambda: machine)
+    monkeypatch.setattr(engine.shutil, "which", lambda name: f"/usr/bin/{name}" if name == "apt-get" else None)
+    with pytest.raises(UserError, match="no LLVM shared library of version 17 or newer was found; install one with: ") as caught:
+        engine.choose_llvm(None, [tmp_path])
+    assert hint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_wheel_is_the_one_that_is_a_dependency() -> None:
+    pyproject = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    assert f'"{engine.LLVM_WHEEL}; ' in pyproject
+
+
+def test_windows_library_is_asked_for_its_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_libraries(tmp_path, "LLVM-C.dll")
+    monkeypatch.setattr(engine, "_ask_version", lambda _: 19)
+    assert engine.find_llvm([folder]) == (folder / "LLVM-C.dll", 19)
+    monkeypatch.setattr(engine, "_ask_version", lambda _: 15)
+    assert engine.find_llvm([folder]) is None
+
+
 def test_unknown_device_is_refused() -> None:
     with pytest.raises(UserError, match="--device gpu is unknown"):
         engine.start("gpu")
