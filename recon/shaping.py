@@ -212,7 +212,7 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
     leaves, tubes = solids.leaves, None
     if system is not None:
         with monitor.stage("unite"):
-            tubes = tube_volume.paint(solids.leaves, system)
+            tubes = tube_volume.paint(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
     # at most the hull with its outlines moved out; at least the shape, less what moving them in costs about solids

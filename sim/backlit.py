@@ -1,7 +1,9 @@
 """The fast deterministic fidelity: only the primary refracted path of a camera ray, no random numbers.
 
 A ray crosses every interface by its transmitted branch (reflected only in total reflection), weighted by what the
-interface lets through, until it meets a light, something opaque, or nothing. The same walk tells whether the ray met
+interface lets through, until it meets a light, something opaque, or nothing. Roots that refract have an index close to
+the water's, so that light is reflected at grazing angles alone and little turned aside: it comes from the panel as that
+which is let through does, and counts as it (docs/decisions/roots-refract.md). The same walk tells whether the ray met
 the specimen, and which way it went.
 """
 
@@ -66,9 +68,11 @@ class Backlit:
         The scene has attenuating media (turbid water, translucent roots); following them costs time.
     room : Room or None
         Where fine things are; ``spans`` counts the stretches through it.
+    roots : str
+        Id of the shape whose reflected light counts as let through.
     """
 
-    def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None) -> None:
+    def __init__(self, scene: Any, lamps: Lamps, *, media: bool, room: Room | None = None, roots: str = "") -> None:
         self.scene = scene
         self.lamps = lamps
         self.media = media
@@ -77,6 +81,8 @@ class Backlit:
         dr.make_opaque(self.bounds)
         self.shapes = {shape.id(): mi.ShapePtr(shape) for shape in scene.shapes()}
         self.target = dr.zeros(mi.ShapePtr)
+        self.roots = self.shapes.get(roots, dr.zeros(mi.ShapePtr))
+        dr.make_opaque(self.roots)
 
     def aim(self, target: str) -> None:
         """Choose the shape whose coverage is wanted, by its id; where there is none, nothing is covered."""
@@ -131,7 +137,7 @@ class Backlit:
                 radiance += dr.select(opaque, beta * self.shade(si, outside, opaque), 0.0)
 
             active &= smooth
-            beta[active] *= weight * bs.pdf
+            beta[active] *= weight * dr.select(si.shape == self.roots, 1.0, bs.pdf)
             outside &= ~mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
             wo = si.to_world(bs.wo)
             if dr.hint(self.media, mode="scalar"):

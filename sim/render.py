@@ -107,7 +107,7 @@ class Renderer:
         self.lamps = lights.Lamps(scene, world)
         dark_scene = optics.build(scene, world, solid, hairs, lamps=False)
         self.swaying = [dark_scene, *([self.fine] if self.fine is not None else []), *([self.lit_scene] if fidelity == "path" else [])]
-        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room)
+        self.backlit = Backlit(dark_scene, self.lamps, media=media, room=room, roots=optics.SPECIMEN)
         self.targets = [optics.SHOOT if ring.kind == "shoot" else optics.SPECIMEN for ring in scene.plan.rings]
         self.strip = next(mi.ShapePtr(shape) for shape in dark_scene.shapes() if shape.id() == optics.STRIP)
         self.blur_px = _blur_px(scene)

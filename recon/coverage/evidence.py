@@ -15,7 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, blurred
+from rhizotwin.recon.calibration.cameras import Cameras
+from rhizotwin.recon.coverage.silhouettes import UNSEEN_PX, UPSAMPLING, Image, Silhouette, Window, blurred
 from rhizotwin.recon.device import Float, Kernel, Vector3f, halves, numbers, some_parts, vectors
 from rhizotwin.recon.optics import projection
 from rhizotwin.recon.optics.projection import Projected, ViewBank
@@ -39,17 +40,21 @@ class Evidence:
     """Measured coverage of all views, or where roots are translucent their opacity, with the cameras."""
 
     bank: ViewBank
+    """With the window's first pixel as the origin."""
     silhouettes: tuple[Silhouette, ...]
-    """In the order of the bank's views."""
+    """In the order of the bank's views, cut to the window."""
     coverage: Kernel
     """mi.Float16, (V, H, W) flattened: coverage, opacity where roots are translucent."""
     seen: Kernel
     """mi.Float16, (V, H, W) flattened: 1 where the picture says something, else 0."""
-    image_wh: tuple[int, int]
+    window: Window
+    """The part of the pictures that is kept, the same in all views: beyond it no view sees anything."""
     mu_per_mm: float | None = None
     """Attenuation of the roots; None for opaque ones."""
     hairs: float = 0.0
     """Strength of the hairs about the roots, in those of `translucent_tube.HAIRS`."""
+    index: float = 1.0
+    """Refractive index of the roots over that of the water; it matters where they are translucent."""
     blur_px: float = 0.0
     """Standard deviation of the pictures' blur, beside the square pixel's own."""
     tops_mm: tuple[tuple[float, float, float], ...] = ()
@@ -57,10 +62,23 @@ class Evidence:
 
     @staticmethod
     def of(bank: ViewBank, silhouettes: Sequence[Silhouette]) -> Evidence:
-        """Put silhouettes on the device."""
-        height, width = silhouettes[0].coverage.shape
-        coverage, seen = halves([s.coverage for s in silhouettes]), halves([s.seen for s in silhouettes])
-        return Evidence(bank, tuple(silhouettes), coverage, seen, (width, height))
+        """Put silhouettes on the device, cut to the window that holds all pixels seen in any view.
+
+        Parameters
+        ----------
+        bank : ViewBank
+            Views of whole pictures.
+        silhouettes : (V,) Silhouette
+            Of whole pictures, in the order of the views.
+        """
+        window = Window.around(silhouettes)
+        cut = tuple(silhouette.cut(window) for silhouette in silhouettes)
+        coverage, seen = halves([s.coverage for s in cut]), halves([s.seen for s in cut])
+        return Evidence(bank.in_window(window.low_px), cut, coverage, seen, window)
+
+    def with_cameras(self, cameras: Cameras) -> Evidence:
+        """Return the same evidence seen by other cameras, in the order of the views."""
+        return replace(self, bank=ViewBank.of(cameras.views, cameras.optics).in_window(self.window.low_px))
 
     @property
     def has_opacity(self) -> bool:
@@ -92,6 +110,11 @@ class Evidence:
         return replace(
             self, bank=self.bank.chosen(which), silhouettes=tuple(self.silhouettes[k] for k in which), coverage=coverage, seen=seen
         )
+
+    @property
+    def image_wh(self) -> tuple[int, int]:
+        """Return columns and rows of the window."""
+        return self.window.size_px
 
     @property
     def pixels(self) -> int:

@@ -116,7 +116,7 @@ def carve(
         _check_memory(8 * dr.width(nodes[0]))
     best, low, high = np.concatenate([part.occupancy for part in done], axis=1)
     leaves = Leaves(grid, np.concatenate([part.index for part in done]), np.concatenate([part.size for part in done]), best)
-    return Hull(leaves, leaves.volume_mm3(low), leaves.volume_mm3(high), sum(part.blind_mm3 for part in done))
+    return Hull(leaves, high, leaves.volume_mm3(low), sum(part.blind_mm3 for part in done))
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,19 @@ def united(first: Leaves, second: Leaves) -> Leaves:
     return Leaves(first.grid, index[place], size[place], fuller)
 
 
+def common(first: Leaves, second: Leaves) -> Leaves:
+    """Intersect leaves of one grid: those within a larger one are left whole, of two alike the emptier."""
+    inside = _within(first, second), _within(second, first)
+    rest = [leaves.some(~within) for leaves, within in zip((first, second), inside, strict=True)]
+    index, size, occupancy = (np.concatenate([getattr(part, name) for part in rest]) for name in ("index", "size", "occupancy"))
+    _, place, which, count = np.unique(Box.around(index).number(index), return_index=True, return_inverse=True, return_counts=True)
+    emptier = np.ones(len(place), np.float32)
+    np.minimum.at(emptier, which, occupancy)
+    both = Leaves(first.grid, index[place], size[place], emptier).some(count == 2)
+    parts = (first.some(inside[0]), second.some(inside[1]), both)
+    return Leaves(first.grid, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "size", "occupancy")))
+
+
 def _within(leaves: Leaves, others: Leaves) -> NDArray[np.bool_]:
     """Tell which leaves (N,) lie within larger ones of others."""
     within = np.zeros(len(leaves.size), bool)
@@ -110,12 +123,22 @@ class Hull:
     """What carving leaves."""
 
     leaves: Leaves
+    outer: NDArray[np.float32]
+    """(N,) fraction of the leaves inside with every outline moved out by its uncertainty."""
     moved_in_mm3: float
     """Volume with every outline moved in by its uncertainty."""
-    moved_out_mm3: float
-    """Volume with every outline moved out by its uncertainty."""
     blind_mm3: float
     """Volume of the water that too few views see."""
+
+    @property
+    def widest(self) -> Leaves:
+        """Return the hull with every outline moved out by its uncertainty."""
+        return Leaves(self.leaves.grid, self.leaves.index, self.leaves.size, self.outer)
+
+    @property
+    def moved_out_mm3(self) -> float:
+        """Return the volume of that."""
+        return self.leaves.volume_mm3(self.outer)
 
 
 def even(index: NDArray[np.int32], size: NDArray[np.int32]) -> NDArray[np.int32]:

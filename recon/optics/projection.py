@@ -14,7 +14,7 @@ Through a tank's front the unknowns are the components (q_y, q_z) of the ray alo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -30,6 +30,8 @@ from rhizotwin.scenes import frames
 
 _PARAMETERS = 40
 """Numbers a view, a multiple of four."""
+_PRINCIPAL = slice(15, 17)
+"""Where the principal point is among them, px."""
 _IN_OPEN, _SWAY = 24, 36
 """So many of them are needed without a tank, and where those of what sways begin."""
 NEWTON_STEPS, TANK_STEPS, NEAR_MM = 3, 4, 3e-4
@@ -75,7 +77,7 @@ class ViewBank:
             turn = view.azimuth_from_canister
             packed[k, :9] = cam_from_azimuth[:3, :3].ravel()
             packed[k, 9:13] = view.rho_mm, view.centre_mm[2], turn[0, 0], turn[1, 0]
-            packed[k, 13:15], packed[k, 15:17] = view.camera.focal_px, view.camera.principal_px
+            packed[k, 13:15], packed[k, _PRINCIPAL] = view.camera.focal_px, view.camera.principal_px
             packed[k, 17:22] = view.camera.distortion
             packed[k, 22] = optics.n_water  # no constant of the kernel: it may change
             packed[k, _SWAY:] = *view.sway, optics.water_z_mm
@@ -87,6 +89,12 @@ class ViewBank:
             tables.append(made[key])
         shape = tables[0].shape[:2]
         return ViewBank(optics, len(views), numbers(packed), numbers(np.stack(tables)), (shape[0], shape[1]))
+
+    def in_window(self, low_px: tuple[int, int]) -> ViewBank:
+        """Return the views with pixels counted from the first column and row of a window."""
+        packed = np.array(self.parameters).reshape(self.count, -1)
+        packed[:, _PRINCIPAL] -= low_px
+        return replace(self, parameters=numbers(packed))
 
     def chosen(self, which: Sequence[int]) -> ViewBank:
         """Return some of the views."""

@@ -114,7 +114,7 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     paths, radii, parents = [], [], []
     for way in lines:
         opaque = np.maximum(0.5 * own[way] / px_a_mm, _THINNEST_MM)
-        wide = radius_of(opaque, evidence.mu_per_mm, evidence.hairs)
+        wide = radius_of(opaque, evidence.mu_per_mm, evidence.hairs, evidence.index)
         paths.append(centre[way])
         radii.append(np.full(len(way), float(np.median(wide[1:]))))
         first = int(node[nearest[way[0]]])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.recon.hull import spheres
 from rhizotwin.recon.hull.boxes import Box
-from rhizotwin.recon.hull.leaves import Grid, Leaves, united
+from rhizotwin.recon.hull.leaves import Grid, Leaves, common, united
 from rhizotwin.recon.hull.spheres import Spheres
 from rhizotwin.recon.roots.root_tree import RootSystem
 from rhizotwin.recon.tubes.filling import Filled, fill, levelled
@@ -46,19 +46,17 @@ class Painted:
     """What they gain where all are larger."""
 
 
-def paint(solids: Leaves, system: RootSystem) -> Painted:
+def paint(solids: Leaves, system: RootSystem, hull: Leaves) -> Painted:
     """Paint tubes beside solids.
 
-    Where both are, a node is as full as the fuller of the two.
+    Where both are, a node is as full as the fuller of the two; no thick tube reaches out of the hull.
     """
     tubes, grid = system.tubes, solids.grid
     wide = _is_wide(tubes, grid.size_mm) & ~system.solid
     spacing_mm = max(grid.size_mm / _SAMPLES_A_NODE, _FINEST_SPACING_MM)
-    others = united(solids, spheres.fill(_strung(tubes, wide), grid))
-    leaves, thick = (
-        united(others, _leaves(fill(tubes, spacing_mm, left_out=system.solid | wide | gone), grid))
-        for gone in (np.zeros(len(wide), bool), ~system.thick)
-    )
+    thin, flanks = (_leaves(fill(tubes, spacing_mm, left_out=system.solid | wide | gone), grid) for gone in (system.thick, ~system.thick))
+    thick = united(solids, common(united(spheres.fill(_strung(tubes, wide), grid), flanks), hull))
+    leaves = united(thick, thin)
     slack_mm = _SLACK_PX / system.px_a_mm
     free = np.where(system.solid, 0.0, tubes.radius_mm)
     length = np.linalg.norm(np.diff(tubes.centre_mm[tubes.segments], axis=1)[:, 0], axis=1)
@@ -77,19 +75,34 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
 
 
 def _strung(tubes: Tubes, wide: Mask) -> Spheres:
-    """Return spheres close together along the segments between wide nodes (N,)."""
-    ends, radii = tubes.segments, np.stack(tubes.segment_radii, axis=1)
-    both = wide[ends].all(axis=1)
-    (a, b), (first, last) = ends[both].T, radii[both].T
-    step = np.linalg.norm(tubes.centre_mm[b] - tubes.centre_mm[a], axis=1)
-    count = np.maximum(np.ceil(step / (_APART * np.minimum(first, last))), 1).astype(np.int64)
-    segment = np.repeat(np.arange(len(a)), count + 1)
-    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)) / count[segment]
-    radius = first[segment] + share * (last - first)[segment]
-    # the dents between spheres, on the mean
-    radius += np.square(step / count)[segment] / (_DENT * radius)
-    centre = tubes.centre_mm[a][segment] + share[:, None] * (tubes.centre_mm[b] - tubes.centre_mm[a])[segment]
+    """Return spheres close together along the segments between wide nodes (N,), as large as fit into their branches."""
+    found = [_inscribed(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
+    centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
     return Spheres(centre, radius)
+
+
+def _inscribed(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
+    """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface.
+
+    Cross-sections are discs. Where their radius r changes along the way s, the sphere that touches the surface at one
+    of them has its centre at s + q and the radius sqrt(r^2 + q^2), q = (r^2)' / 2; as wide as the disc, and on it, a
+    sphere would stand out of a branch that grows thinner. None reaches beyond any other disc's rim.
+    """
+    nodes = tubes.branches[branch]
+    way, square = polyline.way_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
+    if branch > 0:
+        square[0] = square[1]  # a branch's first node has its parent's radius
+    step, both = np.diff(way), wide[nodes[:-1]] & wide[nodes[1:]]
+    count = np.maximum(np.ceil(step / (_APART * np.sqrt(np.minimum(square[:-1], square[1:])))), 1).astype(np.int64)
+    segment = np.repeat(np.arange(len(step)), count)
+    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
+    at = np.append(way[segment] + share * step[segment], way[-1])
+    apart, inside = np.append((step / count)[segment], (step / count)[-1]), np.append(both[segment], both[-1])
+    disc, shift = (np.interp(at, way, value) for value in (square, 0.5 * np.gradient(square, way)))
+    middle = np.clip(at + shift, way[0], way[-1])[inside]
+    radius = np.sqrt([(np.square(at - place) + disc).min() for place in middle])
+    radius += np.square(apart[inside]) / (_DENT * radius)  # the dents between spheres, on the mean
+    return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius
 
 
 def _leaves(filled: Filled, grid: Grid) -> Leaves:

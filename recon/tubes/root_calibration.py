@@ -28,7 +28,6 @@ from scipy import sparse
 
 from rhizotwin.recon.calibration.cameras import Cameras, RigUncertainty, RootCalibration
 from rhizotwin.recon.coverage.evidence import Evidence
-from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.recon.robust import inverse, scatter
 from rhizotwin.recon.tubes import sight_change, tube_fit, tube_profiles
@@ -157,7 +156,7 @@ def calibrate(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask) -> tu
     if sure := believed(first, cameras.optics):
         for _ in range(_ROUNDS):
             now = changed(cameras, found.change)
-            seen = replace(seen, bank=ViewBank.of(now.views, now.optics))
+            seen = seen.with_cameras(now)
             tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
             last = found
             found = estimate(seen, now, tubes, taken=last.change) or last
@@ -228,9 +227,8 @@ def system(
         return None
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_NODES)).round().astype(np.int64)]
     sums, points = profiles.host(chosen), tubes.centre_mm[chosen]
-    moves = [
-        sight_change.moves(view, cameras.optics, wanted, at.px[v, chosen], points, sums.across[v]) for v, view in enumerate(cameras.views)
-    ]
+    px = at.px[:, chosen] + seen.window.low_px  # in whole pictures, as cameras have them
+    moves = [sight_change.moves(view, cameras.optics, wanted, px[v], points, sums.across[v]) for v, view in enumerate(cameras.views)]
     by = np.where((sums.shift_2 > 0.0)[..., None], np.stack(moves), 0.0)
     return System.of(sums, profiles.residual_gradient().of(chosen), by, columns, (tubes.tangents[chosen], tubes.owner[chosen]))
 

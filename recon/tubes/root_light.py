@@ -1,4 +1,4 @@
-"""What all roots share: attenuation, blur of the pictures and hairs, as columns of the tubes' normal equations.
+"""What all roots share: attenuation, blur of the pictures, hairs and index, as columns of the tubes' normal equations.
 
 Tubes x (positions and radii of the nodes) and light q (`tube_profiles.LIGHT`) are fitted together. A Gauss-Newton step
 solves
@@ -35,7 +35,7 @@ from rhizotwin.recon.tubes.tubes import Tubes, moved
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MU, BLUR, HAIRS = range(len(LIGHT))
+MU, BLUR, HAIRS, INDEX = range(len(LIGHT))
 FAINTEST, DARKEST = 0.5, 8.0
 """Attenuations, 1/mm, between which is sought; roots of more count as opaque. Those of the twin that let light through
 have 1.0 to 2.2; blurred edges of opaque ones looked like 9 to 16 (a bean, which left 1.09 times as much)."""
@@ -43,16 +43,18 @@ _MOST_BLUR_PX = 0.8
 """A camera in focus blurs less."""
 _MOST_HAIRS = 4.0
 """Hairs four times as dark as those of radish take most of the light."""
-_BOUNDS = np.array([[np.log(FAINTEST), 0.0, 0.0], [np.log(DARKEST), _MOST_BLUR_PX**2, _MOST_HAIRS]])
+_MOST_INDEX = 0.07
+"""Cell walls alone have 1.425 (Appl. Opt. 13:109), which is 1.069 times that of water."""
+_BOUNDS = np.array([[np.log(FAINTEST), 0.0, 0.0, 0.0], [np.log(DARKEST), _MOST_BLUR_PX**2, _MOST_HAIRS, _MOST_INDEX]])
 """Least and largest value of each of `LIGHT`."""
 ROUNDING = 1e-9
 """Nearer to a bound is at it: log(exp(x)) is not always x."""
-_LARGEST_STEP = np.array([0.35, 0.06, 0.5])
+_LARGEST_STEP = np.array([0.35, 0.06, 0.5, 0.01])
 """A step changes light by no more: within these the profiles' slopes tell the way."""
 LEARNED_SIGMA = 0.2
 """Standard deviation of the logarithm of what the widest roots seemed to: of roots of 1.0 a mm that refract and have
 hairs, three plants seemed to have 1.03, 1.03 and 1.18."""
-_CHANGES, _WIDER = (0.01, 0.005, 0.02), 0.005
+_CHANGES, _WIDER = (0.01, 0.005, 0.02, 0.002), 0.005
 """Steps of the difference quotients by the light, and by the logarithm of the radii: pictures change by less than a
 hundredth, and are known to 1e-6."""
 _RIDGE = 1e-4
@@ -60,11 +62,17 @@ _RIDGE = 1e-4
 left along the valley in which it follows the light."""
 LEAST_VARIANCE = 1e-5
 """Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
-LEAST_LONE = 500
-"""Profiles of lone roots; fewer tell no attenuation and no hairs, and every profile tells of the blur."""
+LEAST_LONE = 1500
+"""Profiles of lone roots; fewer tell no attenuation and no hairs, and every profile tells of the blur. An opaque print in
+40 pictures of 400x300 has 1,140, of few roots, of which opaque ones leave 1.15 times as much; translucent plants have
+30,000 and more."""
 HAIRY = 1.0, 0.5
 """Mean and standard deviation of the hairs' strength about what lets light through, which is young: radish in water has
 hairs of a tenth to half a millimetre, half or one and a half times as dark as those of the middle."""
+
+BENDING = 0.024, 0.012
+"""Mean and standard deviation of the index: whole wet roots have 1.35 to 1.38, 0.013 to 0.035 more than water over that
+of water; those that refract not at all are two deviations away."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +92,13 @@ class Prior:
 
         Silhouettes tell of blur alone; about opaque roots hairs are only possible.
         """
-        mean, sigma = np.array([0.0, 0.0, HAIRY[0]]), np.array([np.inf, np.inf, HAIRY[1] if evidence.has_opacity else np.inf])
+        mean, sigma = np.array([0.0, 0.0, HAIRY[0], BENDING[0]]), np.full(len(LIGHT), np.inf)
+        if evidence.has_opacity:
+            sigma[HAIRS], sigma[INDEX] = HAIRY[1], BENDING[1]
         if learned_per_mm is not None and learned_per_mm > FAINTEST_LEARNED:
             mean[MU], sigma[MU] = np.log(learned_per_mm), LEARNED_SIGMA
         translucent = evidence.has_opacity and evidence.mu_per_mm is not None
-        return Prior(mean, sigma, np.array([translucent, True, translucent]))
+        return Prior(mean, sigma, translucent | (np.arange(len(LIGHT)) == BLUR))
 
     @property
     def seen(self) -> Mask:
@@ -102,13 +112,14 @@ class Prior:
 
 def light_of(evidence: Evidence) -> Array:
     """Return the light (L,) that evidence has."""
-    return np.array([np.log(evidence.mu_per_mm or DARKEST), evidence.blur_px**2, evidence.hairs])
+    return np.array([np.log(evidence.mu_per_mm or DARKEST), evidence.blur_px**2, evidence.hairs, evidence.index - 1.0])
 
 
 def with_light(evidence: Evidence, light: Array) -> Evidence:
     """Return evidence with another light (L,); opaque roots stay opaque."""
     mu_per_mm = None if evidence.mu_per_mm is None else float(np.exp(light[MU]))
-    return replace(evidence, mu_per_mm=mu_per_mm, blur_px=float(np.sqrt(max(light[BLUR], 0.0))), hairs=float(light[HAIRS]))
+    blur_px, hairs, index = float(np.sqrt(max(light[BLUR], 0.0))), float(light[HAIRS]), 1.0 + float(light[INDEX])
+    return replace(evidence, mu_per_mm=mu_per_mm, blur_px=blur_px, hairs=hairs, index=index)
 
 
 def with_light_kept(fitted: Tubes, thick: Mask, before: Evidence, after: Evidence) -> Tubes:
@@ -121,8 +132,8 @@ def with_light_kept(fitted: Tubes, thick: Mask, before: Evidence, after: Evidenc
     thick : (N,) bool array
         Nodes whose radius stays.
     """
-    light = translucent_tube.opaque_radius(fitted.radius_mm, before.mu_per_mm, before.hairs)
-    radius_mm = translucent_tube.radius_of(light, after.mu_per_mm, after.hairs)
+    light = translucent_tube.opaque_radius(fitted.radius_mm, before.mu_per_mm, before.hairs, before.index)
+    radius_mm = translucent_tube.radius_of(light, after.mu_per_mm, after.hairs, after.index)
     return moved(fitted, fitted.centre_mm, np.where(thick, fitted.radius_mm, radius_mm))
 
 

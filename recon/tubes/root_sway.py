@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from rhizotwin.recon.calibration.cameras import Cameras
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.optics.cameras import STILL
-from rhizotwin.recon.optics.projection import ViewBank
 from rhizotwin.recon.tubes import root_calibration, tube_fit
 from rhizotwin.recon.tubes.sight_change import SWAY
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -73,7 +72,7 @@ def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_
         nearest_px, sways = still_px, before + change.reshape(before.shape)
         moved = [replace(view, sway=(float(x), float(y), float(turn))) for view, (x, y, turn) in zip(cameras.views, sways, strict=True)]
         cameras = cameras.moved(moved, cameras.optics)
-        seen = replace(seen, bank=ViewBank.of(cameras.views, cameras.optics))
+        seen = seen.with_cameras(cameras)
         tubes = tube_fit.fit(seen, tubes, thick, steps=_STEPS).tubes
     return (seen, cameras, tubes) if is_far(seen, given[1], tubes, px_a_mm) or _sways(given[1]) else given
 
@@ -95,7 +94,7 @@ def is_far(seen: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bo
     px_a_mm : float
         Pixels a millimetre.
     """
-    now, then = seen.project(tubes.centre_mm), replace(seen, bank=ViewBank.of(cameras.views, cameras.optics)).project(tubes.centre_mm)
+    now, then = seen.project(tubes.centre_mm), seen.with_cameras(cameras).project(tubes.centre_mm)
     both = now.seen & then.seen
     away_px = np.linalg.norm(now.px - then.px, axis=-1)[both]
     return bool(len(away_px)) and float(np.sqrt(np.square(away_px).mean())) > _LEAST_MM * px_a_mm

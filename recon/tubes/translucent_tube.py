@@ -5,7 +5,13 @@ of its radius the chord ``2 w sqrt(1 - x^2) / sin(theta)``, so that it absorbs
 
     alpha(x) = 1 - exp(-2 tau sqrt(1 - x^2)),    tau = mu w / sin(theta)
 
-of the light. Cut into levels, alpha is a heap of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1)
+of the light. Tissue refracts, too: with an index n times that of the water a line of sight at x goes through the root
+nearer to its axis, at x / n' (Bouguer), so that ``sqrt(1 - x^2 / n'^2)`` takes the place of the root above and the rim
+is no longer clear. Here n' is the index as the cross-section has it, and theta' the angle to the axis inside,
+
+    1 - 1 / n'^2 = (n^2 - 1) / (n^2 sin^2(theta')),    cos(theta') = cos(theta) / n,    tau = mu w / sin(theta').
+
+Cut into levels, alpha is a heap of strips of half-widths s, ``integral x^(2k) alpha dx = 2 / (2k + 1)
 integral s^(2k+1) dh``, and Gauss's quadrature of this heap (Golub and Welsch 1969, Math. Comp. 23:221) gives the two
 strips of half-widths e w and heights h that have the integrals of ``alpha``, ``x^2 alpha``, ``x^4 alpha`` and ``x^6
 alpha`` in common with it: a pixel and a blur as wide as the root tell no more of it.
@@ -27,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.coverage.translucency import Hairs
-from rhizotwin.recon.device import Float, numbers
+from rhizotwin.recon.device import TO_LAST, Float, numbers
 
 Array = NDArray[np.float64]
 
@@ -39,6 +45,10 @@ a third of the light: they stand before a seventh of it in each millimetre of th
 _TAU = np.geomspace(1e-4, 50.0, 1201)
 """Optical depths of half a root that are tabulated, linear in between to 1e-5; beyond, a root is opaque to 1e-4 of its
 width."""
+_RIM = np.linspace(0.0, 0.8, 33)
+"""Chords at the rim, in those through the middle, that are tabulated: sqrt(1 - 1 / n'^2). Linear in between to 1e-4."""
+_LEAST_SPREAD = 1e-9
+"""Variance of the squared half-widths of a root that is dark to its rim, and one strip: less is rounding."""
 _NODES = 400
 """Of the Gauss-Legendre quadrature of the moments."""
 LEAST_SINE = 0.2
@@ -60,20 +70,25 @@ class Strips:
     """dh / d log tau."""
 
 
-def strips(tau: Array) -> Strips:
-    """Return the strips in place of round translucent roots.
+def strips(tau: Array, index: float = 1.0) -> Strips:
+    """Return the strips in place of round translucent roots seen from the side.
 
     Parameters
     ----------
     tau : (...) float64 array
-        Attenuation times radius over the sine of the angle between axis and line of sight.
+        Attenuation times radius.
+    index : float
+        Of the tissue, over that of the water.
     """
     log_tau, table = _table()
+    rim = np.sqrt(1.0 - index**-2.0) / (_RIM[1] - _RIM[0])
+    level = min(int(rim), len(_RIM) - 2)
+    columns = (level + 1 - rim) * table[:, :, level] + (rim - level) * table[:, :, level + 1]
     place = (np.log(np.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
     before = np.minimum(place.astype(np.int64), len(log_tau) - 2)
     part = place - before
     rest = 1.0 - part
-    return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in table))
+    return Strips(*(np.stack([layer.take(before) * rest + layer[1:].take(before) * part for layer in column]) for column in columns))
 
 
 @dataclass(frozen=True)
@@ -88,7 +103,7 @@ class Layer:
     """Derivative of the height by the root's half-width, 1/px."""
 
 
-def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float, half_px: Float, *, index: float = 1.0) -> list[Layer]:
     """Return the strips in place of roots.
 
     `strips` in a picture, as a kernel has it; one and opaque without attenuation.
@@ -103,30 +118,35 @@ def layers(mu_per_mm: float | None, hairs: float, radius_mm: Float, sine: Float,
         The roots', mi.Float.
     sine : Float
         Of the angle between axis and line of sight, mi.Float.
+    index : float
+        Of the tissue, over that of the water.
     """
     sine = dr.maximum(sine, LEAST_SINE)
     if mu_per_mm is None:
         own = [Layer(half_px, mi.Float(1.0), mi.Float(1.0), mi.Float(0.0))]
     else:
-        own = _translucent(mu_per_mm, radius_mm, sine, half_px)
+        own = _translucent(mu_per_mm, index, radius_mm, sine, half_px)
     return _hairy(own, hairs, radius_mm, sine, half_px) if hairs else own
 
 
-def _translucent(mu_per_mm: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
+def _translucent(mu_per_mm: float, index: float, radius_mm: Float, sine: Float, half_px: Float) -> list[Layer]:
     """Return the strips of translucent roots without hairs."""
     log_tau, table = _table()
-    rows = numbers(np.moveaxis(table, -1, 0))  # widths and heights of both strips, then their slopes
-    tau = dr.opaque(mi.Float, mu_per_mm) * radius_mm / sine
+    rows = numbers(np.moveaxis(table, (2, 3), (0, 1)))  # widths and heights of both strips, then their slopes
+    square = dr.opaque(mi.Float, index**2)
+    inside = dr.sqrt((square - 1 + dr.square(sine)) / square)
+    rim = dr.minimum(dr.sqrt((square - 1) / square) / (inside * (_RIM[1] - _RIM[0])), len(_RIM) - TO_LAST)
+    tau = dr.opaque(mi.Float, mu_per_mm) * radius_mm / inside
     place = (dr.log(dr.clip(tau, _TAU[0], _TAU[-1])) - log_tau[0]) / (log_tau[1] - log_tau[0])
-    before = dr.minimum(mi.UInt32(place), len(log_tau) - 2)
-    part = place - mi.Float(before)
-    (e, h), (e_slope, h_slope) = (
-        ((four[0], four[1]), (four[2], four[3]))
-        for four in (
-            dr.gather(mi.Vector4f, rows, 2 * before + k) * (1 - part) + dr.gather(mi.Vector4f, rows, 2 * before + 2 + k) * part
-            for k in range(2)
-        )
-    )
+    level, before = mi.UInt32(rim), dr.minimum(mi.UInt32(place), len(log_tau) - 2)
+    between, part = rim - mi.Float(level), place - mi.Float(before)
+
+    def read(k: int) -> mi.Vector4f:
+        corners = [dr.gather(mi.Vector4f, rows, 2 * ((level + up) * len(log_tau) + before + on) + k) for up in (0, 1) for on in (0, 1)]
+        low, high = (one * (1 - part) + other * part for one, other in (corners[:2], corners[2:]))
+        return low * (1 - between) + high * between
+
+    (e, h), (e_slope, h_slope) = (((four[0], four[1]), (four[2], four[3])) for four in (read(0), read(1)))
     return [Layer(half_px * e[n], h[n], h[n] * (e[n] + e_slope[n]), h_slope[n] / half_px) for n in range(LAYERS)]
 
 
@@ -149,25 +169,35 @@ _RADII_MM = np.geomspace(1e-3, 30.0, 3001)
 """Radii at which it is tabulated how much light roots take, a third of a percent apart."""
 
 
-def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0) -> Array:
-    """Return the radii (N,) of roots that absorb as much light as opaque bare ones of given radii (N,).
+def radius_of(opaque_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+    """Return the radii (N,) of roots that absorb as much light as opaque bare ones, seen from the side.
 
-    Seen from the side.
+    Parameters
+    ----------
+    opaque_mm : (N,) float64 array
+        Radii of the opaque ones.
+    mu_per_mm, hairs, index : float or None, float, float
+        As in `layers`.
     """
     if mu_per_mm is None and not hairs:
         return opaque_mm
-    area = np.log(opaque_radius(_RADII_MM, mu_per_mm, hairs))
+    area = np.log(opaque_radius(_RADII_MM, mu_per_mm, hairs, index))
     return np.asarray(np.exp(np.interp(np.log(opaque_mm), area, np.log(_RADII_MM))))
 
 
-def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0) -> Array:
-    """Return the radii (N,) of opaque bare roots that absorb as much light as given ones (N,).
+def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0, index: float = 1.0) -> Array:
+    """Return the radii (N,) of opaque bare roots that absorb as much light as given ones, seen from the side.
 
-    Seen from the side.
+    Parameters
+    ----------
+    radius_mm : (N,) float64 array
+        Radii of the given ones.
+    mu_per_mm, hairs, index : float or None, float, float
+        As in `layers`.
     """
     own = radius_mm
     if mu_per_mm is not None:
-        seen = strips(mu_per_mm * radius_mm)
+        seen = strips(mu_per_mm * radius_mm, index)
         own = np.asarray(radius_mm * (seen.width * seen.height).sum(axis=0))
     if not hairs:
         return own
@@ -178,22 +208,24 @@ def opaque_radius(radius_mm: Array, mu_per_mm: float | None, hairs: float = 0.0)
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return log tau (T,) and the fields of `Strips` (4, LAYERS, T)."""
+    """Return log tau (T,) and the fields of `Strips` (4, LAYERS, R, T) for all of `_RIM`."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     part = 0.5 * (node + 1.0)
     # x = cos(angle); more nodes at the rim, where the opacity of a dark root rises
     angle, share = 0.5 * np.pi * part**3, 0.75 * np.pi * weight * part**2
-    x, chord = np.cos(angle), np.sin(angle)
-    alpha = -np.expm1(-2.0 * _TAU[:, None] * chord) * chord * share
-    moment = [(2 * k + 1) * (alpha * x ** (2 * k)).sum(axis=1) for k in range(2 * LAYERS)]  # of s^2, weighted with s dh
+    x, by_angle = np.cos(angle), np.sin(angle) * share
+    chord = np.sqrt(1.0 - np.square(x) * (1.0 - np.square(_RIM[:, None])))
+    powers = np.stack([(2 * k + 1) * by_angle * x ** (2 * k) for k in range(2 * LAYERS)], axis=1)
+    # of s^2, weighted with s dh: (4, R, T)
+    moment = np.stack([-np.expm1(-2.0 * _TAU[:, None] * one) @ powers for one in chord]).transpose(2, 0, 1)
     mean = moment[1] / moment[0]
-    variance = moment[2] / moment[0] - mean**2
+    variance = np.maximum(moment[2] / moment[0] - mean**2, _LEAST_SPREAD)
     skew = moment[3] / moment[0] - 3.0 * mean * moment[2] / moment[0] + 2.0 * mean**3
-    other = mean + skew / variance
+    other = mean + np.where(variance > _LEAST_SPREAD, skew / variance, 0.0)
     half = np.hypot(0.5 * (mean - other), np.sqrt(variance))
     middle = 0.5 * (mean + other)
     squares = np.stack([middle + half, middle - half])
     width = np.sqrt(squares)
     height = moment[0] * np.stack([mean - squares[1], squares[0] - mean]) / (2.0 * half) / width
     log_tau = np.log(_TAU)
-    return log_tau, np.stack([width, height, np.gradient(width, log_tau, axis=1), np.gradient(height, log_tau, axis=1)])
+    return log_tau, np.stack([width, height, np.gradient(width, log_tau, axis=2), np.gradient(height, log_tau, axis=2)])

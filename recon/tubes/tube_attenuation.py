@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.coverage.evidence import Evidence
 from rhizotwin.recon.coverage.translucency import CLEARLY
 from rhizotwin.recon.tubes import root_light, translucent_tube, tube_fit, tube_profiles
-from rhizotwin.recon.tubes.root_light import DARKEST, HAIRS, HAIRY, LEARNED_SIGMA, LEAST_LONE, MU, ROUNDING, Prior
+from rhizotwin.recon.tubes.root_light import BENDING, BLUR, DARKEST, HAIRS, HAIRY, INDEX, LEARNED_SIGMA, LEAST_LONE, MU, ROUNDING, Prior
 from rhizotwin.recon.tubes.tube_fit import Fit
 from rhizotwin.recon.tubes.tube_profiles import OUTLIER
 from rhizotwin.recon.tubes.tubes import Tubes
@@ -46,7 +46,7 @@ class TubeAttenuation:
     mu_per_mm: float | None
     """None: roots are opaque."""
     light: Array
-    """(L,) as fitted: attenuation, blur and hairs (`tube_profiles.LIGHT`)."""
+    """(L,) as fitted (`tube_profiles.LIGHT`)."""
     covariance: Array
     """(L, L) of it; 0 for what was not fitted."""
     against_opaque: float
@@ -104,8 +104,13 @@ def find(seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | Non
         return described(TubeAttenuation.opaque(), opaque), opaque
     glassy = replace(opaque.evidence, mu_per_mm=min(learned_per_mm or _START_PER_MM, DARKEST), hairs=HAIRY[0])
     tubes = root_light.with_light_kept(opaque.tubes, thick, seen, glassy)
-    translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.of(glassy, learned_per_mm))
+    prior = Prior.of(glassy, learned_per_mm)
+    prior = replace(prior, free=prior.free & (np.arange(len(prior.free)) != INDEX))  # some glass looks like any edge
+    translucent = tube_fit.fit(glassy, tubes, thick, steps=_TRANSLUCENT_STEPS, light=prior)
     losses, lone = _losses(opaque, translucent, thick)
+    if losses[0].sum() > _PERHAPS * losses[1].sum():  # opaque ones had fewer steps
+        opaque = tube_fit.fit(opaque.evidence, opaque.tubes, thick, steps=_TRANSLUCENT_STEPS, light=Prior.of(opaque.evidence))
+        losses, lone = _losses(opaque, translucent, thick)
     against, profiles = float(losses[0].sum() / max(losses[1].sum(), 1e-12)), int(lone.sum())
     mu_per_mm = translucent.evidence.mu_per_mm or DARKEST
     is_told = profiles >= LEAST_LONE
@@ -140,10 +145,10 @@ def described(attenuation: TubeAttenuation, fit: Fit) -> TubeAttenuation:
         return attenuation
     covariance = system.covariance(light, prior)
     if fit.few and fit.evidence.mu_per_mm is not None:
-        covariance[MU, MU] = LEARNED_SIGMA**2
+        covariance[MU, MU], covariance[INDEX, INDEX] = LEARNED_SIGMA**2, BENDING[1] ** 2
     hairs: Literal["none", "maybe", "there"] = "none"
     if fit.evidence.has_opacity and not fit.few:
-        change, sigma = system.alone(np.array([False, True, True]) | prior.free)
+        change, sigma = system.alone(np.isin(np.arange(len(light)), (BLUR, HAIRS)) | prior.free)
         strength = light[HAIRS] + change[HAIRS]
         if strength + _EXCLUDED * sigma[HAIRS] > 0.5:
             hairs = "there" if fit.evidence.mu_per_mm is not None and strength > _TELLING * sigma[HAIRS] else "maybe"

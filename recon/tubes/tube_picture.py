@@ -8,9 +8,10 @@ of the pixel, where F(x) is the part of the pixel on one side of a straight edge
 direction (t_x, t_y) it is the integral of a trapezoid, the convolution of two boxes of widths a = |t_x| and b = |t_y|:
 the square pixel seen along the edge. Blur of standard deviation s makes them wider, a^2 + 6 s^2 and b^2 + 6 s^2 (exact
 in variance). Roots hide each other: coverages combine as 1 - prod (1 - c), so that the optical depths t = -log(1 - c)
-add up. Along its axis a segment fades in and out at its ends, so that the segments of a branch add up to a strip
-without seams; a branch's last one goes on as half an ellipse, the picture of a round tip. A kernel walks along the rows
-of each strip, from where it begins to cover them to where it ends: of its bounding box it would cover a third.
+add up. A pixel belongs to the segment on whose side of the line between two segments its centre lies: both have it
+there at the same distance from their axes. A branch's last segment goes on as half an ellipse, the picture of a round
+tip, and fades out. A kernel walks along the rows of each strip, from where it begins to cover them to where it ends: of
+its bounding box it would cover a third.
 """
 
 from __future__ import annotations
@@ -37,8 +38,7 @@ _NARROWEST_PX = 0.1
 _LEAST_PX = 1e-3
 """Segments that are shorter in a picture have no direction there."""
 _NOTHING, _ENDS = 1e-4, 4.0
-"""Optical depth that counts for nothing, and standard deviations beyond a segment's end to where as little is left of
-it."""
+"""Optical depth that counts for nothing, and standard deviations beyond a tip to where as little is left of it."""
 _STEEPEST = 1e-3
 """Least sine of a segment with the rows and columns: flatter ones are cut off as if they had it, a hundredth of a pixel
 beside."""
@@ -77,11 +77,10 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
     box_a, box_b = (dr.maximum(dr.sqrt(dr.square(t) + spread), _NARROWEST_PX) for t in (t_x, t_y))
     outer, inner, per_area = 0.5 * (box_a + box_b), 0.5 * dr.abs(box_a - box_b), 0.5 / (box_a * box_b)
     # covered are the pixels with |d| < side_px and -end_px < s < length + end_px: an oblique cut reaches farther
-    side_px = strips.widest_px + outer
+    side_px, is_tip = strips.widest_px + outer, strips.cap_px > 0
     oblique = dr.maximum(*(dr.abs(t.x * t_y - t.y * t_x) / (t.x * t_x + t.y * t_y) for t in strips.cuts))
-    end_px = strips.cap_px + _ENDS * sigma + side_px * oblique
+    end_px = side_px * oblique + dr.select(is_tip, strips.cap_px + _ENDS * sigma, 0.0)
     (begin_x, begin_y), (end_x, end_y) = strips.cuts
-    is_tip = strips.cap_px > 0
     per_cap = dr.select(is_tip, 1.0 / dr.maximum(strips.cap_px, _LEAST_PX), 0.0)
     per_x, per_y = (dr.copysign(1.0 / dr.maximum(dr.abs(t), _STEEPEST), t) for t in (t_x, t_y))
     reach = end_px * dr.abs(t_y) + side_px * dr.abs(t_x)
@@ -108,29 +107,15 @@ def transmittance(evidence: Evidence, tubes: Tubes, at: Nodes) -> Float:
                 a.height + (b.height - a.height) * part
             )
         before, beyond = e_x * begin_x + e_y * begin_y, (e_x - strips.length * t_x) * end_x + (e_y - strips.length * t_y) * end_y
-        value = _faded(c, before * scale, (beyond - strips.cap_px) * scale, is_tip)
+        c *= dr.select(is_tip, 0.5 * (1 - dr.erf((beyond - strips.cap_px) * scale)), 1.0)
+        value, own = -dr.log(1 - dr.minimum(c, FULLEST)), (before >= 0) & ((beyond < 0) | is_tip)
         place = strips.start + mi.UInt32(v * width + u)
-        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
+        dr.scatter_reduce(dr.ReduceOp.Add, depth, value, place, own & (value > _NOTHING) & (u <= end), mode=dr.ReduceMode.Direct)
         ended, (low, high) = u >= end, covered(v + 1)
         return dr.select(ended, low, u + 1), dr.select(ended, high, end), dr.select(ended, v + 1, v)
 
     dr.while_loop((*covered(top), top), lambda _u, _end, v: v <= bottom, body)
     return dr.exp(-depth)
-
-
-def _faded(c: Float, before: Float, beyond: Float, is_tip: Bool) -> Float:
-    """Return the optical depth of a segment that covers ``c`` but fades at its ends.
-
-    Parameters
-    ----------
-    before, beyond : Float
-        Distance from the line where it begins and from that where it ends, by the blur's standard deviation and root 2.
-    is_tip : Bool
-        Depths of segments that meet add up to one; a tip fades in coverage.
-    """
-    begun, ended = 0.5 * (1 + dr.erf(before)), 0.5 * (1 - dr.erf(beyond))
-    gate = dr.maximum(begun + dr.select(is_tip, 1.0, ended) - 1, 0.0)
-    return -gate * dr.log(1 - dr.minimum(c * dr.select(is_tip, ended, 1.0), FULLEST))
 
 
 @dataclass(frozen=True)
@@ -194,7 +179,8 @@ class _Strips:
             du, dv = (dr.gather(mi.Vector3f, part, end) for part in (p.du, p.dv))
             radius_mm = dr.gather(mi.Float, numbers(radii), segment)
             half_px.append(radius_mm * dr.norm(way.x * dv - way.y * du))  # across the segment
-            layers.append(translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine_to_sight(du, dv, along), half_px[-1]))
+            sine, mu_per_mm = sine_to_sight(du, dv, along), evidence.mu_per_mm
+            layers.append(translucent_tube.layers(mu_per_mm, evidence.hairs, radius_mm, sine, half_px[-1], index=evidence.index))
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         # the water magnifies sideways: the picture of a sphere is an ellipse
         is_tip = dr.gather(mi.Float, numbers(tubes.segment_neighbours[:, 1] == segments[:, 1]), segment)

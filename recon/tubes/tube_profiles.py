@@ -36,8 +36,9 @@ _INTERPOLATION_VARIANCE = 0.1
 """Variance, px2, by which bilinear interpolation blurs."""
 _LEAST_SPEED_PX = 0.3
 """A tube seen end-on (px/mm along its axis) shows no strip."""
-LIGHT = ("log mu", "blur variance", "hairs")
-"""What all roots share: attenuation, variance of the pictures' blur (px2), and strength of the hairs."""
+LIGHT = ("log mu", "blur variance", "hairs", "index")
+"""What all roots share: attenuation, variance of the pictures' blur (px2), strength of the hairs, and by how much the
+index of the roots is more than that of the water, over this."""
 _ALONE = 0.95
 """Share of the light beside a lone root that passes: others take no more of it. What they hide of the root itself would
 tell less: where it covers a pixel nearly, the quotient of two small numbers."""
@@ -95,7 +96,7 @@ class Sections:
         across = normal.x * du + normal.y * dv
         scale = dr.norm(across)
         half_px, sine = radius_mm * scale, sine_to_sight(du, dv, t)
-        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px)
+        layers = translucent_tube.layers(evidence.mu_per_mm, evidence.hairs, radius_mm, sine, half_px, index=evidence.index)
         start = view * dr.opaque(mi.UInt32, evidence.pixels)
         return Sections(at.shape, place, start, *evidence.image_wh, px, normal, across, scale, half_px, sine, layers)
 

@@ -11,19 +11,21 @@ from rhizotwin.recon.tubes.tube_picture import Rendering
 from tests.recon.strings import drawn
 from tests.recon.tubes.test_translucent_tubes import ORGAN, SLANTED, STAR, dark, pictured, straight
 
-STEPS = np.array([0.02, 0.01, 0.05])
+STEPS = np.array([0.02, 0.01, 0.05, 0.004])
+BALD = np.array([True, True, False, False])
+"""Attenuation and blur alone."""
 
 
-@pytest.mark.parametrize("column", range(3), ids=tube_profiles.LIGHT)
+@pytest.mark.parametrize("column", range(4), ids=tube_profiles.LIGHT)
 @pytest.mark.parametrize("hairs", [0.0, 1.0])
 def test_columns_are_derivatives_of_the_picture(column: int, hairs: float) -> None:
     """Along the column, the gradient of what a small change leaves is the change times the squared derivative."""
     system = straight((*SLANTED, 0.25))
-    seen = replace(dark(), mu_per_mm=2.0, blur_px=0.4, hairs=hairs)
-    changed = root_light.with_light(seen, root_light.light_of(seen) + STEPS * np.eye(3)[column])
+    seen = replace(dark(), mu_per_mm=2.0, blur_px=0.4, hairs=hairs, index=1.02)
+    changed = root_light.with_light(seen, root_light.light_of(seen) + STEPS * np.eye(4)[column])
     seen = replace(seen, coverage=drawn(system, changed, opacity=True).by_light().coverage)
     now = Rendering.of(seen, system)
-    found = tube_profiles.profiles(now, root_light.changes(now, np.arange(3) == column)).light_equations()
+    found = tube_profiles.profiles(now, root_light.changes(now, np.arange(4) == column)).light_equations()
     inside = np.s_[3:-3]
     ratio = found.gradient[inside, 4 + column].sum() / found.lone[inside, 4 + column, 4 + column].sum()
     assert ratio == pytest.approx(STEPS[column], rel=0.15)  # the slope is that of a Gaussian pixel
@@ -35,7 +37,7 @@ def test_the_fit_goes_down_the_valley_of_attenuation_and_blur(seed: int) -> None
     true = replace(dark(), mu_per_mm=2.0, blur_px=0.4)
     seen = replace(drawn(STAR, true, noise=0.005, opacity=True, seed=seed).by_light(), mu_per_mm=4.0, blur_px=0.2)
     start = root_light.with_light_kept(STAR, ORGAN, true, seen)
-    bald = replace(Prior.of(seen), free=np.array([True, True, False]))
+    bald = replace(Prior.of(seen), free=BALD)
     fit = tube_fit.fit(seen, start, ORGAN, steps=14, light=bald)
     assert fit.evidence.mu_per_mm == pytest.approx(2.0, rel=0.05)
     assert fit.evidence.blur_px == pytest.approx(0.4, abs=0.02)
@@ -79,7 +81,7 @@ def test_the_covariance_is_the_scatter_over_noise() -> None:
     steps, sigmas = [], []
     for seed in range(8):
         seen = replace(drawn(STAR, true, noise=0.02, opacity=True, seed=seed).by_light(), mu_per_mm=2.0, blur_px=0.4)
-        bald = replace(Prior.of(seen), free=np.array([True, True, False]))
+        bald = replace(Prior.of(seen), free=BALD)
         fit = tube_fit.fit(seen, STAR, ORGAN, steps=1, light=bald)
         steps.append(root_light.light_of(fit.evidence)[:2] - root_light.light_of(seen)[:2])
         assert fit.light is not None

@@ -41,7 +41,7 @@ def drawn_by_the_formula(system: tubes.Tubes, at: Nodes, view: int, blur_px: flo
         )
         if cap:
             covered, ended = covered * 0.5 * (1.0 - erf((ended - cap) / sigma)), np.full(u.shape, -np.inf)
-        whole -= np.maximum(0.5 * (erf(begun / sigma) - erf(ended / sigma)), 0.0) * np.log1p(-np.minimum(covered, 0.995))
+        whole -= np.where((begun >= 0.0) & (ended < 0.0), np.log1p(-np.minimum(covered, 0.995)), 0.0)
     return whole
 
 

@@ -47,7 +47,7 @@ def test_radii_of_tubes_that_share_pixels_do_not_swing():
     true = strung(*(line((x, y, -20.0), (-x, -y, -40.0)) for x, y in ((0.2, 0.3), (0.3, -0.3))), radius_mm=0.25)
     seen, fixed = pictured(true), np.zeros(len(true.radius_mm), bool)
     found, areas = tubes.moved(true, true.centre_mm, 0.85 * true.radius_mm), []
-    for _ in range(9):
+    for _ in range(12):
         found = tube_fit.fit(seen, found, fixed, steps=1).tubes
         areas.append(np.square(found.radius_mm / 0.25).mean())
     assert np.abs(np.diff(areas[4:])).max() < 0.03

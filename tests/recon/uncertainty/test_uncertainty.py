@@ -144,7 +144,7 @@ def test_what_spheres_lose_to_the_least_outline_may_be_there(beyond_mm: float, k
     removed_mm3 = larger.volume_mm3() - ball.volume_mm3()
     needed = np.float32(kept * removed_mm3 / ball.volume_mm3())
     trimmed = Trimmed(ball, spheres, none, (needed * ball.occupancy).astype(np.float32))
-    hull = Hull(larger, larger.volume_mm3(), larger.volume_mm3(), 0.0)
+    hull = Hull(larger, larger.occupancy, larger.volume_mm3(), 0.0)
     scene = Scene(camera=Camera().resized((400, 300)), plan=CapturePlan(rings=(Ring(views=8),)))
     bank = ViewBank.of(exact_pictures.views_of(scene), Optics.of(scene))
     terms = solid_uncertainty.estimate(bank, hull, hull.leaves, trimmed, slack_px=0.3, half_excess=0.0, missed=0.04, binary=False)
