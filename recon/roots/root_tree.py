@@ -70,9 +70,6 @@ class RootSystem(RootTree):
                 if self.solid[own[0]] or len(own) < 2:
                     continue
                 parent = int(number[own[0]]) if run[0] == 0 and k > 0 else -1
-                if parent < 0:
-                    run = run[thick_lines.head(centre[own], 0.5 * diameters[run]) :]
-                    own = nodes[run]
                 number[own[number[own] < 0]] = len(roots)
                 order, seen = (roots[parent].order + 1 if parent >= 0 else 0), not (self.uncertain | self.solid)[nodes[run[-1]]]
                 root = Root(points_mm=centre[own], diameters_mm=diameters[run], order=order, parent=parent, tip_seen=seen)

@@ -22,26 +22,9 @@ BURIED_MM = 1.0
 """Laterals count from their parent's axis, but from no deeper below its surface than this: secondary growth lays down
 a storage root's tissue outside of the stele of the young root, of a diameter of some millimetres, on which they grew
 (Esau 1977, Anatomy of Seed Plants, chapter 15)."""
-_HEAD = 0.02
-"""A section reaches beyond a sphere that holds it by this share of its radius, squared, at most: radii are found to
-that."""
 SWOLLEN = 4.0
 """A root so many times as thick as a lateral on it has swollen since: bulbs and carrots of the library are 6 to 50
 times as thick, the roots of the printed phantom, that never were young, 1.2 to 3.1 times."""
-
-
-def head(points_mm: Array, radius_mm: Array) -> int:
-    """Return the last point of a line whose sphere holds the section at its base.
-
-    A round head belongs to that sphere: lines end at their last spheres' centres, at the base as at the tip.
-
-    Parameters
-    ----------
-    points_mm, radius_mm : (N, 3) and (N,) float64 arrays
-        From the base on.
-    """
-    rim_2 = np.square(points_mm - points_mm[0]).sum(axis=1) + radius_mm[0] ** 2
-    return int(np.flatnonzero(rim_2 <= (1.0 + _HEAD**2) * np.square(radius_mm))[-1])
 
 
 def emerged(roots: Sequence[Root]) -> tuple[Root, ...]:
@@ -66,7 +49,6 @@ def _without(root: Root, above: Sequence[Root]) -> Root:
     diameter = np.concatenate([np.zeros(0), *(of.diameters_mm[some] for of, some in zip(above, wide, strict=True))])
     if not len(point):
         return root
-    # what is wide was found as spheres that touch its skin from inside
     out_mm = (cdist(root.points_mm, point) - (0.5 * diameter - BURIED_MM)).min(axis=1)
     first = int(np.argmax(out_mm > 0.0))
     if first == 0:  # it begins outside, or is all inside

@@ -63,9 +63,9 @@ left along the valley in which it follows the light."""
 LEAST_VARIANCE = 1e-5
 """Coverage is never known better than to 0.003, which is a grey level of 8 bits."""
 LEAST_LONE = 1500
-"""Profiles of lone roots; fewer tell no attenuation and no hairs, and every profile tells of the blur. An opaque print in
-40 pictures of 400x300 has 1,140, of few roots, of which opaque ones leave 1.15 times as much; translucent plants have
-30,000 and more."""
+"""Profiles of lone roots; fewer tell no attenuation and no hairs, and every profile tells of the blur. An opaque print
+in 40 pictures of 400x300 has 1,140, of few roots, of which opaque ones leave 1.15 times as much; translucent plants
+have 30,000 and more."""
 HAIRY = 1.0, 0.5
 """Mean and standard deviation of the hairs' strength about what lets light through, which is young: radish in water has
 hairs of a tenth to half a millimetre, half or one and a half times as dark as those of the middle."""

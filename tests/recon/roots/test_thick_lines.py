@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rhizotwin.recon.roots.thick_lines import BURIED_MM, emerged, head
+from rhizotwin.recon.roots.thick_lines import BURIED_MM, emerged
 from rhizotwin.scenes import polyline
 from rhizotwin.scenes.rsml import Root
 from tests.recon.strings import line
@@ -39,12 +39,3 @@ def test_a_lateral_of_a_storage_root_begins_near_its_skin() -> None:
 )
 def test_where_nothing_has_swollen_laterals_begin_on_the_axis(parent: Root, lateral: Root) -> None:
     assert emerged([parent, lateral]) == (parent, lateral)
-
-
-def test_a_round_head_belongs_to_the_sphere_below_it() -> None:
-    z = np.linspace(0.0, -30.0, 61)
-    points = np.column_stack([np.zeros((61, 2)), z])
-    capsule = np.sqrt(np.clip(36.0 - np.clip(z + 6.0, 0.0, None) ** 2, 0.01, None))
-    assert z[head(points, capsule)] == pytest.approx(-6.0, abs=1.6)
-    assert head(points, np.full(61, 6.0)) == 0, "a flat end"
-    assert head(points, np.linspace(2.0, 0.2, 61)) == 0
