@@ -205,7 +205,7 @@ def test_growth_of_masses_alone(tmp_path: Path, command: Command) -> None:
 
 
 def test_voxels_too_small_for_the_memory(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
-    monkeypatch.setattr(carve.os, "sysconf", lambda _: 1000)  # pages of as many bytes
+    monkeypatch.setattr(carve, "total_mib", lambda: 1.0)
     words = ("reconstruct", dataset, "-o", tmp_path / "result", "--voxel-mm", "0.1", "--device", "cpu")
     command.fails(*words, named=["not enough memory", "--voxel-mm"], code=1)
     nothing_left(tmp_path, "dataset")
