@@ -1,5 +1,6 @@
 """A dataset as a whole: repeatable, resumable, and silent about its truth."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +81,8 @@ def test_the_manifest_tells_nothing_of_the_specimen(tmp_path: Path) -> None:
     assert len(notes) == 2
     assert "inside out" in notes[0]
     assert truth.drawn["specimen"]["file"] == scene.specimen.file
-    text = (tmp_path / "set" / "dataset.json").read_text()
+    # A checksum may hold any four digits in a row by chance.
+    text = re.sub(r'"[0-9a-f]{40,64}"', '""', (tmp_path / "set" / "dataset.json").read_text())
     for secret in (repr(truth.volume_mm3), f"{truth.volume_mm3:.0f}", "secret_ball", "mesh", "3 ml", *notes, "inside out"):
         assert secret not in text
     assert made.scene.specimen is None
