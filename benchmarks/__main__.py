@@ -68,7 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _compare(given)
         if given.what == "scatter":
             return _scatter(given)
-        if given.what == "scaling":
+        if given.what == "speed" and given.against is not None:
+            return _against(given)
+        if given.what == "speed" and given.scaling:
             return _scaling(given)
         if given.what == "thesis":
             return _thesis(given)
@@ -183,10 +185,6 @@ def _damages(given: argparse.Namespace) -> int:
 def _compare(given: argparse.Namespace) -> int:
     from benchmarks import paired
 
-    if given.against is not None:
-        return _against(given)
-    if given.before is None or given.after is None:
-        raise UserError("give two runs (A.json B.json), or --against COMMIT")
     say(paired.compare(paired.read_records(given.before), paired.read_records(given.after), method=given.method))
     return 0
 
@@ -220,6 +218,7 @@ def _scaling(given: argparse.Namespace) -> int:
     say("\n" + scaling.table(found))
     if given.output is not None:
         atomic.write_json(given.output, scaling.as_json(found))
+        atomic.write_bytes(given.output.with_suffix(".png"), scaling.draw(found))
     return 0
 
 

@@ -30,20 +30,13 @@ def parser() -> argparse.ArgumentParser:
         )
         if name == "accuracy":
             _add_selection(one)
+        if name == "speed":
+            _add_ratios(one)
     _add_scatter(what.add_parser("scatter", help=_SCATTER, description=_SCATTER))
-    _add_scaling(what.add_parser("scaling", help=_SCALING, description=_SCALING))
-    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures, or the speed of this code against a commit's")
-    compared.add_argument("before", type=Path, nargs="?", metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
-    compared.add_argument(
-        "after", type=Path, nargs="?", metavar="B.json", help="the same after it; cases that only one of them has are left out"
-    )
+    compared = what.add_parser("compare", help="two runs of the ladder on the same pictures")
+    compared.add_argument("before", type=Path, metavar="A.json", help="what `accuracy -o A.json` wrote before the change")
+    compared.add_argument("after", type=Path, metavar="B.json", help="the same after it; cases that only one of them has are left out")
     compared.add_argument("--method", choices=cases.METHODS, default="coverage", help="default: %(default)s")
-    compared.add_argument("--against", metavar="COMMIT", help="check this commit out beside and alternate runs: processor time and memory")
-    compared.add_argument("--jobs", type=_words, metavar="NAME,...", help="only these of --against's jobs (a wrong name lists them)")
-    compared.add_argument("--repeats", type=int, default=3, help="pairs of runs a job (default: %(default)s)")
-    compared.add_argument("--quick", action="store_true", help="small jobs, under two minutes a pair")
-    compared.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    compared.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the ratios as JSON, too")
     mixed = what.add_parser("mixtures", help=_MIXTURES, description=_MIXTURES)
     mixed.add_argument("--count", type=int, default=mixtures.COUNT, metavar="N", help="default: %(default)s")
     mixed.add_argument("--first", type=int, default=0, metavar="K", help="begin with this one (default: %(default)s)")
@@ -98,9 +91,6 @@ def _add_batch(one: argparse.ArgumentParser) -> None:
     one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
 
 
-_SCALING = "how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time"
-
-
 _VIEW = "the viewer and the report in a real browser (Chromium): first picture, answers to clicks, memory, volume after corrections, size"
 
 
@@ -112,11 +102,16 @@ def _add_view(one: argparse.ArgumentParser) -> None:
     one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every number as JSON, too")
 
 
-def _add_scaling(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--axes", type=_words, metavar="NAME,...", help="only these (a wrong name lists them)")
-    one.add_argument("--quick", action="store_true", help="small pictures, two points an axis")
-    one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
-    one.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every point as JSON, too")
+def _add_ratios(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--against", metavar="COMMIT", help="check this commit out beside and alternate runs: processor time and memory")
+    one.add_argument("--jobs", type=_words, metavar="NAME,...", help="only these of --against's jobs (a wrong name lists them)")
+    one.add_argument("--repeats", type=int, default=3, help="pairs of runs a job of --against (default: %(default)s)")
+    one.add_argument(
+        "--scaling",
+        action="store_true",
+        help="how processor time and memory grow with views, pixels, length of roots and finer voxels, one at a time; a figure beside -o",
+    )
+    one.add_argument("--axes", type=_words, metavar="NAME,...", help="only these of --scaling's axes (a wrong name lists them)")
 
 
 _MIXTURES = "small drawn plants with drawn troubles: how often the interval of trusted scans holds; a stopped run goes on where it stopped"

@@ -18,6 +18,7 @@ import numpy as np
 from benchmarks import against, cache
 from benchmarks.run import Say
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.truth import load_truth
 
 LENGTH = "root length"
@@ -41,6 +42,7 @@ def _step(scene: str, value: float | None, *, views: int = 40, wide: int = 800, 
     return Step(pictures, ("--voxel-mm", f"{voxel_mm:g}"), value)
 
 
+UNITS = {LENGTH: ", m"}
 AXES: dict[str, tuple[Step, ...]] = {
     "views": tuple(_step("radish_day15b", n, views=n) for n in (20, 40, 80, 160)),
     "megapixels": tuple(_step("radish_day15b", 0.75e-6 * n**2, wide=n) for n in (576, 1152, 2304, 2828)),
@@ -131,6 +133,21 @@ def table(found: Sequence[Growth]) -> str:
         times, memories = f"{first.cpu_s:.1f} -> {last.cpu_s:.1f}", f"{first.memory_mib:.0f} -> {last.memory_mib:.0f}"
         lines.append(f"| {one.axis} | {first.value:.3g} | {last.value:.3g} | {times} | {one.cpu:.2f} | {memories} | {one.memory:.2f} |")
     return "\n".join(lines)
+
+
+def draw(found: Sequence[Growth]) -> bytes:
+    """Return a figure of processor time and memory against each axis, as PNG."""
+    drawn = figure(3.2 * len(found), 5.0)
+    for column, one in enumerate(found):
+        value = [point.value for point in one.points]
+        for row, (name, exponent, label) in enumerate((("cpu_s", one.cpu, "processor time, s"), ("memory_mib", one.memory, "memory, MiB"))):
+            axes = drawn.add_subplot(2, len(found), row * len(found) + column + 1)
+            axes.loglog(value, [getattr(point, name) for point in one.points], "o-", color="#2166ac")
+            axes.set_title(f"exponent {exponent:.2f}", fontsize=9)
+            axes.set_xlabel(f"{one.axis}{UNITS.get(one.axis, '')}")
+            axes.set_ylabel(label if column == 0 else "")
+            axes.grid(True, which="both", alpha=0.3)
+    return png(drawn, dpi=110)
 
 
 def as_json(found: Sequence[Growth]) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """How reconstructions grow: exponents."""
 
+import cv2
+import numpy as np
 import pytest
 
 from benchmarks import scaling
@@ -12,3 +14,5 @@ def test_exponents_are_slopes_of_the_logarithms() -> None:
     assert found.cpu == pytest.approx(1.5)
     assert found.memory == pytest.approx(0.25)
     assert "| views | 1 | 5 | 3.0 -> 33.5 | 1.50 | 200 -> 299 | 0.25 |" in scaling.table([found])
+    image = cv2.imdecode(np.frombuffer(scaling.draw([found]), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image.min() < 100  # something is drawn

@@ -1,6 +1,5 @@
 """Footprints of cells: packed positions and areas, shadows cast and pictures read as plain numpy does it."""
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -58,12 +57,10 @@ def test_shadows_fall_where_the_cells_are(seen: Evidence, points_mm: np.ndarray)
         np.add.at(expected, (np.arange(VIEWS)[:, None], row, column), share * area * amount)
     table = table_of(seen, points_mm)
     views = range(1, 4)
-    begin = table.windows.begin
-    found = dr.zeros(mi.Float, int(begin[views.stop] - begin[views.start]))
-    dr.eval(found)
-    table.cast(found, views, mi.Float(amount.astype(np.float32)))
+    found = table.shadows(views, mi.Float(amount.astype(np.float32)))
     whole = np.array(table.windows.cut(seen, mi.Float(expected.ravel().astype(np.float32))))
-    np.testing.assert_allclose(np.array(found), whole[begin[views.start] : begin[views.stop]], atol=0.02 * expected.max())
+    pixels = table.windows.pixels
+    np.testing.assert_allclose(np.array(found), whole[pixels * views.start : pixels * views.stop], atol=0.02 * expected.max())
     assert whole.sum() == pytest.approx(expected.sum())  # the windows hold all shadows
     assert len(whole) < 0.5 * expected.size
 
