@@ -50,6 +50,7 @@ is."""
 def start_engine(device: str, *, quiet: bool = False) -> None:
     """Choose what computes, and say what it is."""
     chosen = engine.start(device)
+    gc.freeze()  # what is loaded stays: searches for cycles, of which a reconstruction makes forty, pass it by
     if not quiet:
         print(chosen)
 

@@ -27,8 +27,8 @@ class Box:
         """Return the least box that holds cells (N, 3); one cell where there are none."""
         if not len(index):
             return Box(np.zeros(3, np.int64), np.ones(3, np.int64))
-        low = index.min(axis=0).astype(np.int64)
-        return Box(low, index.max(axis=0).astype(np.int64) - low + 1)
+        low, high = (np.array([end(axis) for axis in index.T], np.int64) for end in (np.min, np.max))
+        return Box(low, high - low + 1)
 
     @property
     def step(self) -> NDArray[np.int64]:
@@ -37,7 +37,8 @@ class Box:
 
     def number(self, index: Whole) -> NDArray[np.int64]:
         """Return the numbers (N,) of cells (N, 3)."""
-        return np.asarray((index.astype(np.int64) - self.low) @ self.step)
+        x, y, z = index.T  # a product of whole matrices takes five times as long
+        return np.asarray(x * self.step[0] + y * self.step[1] + (z - self.low @ self.step))
 
     def cell(self, number: Whole) -> NDArray[np.int64]:
         """Return the cells (N, 3) of numbers (N,)."""
@@ -68,7 +69,9 @@ class Scattered:
 
     def holds(self, index: Whole) -> NDArray[np.bool_]:
         """Tell which cells (M, 3) are among them."""
-        inside = np.asarray(((index >= self.box.low) & (index < self.box.low + self.box.span)).all(axis=1))
+        inside = np.ones(len(index), bool)
+        for axis, low, span in zip(index.T, self.box.low, self.box.span, strict=True):
+            inside &= (axis >= low) & (axis < low + span)
         inside[inside] = self.lists(self.box.number(index[inside]))
         return inside
 

@@ -115,12 +115,12 @@ def estimate(evidence: Evidence, cells: Cells, solid: Cells) -> tuple[Cells, NDA
     table = Table(footprints, Windows.around(footprints, *thick))
     every = range(evidence.bank.count)
     coverage = table.windows.cut(evidence, evidence.coverage)
-    covered = dr.zeros(mi.Float, int(table.windows.begin[-1]))
-    dr.eval(covered)
+    covered = dr.zeros(mi.Float, table.windows.pixels * len(every))
     while thick:
         organ = thick.pop()  # large, and of no use afterwards
-        Table(organ, table.windows).cast(covered, every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
+        covered = Table(organ, table.windows).shadows(every, dr.full(mi.Float, solid.grid.size_mm**2, organ.count))
         del organ
+    dr.eval(covered)
     shadow = dr.exp(table.mean_log(coverage, every, _LEAST_COVERAGE, 1.0)) * (_START * cells.grid.size_mm**2)
     dr.eval(shadow)
     done = 0
@@ -156,11 +156,10 @@ def _subsets(views: int, count: int) -> list[range]:
 
 def _improve(table: Table, views: range, coverage: Float, covered: Float, shadow: Float) -> Float:
     """Return the shadows after one step of MART over some views."""
-    begin = table.windows.begin
-    part = dr.arange(mi.UInt32, int(begin[views.start]), int(begin[views.stop]))
-    explained, measured = dr.gather(mi.Float, covered, part), mi.Float(dr.gather(mi.Float16, coverage, part))
-    dr.eval(explained)
-    table.cast(explained, views, shadow)
+    pixels = table.windows.pixels
+    part = dr.arange(mi.UInt32, pixels * len(views)) + dr.opaque(mi.UInt32, pixels * views.start)
+    explained = dr.gather(mi.Float, covered, part) + table.shadows(views, shadow)
+    measured = mi.Float(dr.gather(mi.Float16, coverage, part))
     ratio = (measured + _FLOOR) / (dr.minimum(explained, 1.0) + _FLOOR)
     dr.eval(ratio)
     better = shadow * dr.exp(table.mean_log(ratio, views, _LEAST_RATIO, _MOST_RATIO))

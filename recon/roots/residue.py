@@ -91,7 +91,8 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     line, radius, node = _dense(found, 0.5 * cells.grid.size_mm)
     flanked = ghosts.flanked(found, thick)
     reach = np.maximum(radius, _OWN_CELLS * cells.grid.size_mm) + np.where(flanked[node], ghosts.FLANK_PX / px_a_mm, 0.0)
-    away, nearest = cKDTree(line).query(cells.centre_mm, workers=-1)
+    away, nearest = cKDTree(line).query(cells.centre_mm, distance_upper_bound=float(reach.max()), workers=-1)
+    nearest = np.minimum(nearest, len(line) - 1)  # none is near where the distance is infinite
     # few views look past the flank of what is thick: nothing begins there that no path in the density did
     beside = ~((away < reach[nearest]) & thick[node[nearest]])
     cells, away, nearest = cells.chosen(beside), away[beside], nearest[beside]
@@ -101,7 +102,7 @@ def grow(evidence: Evidence, found: Tubes, thick: NDArray[np.bool_], cells: Cell
     if not sure.any() or not inside.any():
         return found
     ends = np.array([nodes[-1] for nodes in found.branches])
-    at_tip = cKDTree(found.centre_mm[ends]).query(centre, workers=-1)[0] < _TIP_MM
+    at_tip = np.isfinite(cKDTree(found.centre_mm[ends]).query(centre, distance_upper_bound=_TIP_MM, workers=-1)[0])
     # half a step inside a tube costs as much as the additional way of a branch on its flank, but nothing at a tip
     flank = 0.5 * cells.grid.size_mm / _BEGIN_MM * _SURE * px_a_mm
     density = np.where(inside, np.where(at_tip, 1e3, flank), np.maximum(own, 0.0) * px_a_mm)
