@@ -84,6 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _batch(given)
         if given.what == "growth":
             return _growth(given)
+        if given.what == "fingerprints":
+            return _fingerprints(given)
         return _adopt(given) if given.what == "adopt" else _run(given)
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -233,6 +235,14 @@ def _view(given: argparse.Namespace) -> int:
     if given.output is not None:
         atomic.write_json(given.output, {metric.key: {"value": metric.value, "unit": metric.unit} for metric in run.metrics})
     return 1 if run.crashed else 0
+
+
+def _fingerprints(given: argparse.Namespace) -> int:
+    """Write the fingerprints of a rendered benchmark into the package."""
+    from rhizotwin.bench import fingerprints, named
+
+    fingerprints.write(named.find(given.name), given.folder, HERE.parent / "rhizotwin" / "bench" / "data")
+    return 0
 
 
 def _scatter_path() -> Path:

@@ -20,7 +20,7 @@ from rhizotwin.scenes.provenance import versions
 
 _SOURCES = {
     "coverage": ("rhizotwin.recon.reconstruct", "rhizotwin.scoring.score"),
-    "thesis": ("benchmarks.thesis", "rhizotwin.scoring.score"),
+    "thesis": ("rhizotwin.baselines", "rhizotwin.scoring.score"),
 }
 """Modules that decide what becomes of a dataset, by method."""
 _VERSIONED = ("mitsuba", "drjit", "numpy", "scipy", "scikit-image", "opencv-python-headless", "trimesh", "manifold3d")

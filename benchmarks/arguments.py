@@ -47,6 +47,9 @@ def parser() -> argparse.ArgumentParser:
     _add_thesis(what.add_parser("thesis", help=_THESIS, description=_THESIS))
     _add_growth(what.add_parser("growth", help=_GROWTH, description=_GROWTH))
     _add_batch(what.add_parser("batch", help=_BATCH, description=_BATCH))
+    printed = what.add_parser("fingerprints", help="write what `rhizotwin bench make` compares a rendered benchmark with")
+    printed.add_argument("name", metavar="NAME", help="of the benchmark, such as quick-1")
+    printed.add_argument("folder", type=Path, metavar="FOLDER", help="where `rhizotwin bench make` rendered it")
     adopted = what.add_parser("adopt", help="take rendered datasets into the cache, if and only if they are what it would render")
     adopted.add_argument(
         "folders", type=Path, nargs="+", metavar="DATASET", help="folders that `rhizotwin simulate` or an older cache made"

@@ -39,8 +39,10 @@ def write(folder: Path) -> tuple[str, ...]:
     tuple of str
         Words of ``rhizotwin import``, without its output.
     """
+    from rhizotwin import engine
     from rhizotwin.sim.simulate import simulate
 
+    engine.ensure()
     scene = scene_in_air()
     masks = folder / "masks"
     masks.mkdir(parents=True)

@@ -169,7 +169,7 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
     parts = [
         "# The thesis, made again",
         "R. Kliman, *Design of a robotic platform for plant root imaging and biomass estimation*, Georgia Institute of Technology, 2022, "
-        "beside its method as re-implemented (`benchmarks/thesis.py`) and ours. The plants are the twin's: grown roots of the masses of "
+        "beside its method as re-implemented (`rhizotwin/baselines.py`) and ours. The plants are the twin's: grown roots of the masses of "
         "table A.1 at 1 g/ml, so that a density of 1 g/ml is right.",
         "## Table 4.1: volumes and densities",
         _table(found),

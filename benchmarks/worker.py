@@ -136,7 +136,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
         Score, times and memory.
     """
     from benchmarks import perturb
-    from benchmarks.thesis import reconstruct_thesis
+    from rhizotwin.baselines import reconstruct_thesis
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes import memory
@@ -149,10 +149,8 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
         write = perturb.rounded if kind == "rounded" else perturb.lossy
         dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
-    if method == "thesis":
-        reconstruct_thesis(dataset_folder, working / "result", voxel_mm=voxel_mm)
-    else:
-        reconstruct(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
+    find = reconstruct_thesis if method == "thesis" else reconstruct
+    find(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
     taken = {
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - busy,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rhizotwin.arguments import Placing
-    from rhizotwin.front_door import load_result, load_scene, reconstruct, score, simulate
+    from rhizotwin.front_door import load_result, load_scene, reconstruct, score, score_file, simulate
     from rhizotwin.recon.results.result import Result
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset, load_dataset
@@ -42,6 +42,7 @@ __all__ = [
     "load_scene",
     "reconstruct",
     "score",
+    "score_file",
     "simulate",
 ]
 
@@ -59,6 +60,7 @@ _PLACES = {
     "load_scene": "front_door",
     "reconstruct": "front_door",
     "score": "front_door",
+    "score_file": "front_door",
     "simulate": "front_door",
 }
 """The module of each name."""

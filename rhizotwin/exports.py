@@ -9,7 +9,7 @@ to look at the rig, the strip and the shoot, or for programs that trace the refr
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ from rhizotwin.scenes.model import Camera
 from rhizotwin.stored import result_files, stored_traits
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
+Posed = Sequence[tuple[str, NDArray[np.float64]]]
+"""Pictures and their cam_from_canister (4, 4), mm."""
 MESHES = (".ply", ".stl", ".glb")
 MOST_VOXELS = 1_500_000_000
 """Bytes that a dense block may take."""
@@ -76,7 +78,7 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
     camera = dataset.scene.camera.as_pinhole().focused(summary.get("rig", {}).get("focal_scale", 1.0))
-    return _nerfstudio(output, camera, posed) if suffix == ".json" else _colmap(output, camera, posed)
+    return write_nerfstudio(output, camera, posed) if suffix == ".json" else write_colmap(output, camera, posed)
 
 
 def _mesh(result_folder: Path, output: Path) -> list[Path]:
@@ -150,7 +152,8 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
-def _nerfstudio(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
+def write_nerfstudio(output: Path, camera: Camera, posed: Posed) -> list[Path]:
+    """Write cameras as nerfstudio's transforms.json, in mm; returns the path."""
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
         "camera_model": "OPENCV",
@@ -174,7 +177,7 @@ def _nerfstudio(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.
     return [output]
 
 
-def _colmap(output: Path, camera: Camera, posed: list[tuple[str, NDArray[np.float64]]]) -> list[Path]:
+def write_colmap(output: Path, camera: Camera, posed: Posed) -> list[Path]:
     """Write COLMAP's text model.
 
     A FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points.

@@ -1,7 +1,7 @@
 """The front door for Python: each step as one call, with the device chosen on first use.
 
 `import rhizotwin as rt` gives these functions as ``rt.load_scene``, ``rt.simulate``, ``rt.reconstruct``,
-``rt.load_result`` and ``rt.score``; the command line calls the same.
+``rt.load_result``, ``rt.score`` and ``rt.score_file``; the command line calls the same.
 """
 
 from __future__ import annotations
@@ -24,12 +24,15 @@ if TYPE_CHECKING:
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes.dataset import Dataset
     from rhizotwin.scoring.score import Score
+    from rhizotwin.scoring.score_file import FileScore
     from rhizotwin.scoring.score_pictures import PictureScore
     from rhizotwin.scoring.score_solid import SolidScore, VolumeScore
 
 log = logging.getLogger("rhizotwin")
 
 Device = Literal["auto", "cpu", "cuda"]
+Method = Literal["ours", "thesis", "hull"]
+FileKind = Literal["mesh", "voxels", "points", "rsml", "traits"]
 Progress = Monitor | type[Any] | Listener | None
 """A monitor, a type of tqdm, what is called as ``(stage, done, total)``, or None for silence."""
 
@@ -140,6 +143,7 @@ def reconstruct(
     mass_g: float | None = None,
     settings: Settings | None = None,
     keep_stages: Path | str | None = None,
+    method: Method = "ours",
     device: Device = "auto",
     monitor: Progress = None,
 ) -> Result:
@@ -159,6 +163,9 @@ def reconstruct(
         Every setting, a group for each stage.
     keep_stages : path, optional
         Folder for what each stage made, for study: NAME.json with NAME.npz of cameras, coverage, hull, roots and solid.
+    method : {"ours", "thesis", "hull"}
+        thesis: the method of the thesis of 2022; hull: the untrimmed visual hull. Both are baselines, whose volume is
+        never trusted.
     device : {"auto", "cpu", "cuda"}
         What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
     monitor : Monitor, type of tqdm, callable or None
@@ -167,7 +174,7 @@ def reconstruct(
     Raises
     ------
     UserError
-        Where the pictures cannot be used, or the device.
+        Where the pictures or the device cannot be used, or a baseline is given ``mass_g`` or ``keep_stages``.
     Cancelled
         After `Monitor.cancel`.
     """
@@ -178,6 +185,12 @@ def reconstruct(
     if voxel_mm is not None:
         checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
+    if method != "ours":
+        from rhizotwin.baselines import METHODS
+
+        if keep_stages is not None or mass_g is not None:
+            raise UserError(f"--method {method} keeps no stages and has no traits of mass; leave out --keep-stages and --mass-g")
+        return _shown(METHODS[method](dataset, settings=settings, monitor=monitor))
     return _shown(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor))
 
 
@@ -252,6 +265,44 @@ def score(
 
             return score_volume(result, 1000.0 * volume_ml)
         return _score_part(result, Path(str(truth)))
+
+
+def score_file(
+    file: str | Path,
+    dataset: Dataset | str | Path,
+    *,
+    kind: FileKind,
+    registered: bool = False,
+    progress: Progress = None,
+) -> FileScore:
+    """Compare a file of another method with the truth of a simulated dataset.
+
+    Parameters
+    ----------
+    file : path
+        In the canister's frame, mm (GLB: metres, y up).
+    dataset : Dataset or path
+        The simulated dataset.
+    kind : {"mesh", "voxels", "points", "rsml", "traits"}
+        What the file holds.
+    registered : bool
+        Lay a mesh onto the truth first, by a turn and a shift.
+    progress : Monitor, type of tqdm, callable or None
+        Hears how far the work is.
+
+    Raises
+    ------
+    UserError
+        If the file is missing, damaged or of another kind, or the dataset has no truth.
+    """
+    from rhizotwin.scoring import score_file as of
+
+    if registered and kind != "mesh":
+        raise UserError(f"--registered is for meshes, and {file} is given as {kind}")
+    with Monitor.of(progress).stage("score"):
+        if kind == "mesh":
+            return of.score_mesh(file, dataset, registered=registered)
+        return {"voxels": of.score_voxels, "points": of.score_points, "rsml": of.score_rsml, "traits": of.score_traits}[kind](file, dataset)
 
 
 def _score_part(result: Result | str | Path, file: Path) -> SolidScore:

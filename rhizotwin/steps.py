@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rhizotwin import engine
 from rhizotwin.arguments import Page, Progress
-from rhizotwin.front_door import reconstruct
+from rhizotwin.front_door import Method, reconstruct
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, recover
 
@@ -109,6 +109,7 @@ def reconstruct_whole(
     mass_g: float | None = None,
     keep_stages: bool = False,
     pictures: "PictureSettings | None" = None,
+    method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
     """Reconstruct a dataset and draw its pictures; the result folder appears whole or not at all.
@@ -125,6 +126,8 @@ def reconstruct_whole(
         Keep what each stage made, in the folder ``stages`` of the result.
     pictures : PictureSettings, optional
         Which pictures are left out, beside those of the settings.
+    method : str
+        As in `front_door.reconstruct`.
     progress : Progress
         How much is told meanwhile.
 
@@ -152,7 +155,7 @@ def reconstruct_whole(
     with new_folder(output, replaces=RESULT_NAMES) as building, _old_left_alone():
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
-            reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, monitor=monitor).save(building)
+            reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
             with monitor.stage("pictures"):
                 written = write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))

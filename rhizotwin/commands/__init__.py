@@ -24,6 +24,13 @@ COMMANDS = {
     "biomass predict": "Tell masses of plants that were not weighed, with 90 % intervals.",
     "export": "Write a result in the files of other programs.",
     "plan": "Try capture plans on the twin before building or scanning.",
+    "bench": "Run any method on named benchmarks, and compare methods.",
+    "bench list": "List the benchmarks and their cases.",
+    "bench make": "Render a benchmark, and check that its pictures are those of every other machine.",
+    "bench run": "Run a method on each case of a benchmark, score what it writes, and measure time and memory.",
+    "bench score": "Score what a method wrote elsewhere, such as on a cluster.",
+    "bench table": "Lay results of several methods side by side.",
+    "bench gate": "Compare results with a baseline; the exit code is 1 where a number got worse.",
     "demo": "Take all three steps on a small printed root: a few minutes.",
     "markers": "Write the marker strip of a scene for the printer, at true scale.",
     "parts": "Write the parts of a scene's rig for a 3D printer.",
@@ -51,10 +58,10 @@ ALONE = frozenset({"batch"})
 
 
 def place(name: str) -> str:
-    """Return where a command's function is, as ``module:function``; a word of Python gets an underscore.
+    """Return where a command's function is, as ``module:function``; a word of Python's own gets an underscore.
 
     So ``import`` is ``import_``.
     """
     module, _, function = name.partition(" ")
-    module, function = (f"{word}_" if word == "import" else word for word in (module, function or module))
+    module, function = (f"{word}_" if word in ("import", "list") else word for word in (module, function or module))
     return f"{__name__}.{module}:{function}"

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -50,6 +50,7 @@ def reconstruct(
     output: OutputResult,
     voxel_mm: VoxelMm | None = None,
     mass_g: MassG | None = None,
+    method: Literal["ours", "thesis", "hull"] = "ours",
     pictures: PictureChoice = PictureChoice(),
     study: Study = Study(),
     device: Device = "auto",
@@ -71,6 +72,9 @@ def reconstruct(
         Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
+    method : str
+        ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), hull (the
+        untrimmed visual hull).
     pictures : PictureChoice
         Which pictures are used.
     study : Study
@@ -85,11 +89,12 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result
     rhizotwin reconstruct my_dataset -o my_result --voxel-mm 0.1
     rhizotwin reconstruct my_dataset -o my_result --mass-g 1.18
+    rhizotwin reconstruct my_dataset -o my_hull --method hull
     rhizotwin reconstruct my_dataset -o my_result --leave-out view_007.png,view_012.png
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     steps.start_engine(device, quiet=progress.quiet)
-    chosen: dict[str, Any] = {"settings": study.settings, "keep_stages": study.keep_stages, "pictures": pictures.settings}
+    chosen: dict[str, Any] = {"settings": study.settings, "keep_stages": study.keep_stages, "pictures": pictures.settings, "method": method}
     written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, mass_g=mass_g, progress=progress, **chosen)
     _tell(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
     if progress.quiet:

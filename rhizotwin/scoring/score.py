@@ -82,7 +82,7 @@ class Score(VolumeScore):
         found = asdict(self)
         voxels = found.pop("voxels")
         found = {**found, **voxels}
-        return {key: _plain(value) for key, value in found.items()}
+        return {key: plain(value) for key, value in found.items()}
 
     def table(self) -> str:
         """Return the score as lines of text for the terminal."""
@@ -140,12 +140,12 @@ class Score(VolumeScore):
         return rows
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a value made of JSON's types only."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value

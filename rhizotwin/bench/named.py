@@ -1,0 +1,132 @@
+"""The named benchmarks and their cases.
+
+A name ends in its version: cases that change get a new name, so that numbers under one name can be compared for ever.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_profile, load_scene
+from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.near import nearest
+from rhizotwin.scenes.specimens import GrownSpecimen
+
+HELD_BACK = 1000
+"""Seeds from here on are the benchmarks': a method that is tuned on them is not measured by them."""
+_APART = 1_000_003
+"""Seed s grows the specimen of the scene's own seed + s times this (a prime above every seed of the library)."""
+_HIGH = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
+"""The second ring of a plant: from below the rim its top is hidden by the net pot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One scan of a benchmark."""
+
+    name: str
+    scene: str
+    profile: str
+    views: int
+    """In each ring."""
+    image_wh: tuple[int, int]
+    rings: int = 1
+    seed: int = HELD_BACK
+    """Of the plant, and of all disturbances."""
+
+    def rendered_scene(self) -> Scene:
+        """Return the scene with this plant, these views and the profile's disturbances."""
+        scene = load_scene(self.scene)
+        rings = (scene.plan.rings[0], replace(_HIGH, distance_mm=scene.plan.rings[0].distance_mm))[: self.rings]
+        specimen = scene.specimen
+        if isinstance(specimen, GrownSpecimen):
+            specimen = replace(specimen, seed=specimen.seed + _APART * self.seed)
+        return replace(
+            scene,
+            name=self.name,
+            description="",
+            camera=scene.camera.resized(self.image_wh),
+            plan=replace(scene.plan, rings=tuple(replace(ring, views=self.views) for ring in rings)),
+            specimen=specimen,
+            disturbances=load_profile(self.profile),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """Cases under a name."""
+
+    name: str
+    description: str
+    cases: tuple[Case, ...]
+
+    def chosen(self, names: tuple[str, ...]) -> Benchmark:
+        """Return the benchmark with some of its cases, or all where none is named; UserError for an unknown one."""
+        known = {case.name: case for case in self.cases}
+        for name in names:
+            if name not in known:
+                raise UserError(f"{self.name} has no case {name!r}; its cases are {', '.join(known)}")
+        return replace(self, cases=tuple(known[name] for name in names) or self.cases)
+
+
+def _plant(name: str, scene: str, profile: str, *, seed: int = HELD_BACK) -> Case:
+    return Case(name=name, scene=scene, profile=profile, views=40, rings=2, image_wh=(800, 600), seed=seed)
+
+
+def _small(name: str, scene: str, profile: str, *, views: int = 24) -> Case:
+    return Case(name=name, scene=scene, profile=profile, views=views, image_wh=(400, 300))
+
+
+BENCHMARKS = {
+    one.name: one
+    for one in (
+        Benchmark(
+            name="quick-1",
+            description="a ball, a printed root on a clean and on a good rig, a bean: small pictures, minutes",
+            cases=(
+                _small("ball", "sphere_20mm", "clean", views=16),
+                _small("print", "printed_8ml", "clean"),
+                _small("print-bench", "printed_8ml", "bench"),
+                _small("bean", "bean", "clean", views=40),
+            ),
+        ),
+        Benchmark(
+            name="roots-1",
+            description="ten root systems of eight kinds on a good rig, two rings of 40 pictures of 800x600",
+            cases=(
+                _plant("radish-05", "radish_day05a", "bench"),
+                _plant("radish-15", "radish_day15b", "bench"),
+                _plant("radish-30", "radish_day30c", "bench"),
+                _plant("bean", "bean", "bench"),
+                _plant("maize", "maize", "bench"),
+                _plant("wheat", "wheat", "bench"),
+                _plant("lettuce", "lettuce", "bench"),
+                _plant("carrot", "carrot", "bench"),
+                _plant("bulb", "bulb", "bench"),
+                _plant("radish-swollen", "radish_swollen", "bench"),
+            ),
+        ),
+        Benchmark(
+            name="hard-1",
+            description="what real scans are like: glassy roots with hairs, sway, dirt, bubbles, JPEG, few pictures",
+            cases=(
+                _plant("radish-harsh", "radish_day15b", "harsh", seed=HELD_BACK + 1),
+                _plant("radish-real", "radish_day15b", "real", seed=HELD_BACK + 2),
+                _plant("bean-real", "bean", "real", seed=HELD_BACK + 3),
+                _plant("lettuce-real", "lettuce", "real", seed=HELD_BACK + 4),
+                _plant("maize-camera", "maize", "camera", seed=HELD_BACK + 5),
+                _small("print-few", "printed_8ml", "real", views=12),
+                _small("ball-few", "sphere_20mm", "harsh", views=12),
+            ),
+        ),
+    )
+}
+
+
+def find(name: str) -> Benchmark:
+    """Return a benchmark by its name; UserError where there is none."""
+    if name not in BENCHMARKS:
+        near = nearest(name, list(BENCHMARKS))
+        raise UserError(f"{name!r} is no benchmark{f'; did you mean {near}?' if near else ''}; there are {', '.join(BENCHMARKS)}")
+    return BENCHMARKS[name]

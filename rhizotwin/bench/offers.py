@@ -1,0 +1,103 @@
+"""A benchmark's scan as other methods read it: without truth, with cameras, masks and undistorted pictures beside.
+
+A folder that is offered holds
+
+    dataset.json, images/   the dataset, as `rhizotwin simulate` writes it, without its truth
+    transforms.json         nerfstudio's form, pictures as they are, the lens with its distortion
+    colmap/                 the same cameras as COLMAP's text model
+    masks/                  binary silhouettes, measured from the pictures: 255 is root
+    undistorted/            pictures and masks of a pinhole, with a transforms.json of their own
+
+All cameras are in the canister's frame and in mm. Pictures were taken through a round wall and water: straight rays
+from these cameras miss the roots by what is refracted.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.exports import Posed, write_colmap, write_nerfstudio
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.truth import load_truth
+
+Picture = NDArray[np.uint8 | np.uint16]
+CameraSource = Literal["estimated", "true"]
+_HALF = 0.5
+"""Coverage from which a pixel of a mask is root."""
+
+
+def offer(dataset_folder: Path, goal: Path, *, cameras: CameraSource) -> None:
+    """Write a dataset in the forms that other methods read.
+
+    Parameters
+    ----------
+    dataset_folder : path
+        With its truth, which is not offered.
+    goal : path
+        New folder.
+    cameras : {"estimated", "true"}
+        Cameras as the markers give them, or the true ones. Masks are measured with the former either way.
+
+    Raises
+    ------
+    UserError
+        If no cameras can be found in the pictures.
+    """
+    from rhizotwin.recon.calibration.curve import read_by_edges
+    from rhizotwin.recon.calibration.find_cameras import find_cameras
+    from rhizotwin.recon.coverage.measure import measure_coverage
+    from rhizotwin.recon.pictures import read_pictures
+
+    dataset = load_dataset(dataset_folder)
+    shutil.copytree(dataset_folder, goal, ignore=shutil.ignore_patterns("truth", ".*"))
+    monitor = Monitor()
+    pictures = read_by_edges(read_pictures(dataset, monitor=monitor), monitor=monitor)
+    found = find_cameras(pictures, monitor=monitor)
+    found, coverage = measure_coverage(pictures, found, monitor=monitor)
+    files = [frame.file for frame in pictures.frames]
+    used = sorted(found.order)
+    masks: dict[str, Picture] = {files[k]: np.where(coverage.silhouettes[k].coverage >= _HALF, 255, 0).astype(np.uint8) for k in used}
+    if cameras == "true":
+        posed: Posed = [(view.file, np.asarray(view.cam_from_canister)) for view in load_truth(dataset_folder).views]
+        lens = dataset.scene.camera.as_pinhole()
+    else:
+        posed = [(files[k], np.asarray(found.all[k].cam_from_canister)) for k in used]
+        lens = found.lens.as_pinhole()
+    if not posed:
+        raise UserError(f"{dataset_folder}: no picture has a camera")
+    write_nerfstudio(goal / "transforms.json", lens, posed)
+    write_colmap(goal / "colmap", lens, posed)
+    for file, mask in masks.items():
+        _write(goal / "masks" / f"{Path(file).stem}.png", mask)
+    _undistort(dataset, lens, posed, masks, goal / "undistorted")
+
+
+def _undistort(dataset: Dataset, lens: Camera, posed: Posed, masks: dict[str, Picture], goal: Path) -> None:
+    """Write the pictures and masks that a pinhole with the same focal length would see."""
+    (fx, fy), (cx, cy) = lens.focal_px, lens.principal_px
+    matrix, distortion = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(lens.distortion)
+    known, frames = {frame.file: frame for frame in dataset.frames}, []
+    for file, pose in posed:
+        picture = np.asarray(read_image(dataset, known[file]))
+        name = f"{Path(file).stem}.png"
+        _write(goal / "images" / name, cv2.undistort(picture, matrix, distortion))
+        if file in masks:
+            _write(goal / "masks" / name, np.where(cv2.undistort(masks[file], matrix, distortion) >= 128, 255, 0).astype(np.uint8))
+        frames.append((f"images/{name}", pose))
+    write_nerfstudio(goal / "transforms.json", replace(lens, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)), frames)
+
+
+def _write(path: Path, picture: Picture) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic.write_image(path, picture)

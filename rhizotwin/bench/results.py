@@ -1,0 +1,221 @@
+"""Read results of benchmarks, lay them side by side, and compare them with a baseline."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rhizotwin.bench.run_method import SCHEMA, State
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
+from rhizotwin.scenes.said import printable
+
+STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of a row, and how far it may get worse before a gate shuts."""
+
+    name: str
+    heading: str
+    places: tuple[tuple[str, ...], ...]
+    """Where it stands in a row; the first that is there counts."""
+    scale: float
+    """From the number to the heading's unit."""
+    digits: int
+    larger_is_better: bool = False
+    relative: float = 0.0
+    """Share of the baseline's size by which it may get worse."""
+    absolute: float = 0.0
+    """The same as it is."""
+
+
+QUANTITIES = (
+    Quantity(
+        "volume_error", "volume, %",
+        (("traits", "traits", "volume", "error"), ("mesh", "volume_error"), ("voxels", "volume_error")), 100, 2, absolute=0.005,
+    ),
+    Quantity(
+        "volume_interval_score", "interval score", (("traits", "traits", "volume", "interval_score"),), 1, 3, relative=0.2, absolute=0.01
+    ),
+    Quantity("iou", "IoU", (("mesh", "iou"), ("voxels", "iou")), 1, 3, larger_is_better=True, absolute=0.01),
+    Quantity(
+        "surface_median_mm", "surface, mm",
+        (("mesh", "surface", "median_mm"), ("voxels", "surface", "median_mm"), ("points", "surface", "median_mm")), 1, 3,
+        relative=0.2, absolute=0.005,
+    ),
+    Quantity(
+        "length_error", "length, %",
+        (("rsml", "roots", "length_error"), ("traits", "traits", "total_length", "error")), 100, 2, absolute=0.01,
+    ),
+    Quantity("recall", "recall", (("rsml", "roots", "recall"),), 1, 3, larger_is_better=True, absolute=0.01),
+    Quantity("precision", "precision", (("rsml", "roots", "precision"),), 1, 3, larger_is_better=True, absolute=0.01),
+    Quantity("tip_recall", "tips found", (("rsml", "roots", "tip_recall"),), 1, 2, larger_is_better=True, absolute=0.03),
+    Quantity("tip_precision", "tips true", (("rsml", "roots", "tip_precision"),), 1, 2, larger_is_better=True, absolute=0.03),
+    Quantity("parents", "parents", (("rsml", "topology", "parents"),), 1, 2, larger_is_better=True, absolute=0.05),
+    Quantity("cpu_s", "processor, s", (("cpu_s",),), 1, 1, relative=0.5, absolute=5.0),
+    Quantity("memory_mib", "memory, MiB", (("memory_mib",),), 1, 0, relative=0.2, absolute=100.0),
+)  # fmt: skip
+"""What tables show and gates compare. Tolerances are about twice the scatter of repeated runs of rhizotwin."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """One run of a method."""
+
+    benchmark: str
+    method: str
+    cameras: str | None
+    rows: dict[str, dict[str, Any]]
+    """By case, as JSON values."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A number of a case against the baseline's."""
+
+    case: str
+    quantity: str
+    value: float | None
+    baseline: float | None
+    worse: bool
+    sentence: str
+
+
+def read(path: Path) -> Results:
+    """Read a file of results, from anybody.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, damaged, or of another version.
+    """
+    try:
+        stored = json.loads(read_file(path).decode("utf-8"))
+        if stored["schema_version"] != SCHEMA:
+            raise UserError(f"{path} has version {stored['schema_version']!r} of the form, and this program reads {SCHEMA}")
+        rows = {str(row["case"]): dict(row) for row in stored["rows"]}
+        for row in rows.values():
+            if row["state"] not in STATES or not isinstance(row["scores"], dict):
+                raise ValueError(f"a row has the state {row['state']!r}")
+        cameras = stored.get("cameras")
+        return Results(
+            benchmark=str(stored["benchmark"]), method=str(stored["method"]), cameras=None if cameras is None else str(cameras), rows=rows
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise UserError(f"{path} is no file of `rhizotwin bench run` or `score` ({printable(str(error))[:200]})") from None
+
+
+def value(row: dict[str, Any], quantity: Quantity) -> float | None:
+    """Return a number of a row; None where it is not there."""
+    for place in quantity.places:
+        found: Any = row if len(place) == 1 else row["scores"]
+        for name in place:
+            found = found.get(name) if isinstance(found, dict) else None
+        if isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found):
+            return float(found)
+    return None
+
+
+def interval_holds(row: dict[str, Any]) -> bool | None:
+    """Return whether the stated interval of the volume holds the truth; None where none is stated."""
+    try:
+        holds = row["scores"]["traits"]["traits"]["volume"]["holds"]
+    except (KeyError, TypeError):
+        return None
+    return holds if isinstance(holds, bool) else None
+
+
+def text(row: dict[str, Any], quantity: Quantity) -> str:
+    """Return a number as it stands in a table."""
+    found = value(row, quantity)
+    if found is None:
+        return ""
+    sign = "+" if quantity.name.endswith("_error") else ""
+    return f"{quantity.scale * found:{sign}.{quantity.digits}f}"
+
+
+def markdown(several: Sequence[Results]) -> str:
+    """Return a table in Markdown: a line a case and method."""
+    shown = [quantity for quantity in QUANTITIES if any(text(row, quantity) for one in several for row in one.rows.values())]
+    head = ["benchmark", "case", "method", "interval", *(quantity.heading for quantity in shown), ""]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for one, row in ordered(several):
+        cells = [one.benchmark, row["case"], one.method, held(row), *(text(row, quantity) for quantity in shown), remark(row)]
+        lines.append("| " + " | ".join(printable(str(cell)).replace("|", "/") for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def ordered(several: Sequence[Results]) -> list[tuple[Results, dict[str, Any]]]:
+    """Return all rows, those of one case side by side."""
+    pairs = [(one, row) for one in several for row in one.rows.values()]
+    place = {(one.benchmark, case): number for one in reversed(several) for number, case in enumerate(one.rows)}
+    return sorted(pairs, key=lambda pair: (pair[0].benchmark, place[pair[0].benchmark, pair[1]["case"]]))
+
+
+def held(row: dict[str, Any]) -> str:
+    """Return what became of the volume's interval, in a word."""
+    return {True: "holds", False: "misses", None: ""}[interval_holds(row)]
+
+
+def remark(row: dict[str, Any]) -> str:
+    """Return what else is to be known of a row: why it has no numbers, or that its method does not trust its volume."""
+    if row["state"] != "done":
+        return f"{row['state']}: {row.get('sentence', '')}"
+    return "volume not trusted" if row["scores"].get("trusted") is False else ""
+
+
+def compare(found: Results, baseline: Results) -> list[Finding]:
+    """Compare results with a baseline, number by number; a case that is missing or no longer done is worse.
+
+    Raises
+    ------
+    UserError
+        Where they are of different benchmarks.
+    """
+    if found.benchmark != baseline.benchmark:
+        raise UserError(f"the results are of {found.benchmark} and the baseline of {baseline.benchmark}")
+    findings = []
+    for case, before in baseline.rows.items():
+        row = found.rows.get(case)
+        if row is None or (before["state"] == "done" and row["state"] != "done"):
+            why = "is missing" if row is None else remark(row)
+            findings.append(Finding(case=case, quantity="state", value=None, baseline=None, worse=True, sentence=why))
+            continue
+        findings += [one for quantity in QUANTITIES if (one := _finding(case, quantity, row, before)) is not None]
+        if interval_holds(before) and interval_holds(row) is False:
+            sentence = "the interval of the volume misses the truth"
+            findings.append(Finding(case=case, quantity="interval", value=None, baseline=None, worse=True, sentence=sentence))
+    return findings
+
+
+def _finding(case: str, quantity: Quantity, row: dict[str, Any], before: dict[str, Any]) -> Finding | None:
+    now, then = value(row, quantity), value(before, quantity)
+    if then is None:
+        return None
+    if now is None:
+        return Finding(case=case, quantity=quantity.name, value=None, baseline=then, worse=True, sentence="is no longer there")
+    allowed = quantity.absolute + quantity.relative * abs(then)
+    loss = then - now if quantity.larger_is_better else abs(now) - abs(then) if quantity.name.endswith("_error") else now - then
+    sentence = f"{now:.6g}, baseline {then:.6g}, may get worse by {allowed:.3g}"
+    return Finding(case=case, quantity=quantity.name, value=now, baseline=then, worse=loss > allowed, sentence=sentence)
+
+
+def junit(findings: Sequence[Finding], name: str) -> bytes:
+    """Return findings as a JUnit file: a test a number."""
+    worse = sum(one.worse for one in findings)
+    suite = ET.Element("testsuite", name=printable(name), tests=str(len(findings)), failures=str(worse), errors="0")
+    for one in findings:
+        test = ET.SubElement(suite, "testcase", classname=printable(one.case), name=one.quantity)
+        if one.worse:
+            ET.SubElement(test, "failure", message=printable(one.sentence))
+    root = ET.Element("testsuites")
+    root.append(suite)
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))

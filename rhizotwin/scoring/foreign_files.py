@@ -1,0 +1,187 @@
+"""Read what other methods write: meshes, voxels, points, and tables of traits."""
+
+import csv
+import io
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import nrrd
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from rhizotwin.recon.results.parts import Leaves, Mesh
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import check_size, read_file
+from rhizotwin.scenes.trait_table import DEFINITIONS
+from rhizotwin.stored import result_files
+
+Floats = NDArray[np.float64]
+
+MESHES = (".ply", ".stl", ".obj", ".glb")
+VOXELS = (".nrrd", ".npz")
+POINTS = (".ply", ".xyz")
+MOST_MIB = 1024
+"""Of a file of voxels or points."""
+MOST_CELLS = 1_000_000_000
+"""Of a block of voxels: four times as many bytes are needed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stated:
+    """A trait as a method states it."""
+
+    value: float
+    interval: tuple[float, float] | None = None
+    """90 % interval; None: not stated."""
+
+
+def read_shape(path: Path) -> Mesh:
+    """Read a triangle mesh: PLY, STL, OBJ in mm with z up, GLB in metres with y up as its standard asks.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, damaged, without faces or of another kind.
+    """
+    if path.suffix.lower() not in MESHES:
+        raise UserError(f"{path}: a mesh is one of {', '.join(MESHES)}")
+    read = result_files.read_mesh(path)
+    merged = trimesh.Trimesh(read.vertices_mm, read.faces, process=False)
+    merged.merge_vertices()  # each triangle of an STL has corners of its own
+    mesh = Mesh.of(merged)
+    if path.suffix.lower() != ".glb":
+        return mesh
+    x, y, z = 1000.0 * mesh.vertices_mm.T
+    return Mesh(vertices_mm=np.stack([x, -z, y], axis=1), faces=mesh.faces)
+
+
+def read_voxels(path: Path) -> Leaves:
+    """Read a block of occupancies in the canister's frame.
+
+    NRRD: ``space directions`` a multiple of the unit matrix and ``space origin`` the centre of the first voxel, both in
+    mm. NPZ: ``occupancy`` (X, Y, Z), ``origin_mm`` (3,) the lowest corner of the first voxel, ``voxel_mm``. Whole
+    numbers are parts of their type's largest, booleans and floats are shares.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, damaged or of another kind.
+    """
+    if path.suffix.lower() not in VOXELS:
+        raise UserError(f"{path}: voxels are one of {', '.join(VOXELS)}")
+    _check(path)
+    try:
+        block, origin_mm, voxel_mm = _read_nrrd(path) if path.suffix.lower() == ".nrrd" else _read_npz(path)
+    except (nrrd.NRRDError, KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError) as error:
+        raise UserError(f"{path} is not readable as voxels ({error})") from None
+    if block.ndim != 3 or not block.size or block.size > MOST_CELLS:
+        raise UserError(f"{path}: the block has the shape {block.shape}; give three axes, and at most {MOST_CELLS:.0e} voxels")
+    if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
+        raise UserError(f"{path}: origin and edge of the voxels must be finite, and the edge above 0")
+    share = _as_share(block)
+    if not np.isfinite(share).all() or share.min() < 0.0 or share.max() > 1.0:
+        raise UserError(f"{path}: occupancies must lie between 0 and 1")
+    low = np.argwhere(share > 0.0).astype(np.int32)
+    return Leaves(
+        low=low,
+        size=np.ones(len(low), np.int32),
+        occupancy=share[tuple(low.T)],
+        origin_mm=origin_mm,
+        voxel_mm=voxel_mm,
+    )
+
+
+def read_points(path: Path) -> Floats:
+    """Read points (N, 3) in mm: the vertices of a PLY, or lines of x y z.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, damaged, empty or of another kind.
+    """
+    if path.suffix.lower() not in POINTS:
+        raise UserError(f"{path}: points are one of {', '.join(POINTS)}")
+    _check(path)
+    try:
+        if path.suffix.lower() == ".ply":
+            points = np.asarray(trimesh.load(path, process=False).vertices, np.float64)
+        else:
+            points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
+        raise UserError(f"{path} is not readable as points ({error})") from None
+    if not len(points) or not np.isfinite(points).all():
+        raise UserError(f"{path} has {len(points)} points and must have some, all of them finite")
+    return points
+
+
+def read_traits(path: Path) -> dict[str, Stated]:
+    """Read a table of traits: columns ``trait`` and ``value``, and ``low`` and ``high`` for a 90 % interval.
+
+    Names and units are those of ``rhizotwin traits``; other rows are left out.
+
+    Raises
+    ------
+    UserError
+        Where the file is missing, has not these columns, or a number cannot be read.
+    """
+    names = {definition.name for definition in DEFINITIONS}
+    text = read_file(path).decode("utf-8", errors="replace")
+    rows = csv.DictReader(io.StringIO(text))
+    if not {"trait", "value"} <= set(rows.fieldnames or ()):
+        raise UserError(f"{path}: the first line must name the columns trait and value (and low and high, where intervals are stated)")
+    found: dict[str, Stated] = {}
+    for line, row in enumerate(rows, start=2):
+        if row["trait"] in names and row["value"]:
+            value, low, high = (_number(row, name, f"{path}, line {line}") for name in ("value", "low", "high"))
+            if value is not None:
+                found[row["trait"]] = Stated(value=value, interval=None if low is None or high is None else (low, high))
+    if not found:
+        raise UserError(f"{path}: no row is a trait of `rhizotwin traits`; such as {', '.join(sorted(names)[:4])}")
+    return found
+
+
+def _number(row: Mapping[str, str | None], name: str, where: str) -> float | None:
+    text = row.get(name)
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        raise UserError(f"{where}: {name} is {text[:40]!r}, not a number") from None
+    if not math.isfinite(value):
+        raise UserError(f"{where}: {name} is {text!r}; leave it empty where it is not known")
+    return value
+
+
+def _check(path: Path) -> None:
+    if not path.is_file():
+        raise UserError(f"{path} does not exist")
+    check_size(path, path.stat(), most_mib=MOST_MIB)
+
+
+def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
+    header = nrrd.read_header(str(path))
+    sizes = [int(size) for size in header["sizes"]]
+    if math.prod(sizes) > MOST_CELLS:
+        raise ValueError(f"{math.prod(sizes):.1e} voxels are too many")
+    directions = np.asarray(header["space directions"], np.float64)
+    voxel_mm = float(directions[0, 0])
+    if not np.allclose(directions, voxel_mm * np.eye(3), atol=1e-9 * abs(voxel_mm)):
+        raise ValueError("the voxels must be cubes along x, y, z")
+    block = nrrd.read(str(path), index_order="F")[0]
+    return block, np.asarray(header["space origin"], np.float64) - 0.5 * voxel_mm, voxel_mm
+
+
+def _read_npz(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
+    with np.load(path, allow_pickle=False) as stored:
+        return stored["occupancy"], np.asarray(stored["origin_mm"], np.float64).reshape(3), float(stored["voxel_mm"])
+
+
+def _as_share(block: NDArray[np.generic]) -> NDArray[np.float32]:
+    if block.dtype.kind in "ui":
+        return np.asarray(block, np.float32) / np.float32(np.iinfo(block.dtype.name).max)
+    return np.asarray(block, np.float32)

@@ -1,0 +1,406 @@
+"""Score what another method wrote against the truth of a simulated dataset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rhizotwin.recon import surface_sample
+from rhizotwin.recon.hull import surface
+from rhizotwin.recon.results.parts import Mesh
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import Traits, measure_traits
+from rhizotwin.scenes.truth import Truth, load_truth
+from rhizotwin.scoring import foreign_files, surface_distance, voxelise
+from rhizotwin.scoring.foreign_files import Stated
+from rhizotwin.scoring.registration import register
+from rhizotwin.scoring.score import plain, truth_mesh_path
+from rhizotwin.scoring.score_roots import NEAR_MM, RootScore, compare_roots
+from rhizotwin.scoring.score_shape import SURFACE_SAMPLES, SurfaceScore, compare_surfaces, compare_voxels
+from rhizotwin.scoring.score_solid import percent, surface_rows, table_of
+from rhizotwin.scoring.score_traits import compare_traits
+from rhizotwin.stored import result_files
+
+Floats = NDArray[np.float64]
+
+OF_CENTRE_LINES = (
+    "total_length",
+    "mean_diameter",
+    "median_diameter",
+    "max_diameter",
+    "roots",
+    "tips",
+    "branch_points",
+    "max_root_count",
+    "median_root_count",
+    "angle_to_gravity",
+    "angle_to_parent",
+)
+"""Traits that centre lines with diameters tell by themselves."""
+ALPHA = 0.1
+"""Of the 90 % intervals."""
+_STEP_MM = 0.25
+"""Roots are matched by points so far apart: half of `NEAR_MM`."""
+_MOST_SIDE = 200
+"""Voxels along the longest side where surfaces that bound no solid are compared."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopologyScore:
+    """How the roots hang together. Roots are matched by the length that lies within `NEAR_MM` of the other."""
+
+    roots: int
+    roots_true: int
+    matched: float
+    """Share of the true roots, half of whose length at least is one found root's."""
+    parents: float
+    """Share of the matched true roots whose parent is the one matched with the true parent."""
+    orders: float
+    """Share of the matched true roots whose order is right."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedScore:
+    """A trait that a file states, against the truth."""
+
+    value: float
+    true: float
+    error: float
+    """found / true - 1; of angles the difference in degrees."""
+    interval: tuple[float, float] | None = None
+    holds: bool | None = None
+    """Whether the interval holds the truth; None where none is stated."""
+    interval_score: float | None = None
+    """Mean width and misses of 90 % intervals (Gneiting and Raftery 2007), relative to the truth: smaller is better."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileScore:
+    """What a file of another method says, against the truth. Errors are signed fractions: found / true - 1."""
+
+    file: str
+    scene: str
+    volume_mm3: float | None = None
+    volume_true_mm3: float
+    volume_error: float | None = None
+    extents_error: tuple[float, float, float] | None = None
+    iou: float | None = None
+    """Volume in both over volume in either; exact for meshes that bound a solid, of voxels by their shares."""
+    surface: SurfaceScore | None = None
+    roots: RootScore | None = None
+    topology: TopologyScore | None = None
+    traits: dict[str, StatedScore]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; what is not finite becomes None."""
+        return {key: plain(value) for key, value in asdict(self).items()}
+
+    def table(self) -> str:
+        """Return the score as lines of text for the terminal."""
+        rows: list[tuple[str, str]] = []
+        if self.volume_mm3 is not None and self.volume_error is not None:
+            rows.append(
+                ("volume", f"{self.volume_mm3 / 1000.0:.5g} ml, true {self.volume_true_mm3 / 1000.0:.5g} ml: {percent(self.volume_error)}")
+            )
+        if self.extents_error is not None:
+            rows += [(f"extent {axis}", percent(error)) for axis, error in zip("xyz", self.extents_error, strict=True)]
+        if self.iou is not None:
+            rows.append(("IoU", f"{self.iou:.4f}"))
+        if self.surface is not None:
+            rows += surface_rows(self.surface)
+        if self.roots is not None:
+            r = self.roots
+            rows += [
+                ("length", f"{r.length_mm:.1f} mm, true {r.length_true_mm:.1f} mm: {percent(r.length_error)}"),
+                ("  centre lines", f"recall {r.recall:.4f}, precision {r.precision:.4f}, median distance {r.distance_median_mm:.3f} mm"),
+                ("  tips", f"{r.tips}, true {r.tips_true}: recall {r.tip_recall:.3f}, precision {r.tip_precision:.3f}"),
+            ]
+        if self.topology is not None:
+            t = self.topology
+            rows.append(
+                ("roots", f"{t.roots}, true {t.roots_true}: {t.matched:.3f} matched; parent right {t.parents:.3f}, order {t.orders:.3f}")
+            )
+        for name, one in self.traits.items():
+            held = "" if one.holds is None else f", interval {'holds' if one.holds else 'misses'}, score {one.interval_score:.3f}"
+            error = f"{one.error:+.2f} deg" if name.startswith("angle") else percent(one.error)
+            rows.append((name, f"{one.value:.5g}, true {one.true:.5g}: {error}{held}"))
+        return "\n".join([table_of(f"{self.file}, against the truth of {self.scene}", rows), *(f"note: {note}" for note in self.notes)])
+
+
+def score_mesh(file: Path | str, dataset: Dataset | Path | str, *, registered: bool = False) -> FileScore:
+    """Score a triangle mesh: volume, extents, IoU and surface distances.
+
+    Parameters
+    ----------
+    file : path
+        PLY, STL or OBJ in mm with z up, or GLB in metres with y up.
+    dataset : Dataset or path
+        The simulated dataset.
+    registered : bool
+        Lay the mesh onto the true solid first, by a turn and a shift; otherwise it is in the canister's frame.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read or the dataset has no truth.
+    """
+    known = _Known.of(dataset)
+    mesh = foreign_files.read_shape(Path(file))
+    if registered:
+        mesh = register(mesh, known.solid).moved
+    return replace(_of_mesh(mesh, known), file=str(file))
+
+
+def score_voxels(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
+    """Score occupancies of voxels (NRRD or NPZ, `foreign_files.read_voxels`), as `score_mesh` does a mesh."""
+    known = _Known.of(dataset)
+    leaves = foreign_files.read_voxels(Path(file))
+    volume_mm3 = float(leaves.occupancy.sum(dtype=np.float64)) * leaves.voxel_mm**3
+    empty = FileScore(file=str(file), scene=known.scene, volume_true_mm3=known.truth.volume_mm3, traits={})
+    if not volume_mm3:
+        return replace(empty, volume_mm3=0.0, volume_error=-1.0, iou=0.0, notes=("no voxel is occupied",))
+    shape = surface.surface(leaves.low, leaves.size, leaves.occupancy, origin_mm=leaves.origin_mm, voxel_mm=leaves.voxel_mm)
+    scored = replace(
+        empty,
+        volume_mm3=volume_mm3,
+        volume_error=volume_mm3 / known.truth.volume_mm3 - 1.0,
+        iou=compare_voxels(leaves, leaves, known.solid)[0].iou_weighted,
+    )
+    if not len(shape.vertices):
+        return replace(scored, notes=("no voxel is half occupied, so that there is no surface",))
+    mesh = Mesh.of(shape)
+    return replace(scored, extents_error=known.extents_error(mesh.vertices_mm), surface=compare_surfaces(mesh, known.solid))
+
+
+def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
+    """Score points on the surface (PLY or lines of x y z): distances to the true surface, and from it."""
+    known = _Known.of(dataset)
+    points = foreign_files.read_points(Path(file))
+    vertices, faces = known.solid.vertices_mm, known.solid.faces
+    on_truth = surface_sample.sample(vertices, faces, count=SURFACE_SAMPLES, rng=np.random.default_rng(0))[0]
+    some = points[np.random.default_rng(0).permutation(len(points))[:SURFACE_SAMPLES]]
+    to_truth, to_points = surface_distance.distances(some, vertices, faces), cKDTree(points).query(on_truth)[0]
+    both = np.concatenate([to_truth, to_points])
+    distances = SurfaceScore(
+        median_mm=float(np.median(both)),
+        p95_mm=float(np.percentile(both, 95.0)),
+        result_to_truth_median_mm=float(np.median(to_truth)),
+        result_to_truth_p95_mm=float(np.percentile(to_truth, 95.0)),
+        truth_to_result_median_mm=float(np.median(to_points)),
+        truth_to_result_p95_mm=float(np.percentile(to_points, 95.0)),
+    )
+    return FileScore(
+        file=str(file),
+        scene=known.scene,
+        volume_true_mm3=known.truth.volume_mm3,
+        extents_error=known.extents_error(points),
+        surface=distances,
+        traits={},
+    )
+
+
+def score_rsml(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
+    """Score centre lines (RSML): length, recall, precision, tips, parents, orders, and the traits that they tell.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read or the dataset has no true centre lines.
+    """
+    known = _Known.of(dataset)
+    roots = rsml.read_rsml(Path(file))
+    if not known.roots:
+        raise UserError(f"{known.folder}: its specimen has no centre lines, so that an RSML file cannot be scored against it")
+    if not roots:
+        raise UserError(f"{file} holds no roots")
+    compared = compare_traits(_traits_of(roots), _traits_of(known.roots))
+    traits = {
+        name: StatedScore(value=float(one.found), true=float(one.true), error=one.error)
+        for name, one in compared.items()
+        if name in OF_CENTRE_LINES and one.error is not None
+    }
+    return FileScore(
+        file=str(file),
+        scene=known.scene,
+        volume_true_mm3=known.truth.volume_mm3,
+        roots=compare_roots(roots, known.roots),
+        topology=compare_topology(roots, known.roots),
+        traits=traits,
+    )
+
+
+def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
+    """Score a table of traits (CSV, `foreign_files.read_traits`), and the 90 % intervals that it states."""
+    known, stated = _Known.of(dataset), foreign_files.read_traits(Path(file))
+    true = known.traits()
+    traits = {name: _stated(name, one, true[name]) for name, one in stated.items() if true.get(name) is not None}
+    volume = traits.get("volume")
+    return FileScore(
+        file=str(file),
+        scene=known.scene,
+        volume_mm3=None if volume is None else volume.value,
+        volume_true_mm3=known.truth.volume_mm3,
+        volume_error=None if volume is None else volume.error,
+        traits=traits,
+    )
+
+
+def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologyScore:
+    """Compare parents and orders of two root systems, neither of them empty."""
+    match = _matches(found, true)
+    known = [k for k, one in enumerate(match) if one >= 0]
+    parents = [
+        found[match[k]].parent == (match[true[k].parent] if true[k].parent >= 0 else -1)
+        for k in known
+        if true[k].parent < 0 or match[true[k].parent] >= 0
+    ]
+    orders = [found[match[k]].order == true[k].order for k in known]
+    return TopologyScore(
+        roots=len(found),
+        roots_true=len(true),
+        matched=len(known) / len(true),
+        parents=float(np.mean(parents)) if parents else 0.0,
+        orders=float(np.mean(orders)) if orders else 0.0,
+    )
+
+
+def interval_score(interval: tuple[float, float], true: float) -> float:
+    """Return the interval score of a 90 % interval (Gneiting and Raftery 2007, eq. 43), relative to the truth."""
+    low, high = interval
+    return ((high - low) + 2.0 / ALPHA * (max(low - true, 0.0) + max(true - high, 0.0))) / abs(true)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The truth of a dataset."""
+
+    folder: Path
+    scene: str
+    truth: Truth
+    solid: Mesh
+    roots: tuple[Root, ...]
+
+    @staticmethod
+    def of(dataset: Dataset | Path | str) -> _Known:
+        loaded = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
+        mesh_path = truth_mesh_path(loaded.folder)
+        skeleton = mesh_path.parent / "skeleton.rsml"
+        return _Known(
+            loaded.folder,
+            loaded.scene.name,
+            load_truth(loaded.folder),
+            result_files.read_mesh(mesh_path),
+            rsml.read_rsml(skeleton) if skeleton.is_file() else (),
+        )
+
+    def extents_error(self, points_mm: Floats) -> tuple[float, float, float]:
+        """Return the errors of the bounding box's sides."""
+        size = np.ptp(points_mm, axis=0) / np.ptp(self.solid.vertices_mm, axis=0) - 1.0
+        return float(size[0]), float(size[1]), float(size[2])
+
+    def traits(self) -> dict[str, float | None]:
+        """Return the true traits by their names in tables."""
+        volume_mm3, surface_mm2 = self.truth.volume_mm3, float(self.solid.areas_mm2.sum())
+        measured = measure_traits(self.roots, self.solid.vertices_mm, volume_mm3=volume_mm3, surface_mm2=surface_mm2)
+        return {name: one.true for name, one in compare_traits(measured, measured).items() if not isinstance(one.true, list)}
+
+
+def _of_mesh(mesh: Mesh, known: _Known) -> FileScore:
+    import manifold3d
+
+    from rhizotwin.sim.solids import manifold_of
+
+    solid, true = (manifold_of(one.vertices_mm, one.faces.astype(np.int32)) for one in (mesh, known.solid))
+    notes: tuple[str, ...] = ()
+    volume_mm3: float | None = None
+    if solid.status() == manifold3d.Error.NoError and solid.volume() > 0.0 and true.status() == manifold3d.Error.NoError:
+        volume_mm3, both = float(solid.volume()), float((solid ^ true).volume())
+        iou: float | None = both / (volume_mm3 + float(true.volume()) - both)
+    else:
+        volume_mm3, iou, notes = _by_voxels(mesh, known)
+    return FileScore(
+        file="",
+        scene=known.scene,
+        volume_mm3=volume_mm3,
+        volume_true_mm3=known.truth.volume_mm3,
+        volume_error=None if volume_mm3 is None else volume_mm3 / known.truth.volume_mm3 - 1.0,
+        extents_error=known.extents_error(mesh.vertices_mm[np.unique(mesh.faces)]),
+        iou=iou,
+        surface=compare_surfaces(mesh, known.solid),
+        traits={},
+        notes=notes,
+    )
+
+
+def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, tuple[str, ...]]:
+    """Return volume and IoU of a mesh that is closed but bounds no solid, by counting voxels; None where it is open."""
+    points = np.concatenate([mesh.vertices_mm[np.unique(mesh.faces)], known.solid.vertices_mm])
+    low, size = points.min(axis=0), np.ptp(points, axis=0)
+    voxel_mm = float(size.max()) / _MOST_SIDE
+    cells = np.argwhere(np.ones(np.maximum(np.ceil(size / voxel_mm).astype(int), 1), bool)).astype(np.int32)
+    one = np.ones(len(cells), np.int32)
+    try:
+        inside = voxelise.count_in_boxes(mesh.vertices_mm, mesh.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
+    except ValueError:
+        return None, None, ("the mesh is not closed, so that it has no volume",)
+    truth = voxelise.count_in_boxes(known.solid.vertices_mm, known.solid.faces, cells, one, origin_mm=low, voxel_mm=voxel_mm) > 0
+    either = int((inside | truth).sum())
+    note = f"the mesh cuts itself or is inside out: volume and IoU are counted in voxels of {voxel_mm:.3f} mm"
+    return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
+
+
+def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
+    """Return the found root that covers at least half of each true root, and most of it; -1 where none does."""
+    points, owner = _points(found)
+    tree = cKDTree(points)
+    match = []
+    for root in true:
+        away, nearest = tree.query(_points([root])[0], distance_upper_bound=NEAR_MM)
+        near = np.isfinite(away)
+        most = np.bincount(owner[nearest[near]], minlength=len(found))
+        match.append(int(most.argmax()) if most.max() >= 0.5 * len(near) else -1)
+    return match
+
+
+def _points(roots: Sequence[Root]) -> tuple[Floats, NDArray[np.int64]]:
+    """Return points (P, 3) along roots, and the root (P,) of each."""
+    parts, owner = [], []
+    for number, root in enumerate(roots):
+        step = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
+        way = np.concatenate([[0.0], np.cumsum(step)])
+        at = np.linspace(0.0, way[-1], max(2, math.ceil(way[-1] / _STEP_MM) + 1))
+        parts.append(np.stack([np.interp(at, way, axis) for axis in root.points_mm.T], axis=1))
+        owner.append(np.full(len(at), number))
+    return np.concatenate(parts), np.concatenate(owner)
+
+
+def _traits_of(roots: Sequence[Root]) -> Traits:
+    """Measure what centre lines tell; volume and surface, which they do not, are 1."""
+    return measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=1.0, surface_mm2=1.0)
+
+
+def _stated(name: str, one: Stated, true: float | None) -> StatedScore:
+    known = float(true or 0.0)
+    error = one.value - known if name.startswith("angle") else one.value / known - 1.0 if known else math.nan
+    if one.interval is None:
+        return StatedScore(value=one.value, true=known, error=error)
+    low, high = one.interval
+    return StatedScore(
+        value=one.value,
+        true=known,
+        error=error,
+        interval=one.interval,
+        holds=low <= known <= high,
+        interval_score=interval_score(one.interval, known) if known else None,
+    )
