@@ -36,7 +36,7 @@ ASK_AGAIN_S = 0.05
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 done, 1 failed, 2 what the user can put right, 130 stopped by Ctrl-C.
+    0 done, 1 failed (or what a command returns, as a gate does), 2 what the user can put right, 130 stopped by Ctrl-C.
     """
     stops: list[float] = []
     command = ""
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = words[0] if words else ""
         function, bound = command_line.bind(words)
         with redirect_stdout(cast(TextIO, _Printed(sys.stdout))):
-            function(*bound.args, **bound.kwargs)
+            code = function(*bound.args, **bound.kwargs)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of the output (head, less) has left: nobody is there to be told.
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 class _Printed:

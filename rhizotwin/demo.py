@@ -10,7 +10,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.atomic import beside, write_json
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, held
-from rhizotwin.steps import reconstruct_whole
+from rhizotwin.steps import reconstruct_whole, settings_of
 
 SCENE = "printed_8ml"
 VIEWS = 41
@@ -58,7 +58,7 @@ def _demo(folder: Path, *, profile: str, say: Callable[[str], None], progress: P
             _remove(dataset)
             simulate(scene, dataset, profile_name=profile, seed=0, monitor=bar)
     say("2. reconstructing it from the pictures alone")
-    pictures = reconstruct_whole(dataset, result, voxel_mm=VOXEL_MM, progress=progress)
+    pictures = reconstruct_whole(dataset, result, settings=settings_of(None, voxel_mm=VOXEL_MM), progress=progress)
     say("3. comparing it with the truth")
     with progress.bar(score=1.0) as bar, bar.stage("score"):
         found = score(result, dataset)

@@ -15,7 +15,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents, new_folder, recover
 
 if TYPE_CHECKING:
-    from rhizotwin.recon.settings import PictureSettings
+    from rhizotwin.recon.settings import PictureSettings, Settings
 
 SHARES = {
     "read": 0.1,
@@ -100,15 +100,37 @@ def _old_left_alone() -> Iterator[None]:
         gc.unfreeze()
 
 
+def settings_of(file: Path | None, *, voxel_mm: float | None = None, pictures: "PictureSettings | None" = None) -> "Settings":
+    """Return the settings of a TOML file, or the defaults, with others that override them.
+
+    Parameters
+    ----------
+    file : Path, optional
+        TOML file, see `recon.settings`.
+    voxel_mm : float, optional
+        Edge of the smallest voxels.
+    pictures : PictureSettings, optional
+        Which pictures are left out, beside those of the file.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be read or holds anything wrong.
+    """
+    from rhizotwin.recon.settings import Settings, load_settings
+
+    chosen = Settings() if file is None else load_settings(file)
+    chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
+    return chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
+
+
 def reconstruct_whole(
     dataset: Path,
     output: Path,
     *,
-    voxel_mm: float | None = None,
-    settings: Path | None = None,
+    settings: "Settings | None" = None,
     mass_g: float | None = None,
     keep_stages: bool = False,
-    pictures: "PictureSettings | None" = None,
     method: Method = "ours",
     progress: Progress = Progress(),
 ) -> list[Path]:
@@ -118,14 +140,10 @@ def reconstruct_whole(
 
     Parameters
     ----------
-    voxel_mm : float, optional
-        Goes before that of the settings.
-    settings : Path, optional
-        TOML file, see `recon.settings`.
+    settings : Settings, optional
+        As `settings_of` gives them.
     keep_stages : bool
         Keep what each stage made, in the folder ``stages`` of the result.
-    pictures : PictureSettings, optional
-        Which pictures are left out, beside those of the settings.
     method : str
         As in `front_door.reconstruct`.
     progress : Progress
@@ -137,16 +155,12 @@ def reconstruct_whole(
         If the dataset cannot be used, or ``output`` holds something that is not a result.
     """
     refuse_place(output, dataset)
-    from rhizotwin.recon.settings import Settings, load_settings
     from rhizotwin.report import page
     from rhizotwin.report.pictures import write_pictures
     from rhizotwin.scenes.dataset import load_dataset
     from rhizotwin.scoring.score import truth_mesh_path
     from rhizotwin.stored.result_files import RESULT_NAMES, read_mesh
 
-    chosen = Settings() if settings is None else load_settings(settings)
-    chosen = chosen if voxel_mm is None else replace(chosen, voxel_mm=voxel_mm)
-    chosen = chosen if pictures is None else replace(chosen, pictures=chosen.pictures.joined(pictures))
     # once: what happens to the folder meanwhile does not change what the result was made from
     loaded = load_dataset(dataset)
     truth_mesh = truth_mesh_path(dataset) if (dataset / "truth" / "specimen.ply").is_file() else None
@@ -155,7 +169,7 @@ def reconstruct_whole(
     with new_folder(output, replaces=RESULT_NAMES) as building, _old_left_alone():
         with progress.bar(**SHARES) as monitor:
             kept = building / "stages" if keep_stages else None
-            reconstruct(loaded, settings=chosen, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
+            reconstruct(loaded, settings=settings, mass_g=mass_g, keep_stages=kept, method=method, monitor=monitor).save(building)
             with monitor.stage("pictures"):
                 written = write_pictures(building, loaded, truth_mesh=truth_mesh)
                 written.append(page.write(building, dataset=loaded))

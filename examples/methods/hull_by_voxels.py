@@ -1,6 +1,6 @@
 """The smallest method: a voxel stays where no mask excludes its centre, seen along straight rays.
 
-    python hull_by_voxels.py DATASET OUTPUT
+python hull_by_voxels.py DATASET OUTPUT
 """
 
 import json

@@ -60,7 +60,7 @@ def work(plain: dict[str, Any], threads: int | None = None) -> dict[str, Any]:
 
 def _reconstruct(job: Job) -> None:
     from rhizotwin.recon.settings import PictureSettings
-    from rhizotwin.steps import reconstruct_whole
+    from rhizotwin.steps import reconstruct_whole, settings_of
 
     options = {key: value for key, value in job.options.items() if key != "device"}
     settings = options.pop("settings", None)
@@ -76,7 +76,8 @@ def _reconstruct(job: Job) -> None:
             file.write_text(settings, encoding="utf-8")
         chosen = None if settings is None else file
         tolerant = PictureSettings(tolerant=True)
-        reconstruct_whole(dataset, output, settings=chosen, pictures=tolerant, progress=Progress(quiet=True), **options)
+        given = settings_of(chosen, voxel_mm=options.pop("voxel_mm", None), pictures=tolerant)
+        reconstruct_whole(dataset, output, settings=given, progress=Progress(quiet=True), **options)
         if places.is_address(job.output):
             places.put(output, job.output, last=HEADS["reconstruct"])
 

@@ -1,14 +1,13 @@
 """What a method left in its output folder, scored: the files are found by their names.
 
-    result.json         a result of rhizotwin (its surface, centre lines and table of traits are scored)
     shape.{ply,stl,obj,glb}, voxels.{nrrd,npz}, points.{ply,xyz}, roots.rsml, traits.csv
 
-Any of them may be there, each is scored by itself; what cannot be read is said and the others are scored.
+Any of them may be there, each is scored by itself; what cannot be read is said and the others are scored. A result of
+rhizotwin has such files; its ``result.json`` says beside whether the volume is trusted.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import contents
 from rhizotwin.scoring import foreign_files, score_file
 from rhizotwin.scoring.score_file import FileScore
+from rhizotwin.stored.result_files import read_summary
 
 Score = Callable[[Path, Path], FileScore]
 KINDS: dict[str, tuple[tuple[str, ...], Score]] = {
@@ -57,20 +57,8 @@ def score_outputs(output: Path, dataset: Path) -> tuple[dict[str, Any], list[str
         except Exception as error:  # noqa: BLE001 - a stranger's file must not end the others
             sentences.append(f"{file} could not be scored ({type(error).__name__}: {error})")
     if "result.json" in names:
-        _add_result(output, dataset, scores, sentences)
+        try:
+            scores["trusted"] = bool(read_summary(output)["volume_trusted"])
+        except UserError as error:
+            sentences.append(str(error))
     return scores, sentences
-
-
-def _add_result(output: Path, dataset: Path, scores: dict[str, Any], sentences: list[str]) -> None:
-    """Add the traits of a result of rhizotwin with their intervals, and whether its volume is trusted."""
-    from rhizotwin.exports import export
-    from rhizotwin.stored.result_files import read_summary
-
-    try:
-        scores["trusted"] = bool(read_summary(output)["trusted"])
-        with tempfile.TemporaryDirectory(prefix="rhizotwin-traits-") as working:
-            table = Path(working) / "traits.csv"
-            export(output, table)
-            scores.setdefault("traits", score_file.score_traits(table, dataset).to_dict() | {"file": "result.json"})
-    except (UserError, KeyError) as error:
-        sentences.append(f"result.json could not be scored ({error})")

@@ -132,7 +132,19 @@ def run(
 
 
 def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[Row], None] = lambda _: None) -> list[Row]:
-    """Score outputs that were made elsewhere: a folder a case, without times and memory."""
+    """Score outputs that were made elsewhere, without times and memory.
+
+    Parameters
+    ----------
+    benchmark : Benchmark
+        Its cases.
+    folder : path
+        Where `make` rendered them.
+    outputs : path
+        A folder for each case.
+    say : callable
+        Hears every row.
+    """
     rows = []
     for case in benchmark.cases:
         there = (outputs / case.name).is_dir()
@@ -143,7 +155,19 @@ def score(benchmark: Benchmark, folder: Path, outputs: Path, *, say: Callable[[R
 
 
 def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, cameras: CameraSource | None) -> dict[str, Any]:
-    """Return rows with all that is needed to compare them with those of others, as JSON values."""
+    """Return rows with all that is needed to compare them with those of others, as JSON values.
+
+    Parameters
+    ----------
+    benchmark : Benchmark
+        What was run.
+    method, name : str
+        The command line, and the method's name in tables.
+    rows : list of Row
+        As `run` or `score` gives them.
+    cameras : str or None
+        Which cameras were offered; None: not known.
+    """
     return {
         "schema_version": SCHEMA,
         "benchmark": benchmark.name,
@@ -184,6 +208,7 @@ def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> R
             return Row(case=case, state="timeout", sentence=f"stopped after {timeout_s:g} s", wall_s=time.perf_counter() - began)
         finally:
             _end(child)  # with what it left running
+            child.wait()
         errors.seek(0)
         last = errors.read().decode(errors="replace").strip().splitlines()
     told = json.loads(used.read_text(encoding="utf-8")) if used.is_file() else {}

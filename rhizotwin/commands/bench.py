@@ -11,9 +11,11 @@ rhizotwin bench run quick-1 my_quick --method hull -o hull.json
 rhizotwin bench table mine.json hull.json -o results.html
 """
 
-import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
+
+from cyclopts import Parameter
 
 from rhizotwin import steps
 from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, between, list_of, named, option
@@ -28,6 +30,23 @@ BenchmarkFolder: TypeAlias = Annotated[Path, named("FOLDER")]
 def read_timeout_s(text: str) -> float:
     """Read a time limit."""
     return between(text, TIMEOUT_LIMITS_S, "s")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How a method is run."""
+
+    label: Annotated[str | None, named("TEXT")] = None
+    """The method's name in tables; default: its command line."""
+    cases: Cases = ()
+    """Only these cases; default: all."""
+    cameras: Literal["estimated", "true"] = "estimated"
+    """estimated: as the markers give them; true: as the pictures were rendered."""
+    timeout_s: Annotated[float, option(read_timeout_s, "S")] = 3600.0
+    """Seconds after which a case is stopped."""
+    keep: Annotated[Path | None, named("FOLDER")] = None
+    """Folder for what the method writes, a folder a case; default: it is removed."""
 
 
 def list_() -> None:
@@ -97,11 +116,7 @@ def run(
     *,
     method: str,
     output: OutputFile,
-    label: Annotated[str | None, named("TEXT")] = None,
-    cases: Cases = (),
-    cameras: Literal["estimated", "true"] = "estimated",
-    timeout_s: Annotated[float, option(read_timeout_s, "S")] = 3600.0,
-    keep: Annotated[Path | None, named("FOLDER")] = None,
+    options: RunOptions = RunOptions(),
     device: Device = "auto",
     progress: Progress = Progress(),
 ) -> None:
@@ -122,16 +137,8 @@ def run(
         Command line in which {dataset} and {output} stand for folders; or ours, thesis, hull.
     output : Path
         JSON file of the results.
-    label : str, optional
-        The method's name in tables; default: its command line.
-    cases : tuple of str
-        Only these cases; default: all.
-    cameras : str
-        estimated: as the markers give them; true: as the pictures were rendered.
-    timeout_s : float
-        Seconds after which a case is stopped.
-    keep : Path, optional
-        Folder for what the method writes, a folder a case; default: it is removed.
+    options : RunOptions
+        How it is run.
     device : str
         What computes cameras and masks: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
     progress : Progress
@@ -146,20 +153,19 @@ def run(
     from rhizotwin.bench.make import check_made
     from rhizotwin.bench.named import find
 
-    benchmark = find(name).chosen(cases)
+    benchmark = find(name).chosen(options.cases)
     run_method.command_of(method)  # a mistake is said before the work
     check_made(benchmark, folder)
     steps.start_engine(device, quiet=progress.quiet)
-    total = len(benchmark.cases)
-    with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", total, "case") as step:
+    chosen: dict[str, Any] = {"cameras": options.cameras, "timeout_s": options.timeout_s, "keep": options.keep}
+    with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
         def tell(row: run_method.Row) -> None:
             print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}", flush=True)
             step()
 
-        rows = run_method.run(benchmark, folder, method, cameras=cameras, timeout_s=timeout_s, keep=keep, say=tell)
-    plain = run_method.as_json(benchmark, method, rows, name=label or method, cameras=cameras)
-    atomic.write_json(output, plain)
+        rows = run_method.run(benchmark, folder, method, say=tell, **chosen)
+    atomic.write_json(output, run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras))
     print(results.markdown([results.read(output)]))
     print(f"next: rhizotwin bench table {output} -o results.html")
 
@@ -249,7 +255,7 @@ def gate(
     *,
     baseline: Annotated[Path, named("FILE")],
     junit: Annotated[Path | None, named("FILE")] = None,
-) -> None:
+) -> int:
     """Compare results with a baseline; the exit code is 1 where a number got worse.
 
     Parameters
@@ -274,5 +280,4 @@ def gate(
     for one in worse:
         print(f"{one.case}, {one.quantity}: {one.sentence}")
     print(f"{len(findings)} numbers compared, {len(worse)} worse")
-    if worse:
-        sys.exit(1)
+    return 1 if worse else 0

@@ -23,6 +23,9 @@ class Study:
     """TOML file of settings of the stages (docs/settings.md); --voxel-mm goes before it."""
     keep_stages: Flag = False
     """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
+    method: Literal["ours", "thesis", "hull"] = "ours"
+    """ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), hull (the untrimmed
+    visual hull)."""
 
 
 @Parameter(name="*")
@@ -50,7 +53,6 @@ def reconstruct(
     output: OutputResult,
     voxel_mm: VoxelMm | None = None,
     mass_g: MassG | None = None,
-    method: Literal["ours", "thesis", "hull"] = "ours",
     pictures: PictureChoice = PictureChoice(),
     study: Study = Study(),
     device: Device = "auto",
@@ -72,9 +74,6 @@ def reconstruct(
         Edge of the smallest voxels, 0.01 to 10 mm, 0.27 if not given; smaller is slower and finer.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
-    method : str
-        ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), hull (the
-        untrimmed visual hull).
     pictures : PictureChoice
         Which pictures are used.
     study : Study
@@ -94,8 +93,9 @@ def reconstruct(
     rhizotwin reconstruct my_dataset -o my_result --settings my_settings.toml --keep-stages
     """
     steps.start_engine(device, quiet=progress.quiet)
-    chosen: dict[str, Any] = {"settings": study.settings, "keep_stages": study.keep_stages, "pictures": pictures.settings, "method": method}
-    written = steps.reconstruct_whole(dataset, output, voxel_mm=voxel_mm, mass_g=mass_g, progress=progress, **chosen)
+    settings = steps.settings_of(study.settings, voxel_mm=voxel_mm, pictures=pictures.settings)
+    kept: dict[str, Any] = {"keep_stages": study.keep_stages, "method": study.method}
+    written = steps.reconstruct_whole(dataset, output, settings=settings, mass_g=mass_g, progress=progress, **kept)
     _tell(json.loads((output / "result.json").read_text(encoding="utf-8")), progress)
     if progress.quiet:
         return

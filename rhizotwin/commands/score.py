@@ -45,6 +45,12 @@ class ForeignFile:
         }
         return {kind: file for kind, file in every.items() if file is not None}
 
+    def one(self, *others: object) -> tuple[front_door.FileKind, Path]:
+        """Return kind and file; UserError where there are several, or something else is given beside."""
+        if len(self.given) > 1 or any(other is not None for other in others):
+            raise UserError("give one file of another method and the simulated dataset, and nothing else to score")
+        return next(iter(self.given.items()))
+
 
 def score(
     result: ResultFolder,
@@ -60,14 +66,13 @@ def score(
 ) -> None:
     """Compare a result with a simulated dataset's truth, a scanned part, a measured volume, or unseen pictures.
 
-    With a simulated DATASET: volume, extents, voxels, surface distances, poses and silhouettes stage by stage, and
-    every trait. With --truth: volume, extents and surface distances to a solid that is laid onto the result first,
-    wherever its file has it. With --volume-ml: the volume alone. With --pictures: what the result would show in
-    pictures that it was not made from, against what they show: area, outlines and centre lines, in pixels. Errors are
-    signed fractions: found / true - 1; of angles, differences in degrees.
+    With a simulated DATASET: volume, extents, voxels, surface distances, every trait, poses and silhouettes. With
+    --truth: volume, extents and surface distances to a solid that is laid onto the result first. With --volume-ml: the
+    volume alone. With --pictures: area, outlines and centre lines that the result would show in pictures that it was
+    not made from, in pixels. Errors are signed fractions: found / true - 1; of angles, differences in degrees.
 
-    Files of other methods are scored alike: with --mesh, --voxels, --points, --rsml or --traits the only folder is the
-    simulated dataset, as in 'rhizotwin score --mesh shape.stl my_dataset'.
+    With --mesh, --voxels, --points, --rsml or --traits, a file of another method is scored, and the only folder is the
+    simulated dataset.
 
     Parameters
     ----------
@@ -78,8 +83,7 @@ def score(
     foreign : ForeignFile
         What another method wrote.
     truth : Path, optional
-        The part that was scanned, as a closed mesh in mm (PLY, STL, OBJ), such as 'rhizotwin scenes printed_8ml
-        --specimen-stl' writes.
+        The part that was scanned, as a closed mesh in mm (PLY, STL, OBJ).
     volume_ml : float, optional
         The specimen's volume, measured by displacement or weight.
     pictures : Path, optional
@@ -103,10 +107,7 @@ def score(
     shares = {"score": 1.0} if pictures is None else {name: steps.SHARES[name] for name in _OF_PICTURES} | {"score": 5.0}
     with progress.bar(**shares) as bar:
         if foreign.given:
-            others = (dataset, truth, volume_ml, pictures)
-            if len(foreign.given) > 1 or any(other is not None for other in others):
-                raise UserError("give one file of another method and the simulated dataset, and nothing else to score")
-            ((kind, file),) = foreign.given.items()
+            kind, file = foreign.one(dataset, truth, volume_ml, pictures)
             found: Any = front_door.score_file(file, result, kind=kind, registered=foreign.registered, progress=bar)
         else:
             found = front_door.score(result, dataset, truth=truth, volume_ml=volume_ml, pictures=pictures, progress=bar)

@@ -1,0 +1,201 @@
+"""Benchmarks for any method: sets that are the same everywhere, methods that work or fail, tables, pages and gates."""
+
+import json
+import re
+import shutil
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rhizotwin.bench import fingerprints, named, offers, results, run_method
+from rhizotwin.bench.named import Benchmark, Case
+from rhizotwin.bench.results_page import page
+from rhizotwin.scenes.errors import UserError
+from tests.command import Command
+
+ROOT = Path(__file__).resolve().parents[3]
+EXAMPLE = ROOT / "examples" / "methods" / "hull_by_voxels.py"
+TINY = Benchmark(
+    name="tiny-1",
+    description="one ball",
+    cases=(Case(name="ball", scene="sphere_20mm", profile="clean", views=10, image_wh=(320, 240)),),
+)
+
+
+@pytest.fixture(scope="module")
+def offered(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("offered") / "dataset"
+    offers.offer(made, folder, cameras="estimated")
+    return folder
+
+
+@pytest.fixture
+def tiny(made: Path, offered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with the small benchmark, whose cameras are not estimated anew for every run."""
+    monkeypatch.setitem(named.BENCHMARKS, TINY.name, TINY)
+    monkeypatch.setattr(run_method, "offer", lambda _, goal, **__: shutil.copytree(offered, goal))
+    shutil.copytree(made, tmp_path / "sets" / "ball")
+    return tmp_path / "sets"
+
+
+def row(**scores: Any) -> dict[str, Any]:
+    return {"case": "ball", "state": "done", "sentence": "", "cpu_s": 10.0, "memory_mib": 500.0, "scores": scores}
+
+
+def of_rows(*rows: dict[str, Any]) -> results.Results:
+    return results.Results(benchmark="tiny-1", method="mine", cameras="true", rows={one["case"]: one for one in rows})
+
+
+def with_volume(error: float, low: float, high: float) -> dict[str, Any]:
+    holds = low <= 1.0 <= high
+    return {"traits": {"volume": {"error": error, "holds": holds, "interval": [low, high], "interval_score": high - low}}}
+
+
+def test_every_named_benchmark_can_be_rendered() -> None:
+    for benchmark in named.BENCHMARKS.values():
+        assert re.fullmatch(r"[a-z]+-\d+", benchmark.name)
+        assert len({case.name for case in benchmark.cases}) == len(benchmark.cases)
+        for case in benchmark.cases:
+            assert case.seed >= named.HELD_BACK
+            assert len(case.rendered_scene().plan.rings) == case.rings
+    with pytest.raises(UserError, match="did you mean quick-1"):
+        named.find("quik-1")
+
+
+def test_other_seeds_grow_other_plants() -> None:
+    case = named.find("roots-1").chosen(("bean",)).cases[0]
+    assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
+
+
+def test_the_quick_set_has_a_fingerprint() -> None:
+    benchmark = named.find("quick-1")
+    reference = fingerprints.reference(benchmark)
+    for case in benchmark.cases:
+        assert len(reference[case.name]["pixels"]) == case.views * case.rings
+
+
+def test_pictures_equal_up_to_rounding_are_the_same_data(made: Path) -> None:
+    known = fingerprints.take(made)
+    assert fingerprints.compare(made, "ball", {"ball": known}).same
+    for step, same in ((40, True), (200, False)):  # of 65535
+        other = {**known, "pixels": [[value + step for value in view] for view in known["pixels"]]}
+        assert fingerprints.compare(made, "ball", {"ball": other}).same is same
+    assert not fingerprints.compare(made, "ball", {}).same
+
+
+def test_what_is_offered_holds_no_truth(offered: Path) -> None:
+    assert sorted(path.name for path in offered.iterdir()) == [
+        "colmap",
+        "dataset.json",
+        "images",
+        "masks",
+        "transforms.json",
+        "undistorted",
+    ]
+    cameras = json.loads((offered / "undistorted" / "transforms.json").read_text())
+    assert len(cameras["frames"]) == len(list((offered / "undistorted" / "masks").iterdir())) == 10
+    assert not any("truth" in path.name for path in offered.rglob("*"))
+
+
+def test_a_method_of_twenty_lines(command: Command, tiny: Path, tmp_path: Path) -> None:
+    method = f"{sys.executable} {EXAMPLE} {{dataset}} {{output}}"
+    words = ["bench", "run", "tiny-1", tiny, "--method", method, "--label", "voxel centres"]
+    said = command.works(*words, "-o", tmp_path / "mine.json", "--keep", tmp_path / "kept").out
+    assert "voxel centres" in said
+    (found,) = json.loads((tmp_path / "mine.json").read_text())["rows"]
+    assert found["state"] == "done"
+    assert found["cpu_s"] > 0.0
+    assert 0.2 < found["scores"]["voxels"]["iou"] < 0.9  # it sees the ball, and no refraction
+    again = ["bench", "score", "tiny-1", tiny, tmp_path / "kept", "--label", "again", "-o", tmp_path / "again.json"]
+    command.works(*again)
+    assert json.loads((tmp_path / "again.json").read_text())["rows"][0]["scores"] == found["scores"]
+    assert "again" in command.works("bench", "table", tmp_path / "mine.json", tmp_path / "again.json").out
+    command.works("bench", "table", tmp_path / "mine.json", "-o", tmp_path / "page.html")
+    command.works("bench", "gate", tmp_path / "again.json", "--baseline", tmp_path / "again.json")
+
+
+@pytest.mark.parametrize(
+    ("program", "state", "word"),
+    [
+        ("import sys; sys.exit('too few corners')", "failed", "too few corners"),
+        ("import time; time.sleep(60)", "timeout", "stopped after 1 s"),
+        ("import os; os.kill(os.getpid(), 9)", "failed", "code -9"),
+        ("pass", "nothing", "no file with a known name"),
+        ("import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); (p / 'shape.ply').write_text('no')", "unreadable", "shape.ply"),
+    ],
+)
+def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_path: Path, program: str, state: str, word: str) -> None:
+    (tmp_path / "method.py").write_text(program)
+    method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
+    command.works("bench", "run", "tiny-1", tiny, "--method", method, "--timeout-s", "1", "-o", tmp_path / "rows.json")
+    (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert found["state"] == state
+    assert word in found["sentence"]
+    assert str(tmp_path) not in found["sentence"]
+
+
+def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
+    words = ["-o", tmp_path / "rows.json"]
+    command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])
+    command.fails("bench", "run", "tiny-1", tmp_path / "no", "--method", "ours", *words, named=["bench make tiny-1"])
+    command.fails("bench", "run", "tiny-1", tiny, "--cases", "bean", "--method", "ours", *words, named=["bean", "ball"])
+    (tmp_path / "bad.json").write_text('{"schema_version": 1, "rows": [{}]}')
+    command.fails("bench", "table", tmp_path / "bad.json", named=["bad.json"])
+
+
+def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path) -> None:
+    for method in ("hull", "thesis"):
+        said = command.works("reconstruct", made, "-o", tmp_path / method, "--method", method, "--quiet").out
+        assert "not to be trusted" in said
+        assert json.loads((tmp_path / method / "result.json").read_text())["settings"]["method"] == method
+    found = json.loads(command.works("score", tmp_path / "hull", made, "--json").out)
+    assert found["volume_trusted"] is False
+    assert abs(found["volume_error"]) < 0.06  # a ball is its own hull
+    command.fails("reconstruct", made, "-o", tmp_path / "no", "--method", "hull", "--mass-g", "2", named=["--mass-g"])
+
+
+def test_the_gate_sees_what_gets_worse(command: Command, tmp_path: Path) -> None:
+    before = of_rows(row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.95, 1.05)))
+    for now, worse in (
+        (row(mesh={"iou": 0.895}, traits=with_volume(0.012, 0.95, 1.05)), set()),
+        (row(mesh={"iou": 0.85}, traits=with_volume(-0.01, 0.95, 1.05)), {"iou"}),
+        (row(mesh={"iou": 0.9}, traits=with_volume(0.03, 0.95, 1.05)), {"volume_error"}),
+        (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 1.01, 1.05)), {"interval"}),
+        (row(mesh={"iou": 0.9}, traits=with_volume(-0.01, 0.9, 1.1)), {"volume_interval_score"}),
+        (row(mesh={"iou": 0.9}), {"volume_error", "volume_interval_score"}),
+        ({**row(), "state": "failed"}, {"state"}),
+    ):
+        findings = results.compare(of_rows(now), before)
+        assert {one.quantity for one in findings if one.worse} == worse
+    suite = ET.fromstring(results.junit(results.compare(of_rows({**row(), "state": "failed"}), before), "mine"))[0]
+    assert (suite.get("failures"), suite[0].get("name")) == ("1", "state")
+    stored = {"schema_version": 1, "benchmark": "tiny-1", "method": "mine", "cameras": None}
+    for name, iou in (("good", 0.9), ("bad", 0.5)):
+        (tmp_path / f"{name}.json").write_text(json.dumps({**stored, "rows": [row(mesh={"iou": iou})]}))
+    command.works("bench", "gate", tmp_path / "good.json", "--baseline", tmp_path / "good.json")
+    done = command("bench", "gate", tmp_path / "bad.json", "--baseline", tmp_path / "good.json", "--junit", tmp_path / "gate.xml")
+    assert done.code == 1
+    assert "ball, iou: 0.5" in done.out
+    assert ET.parse(tmp_path / "gate.xml").getroot()[0].get("failures") == "1"
+
+
+def test_a_click_sorts_the_page(browser: Any, tmp_path: Path) -> None:
+    methods = {"<b>one</b>": -0.2, "two": 0.05, "three": 0.1}
+    several = [replace(of_rows(row(mesh={"volume_error": error})), method=name) for name, error in methods.items()]
+    (tmp_path / "page.html").write_text(page(several), encoding="utf-8")
+    shown = browser.new_page()
+    shown.goto((tmp_path / "page.html").as_uri())
+    column = [head.inner_text() for head in shown.query_selector_all("th")].index("volume, %")
+    shown.query_selector_all("th button")[column].click()
+    cells = shown.query_selector_all(f"tbody td:nth-child({column + 1})")
+    assert [cell.inner_text() for cell in cells] == ["+5.00", "+10.00", "-20.00"]  # by size
+    assert "<b>one</b>" in shown.query_selector("tbody tr:last-child").inner_text()
+    shown.close()
+
+
+def test_the_page_on_benchmarks_shows_the_example() -> None:
+    assert EXAMPLE.read_text(encoding="utf-8") in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")

@@ -1,0 +1,174 @@
+"""Files of other methods against a truth: what equals it scores as such, and known errors come out as they are."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import nrrd
+import numpy as np
+import pytest
+import trimesh
+
+from rhizotwin.scenes import rsml
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scoring import score_file
+from rhizotwin.scoring.foreign_files import Stated
+from tests.command import Command
+
+RADIUS_MM, CENTRE_MM = 8.0, np.array([18.0, 0.0, -60.0])
+
+
+def truth_of(made: Path) -> trimesh.Trimesh:
+    return trimesh.load(made / "truth" / "specimen.ply")
+
+
+def straight(start: tuple[float, float, float], end: tuple[float, float, float], *, order: int, parent: int) -> Root:
+    points = np.linspace(start, end, 21)
+    return Root(points_mm=points, diameters_mm=np.full(21, 0.8 - 0.2 * order), order=order, parent=parent)
+
+
+def small_system() -> tuple[Root, ...]:
+    """Return a taproot with two laterals, one of which has a lateral of its own."""
+    return (
+        straight((0.0, 0.0, -20.0), (0.0, 0.0, -60.0), order=0, parent=-1),
+        straight((0.0, 0.0, -30.0), (20.0, 0.0, -35.0), order=1, parent=0),
+        straight((0.0, 0.0, -40.0), (-20.0, 0.0, -45.0), order=1, parent=0),
+        straight((10.0, 0.0, -32.5), (10.0, 15.0, -40.0), order=2, parent=1),
+    )
+
+
+@pytest.fixture
+def planted(made: Path, tmp_path: Path) -> Path:
+    """Return the dataset with true centre lines beside its solid."""
+    shutil.copytree(made, tmp_path / "planted")
+    rsml.write_rsml(tmp_path / "planted" / "truth" / "skeleton.rsml", small_system())
+    return tmp_path / "planted"
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "glb"])
+def test_a_mesh_that_equals_the_truth(made: Path, tmp_path: Path, suffix: str) -> None:
+    mesh = truth_of(made)
+    if suffix == "glb":
+        x, y, z = mesh.vertices.T
+        mesh = trimesh.Trimesh(np.stack([x, z, -y], axis=1) / 1000.0, mesh.faces, process=False)
+    mesh.export(tmp_path / f"shape.{suffix}")
+    found = score_file.score_mesh(tmp_path / f"shape.{suffix}", made)
+    assert abs(found.volume_error) < 1e-4
+    assert found.iou > 0.999
+    assert found.surface.p95_mm < 1e-3
+    assert np.abs(found.extents_error).max() < 1e-4
+
+
+def test_a_mesh_elsewhere_is_laid_onto_the_truth_where_that_is_asked(made: Path, tmp_path: Path) -> None:
+    mesh = truth_of(made)
+    mesh.apply_scale(1.05)
+    mesh.apply_translation((40.0, -10.0, 3.0))
+    mesh.export(tmp_path / "away.ply")
+    there = score_file.score_mesh(tmp_path / "away.ply", made)
+    laid = score_file.score_mesh(tmp_path / "away.ply", made, registered=True)
+    assert there.volume_error == pytest.approx(1.05**3 - 1.0, rel=1e-3)
+    assert laid.volume_error == pytest.approx(there.volume_error)
+    assert there.iou == 0.0
+    assert laid.iou == pytest.approx(1.05**-3, abs=1e-3)  # the smaller ball lies in the larger one
+
+
+def test_an_open_mesh_has_distances_and_no_volume(made: Path, tmp_path: Path) -> None:
+    mesh = truth_of(made)
+    trimesh.Trimesh(mesh.vertices, mesh.faces[: len(mesh.faces) // 2], process=False).export(tmp_path / "open.ply")
+    found = score_file.score_mesh(tmp_path / "open.ply", made)
+    assert (found.volume_mm3, found.iou) == (None, None)
+    assert found.surface.result_to_truth_p95_mm < 1e-3
+    assert "not closed" in found.notes[0]
+
+
+def test_voxels_of_a_ball(made: Path, tmp_path: Path) -> None:
+    voxel_mm, low = 0.25, CENTRE_MM - 10.0
+    centres = low + voxel_mm * (np.stack(np.meshgrid(*[np.arange(80)] * 3, indexing="ij"), axis=-1) + 0.5)
+    inside = np.linalg.norm(centres - CENTRE_MM, axis=-1) < RADIUS_MM
+    np.savez(tmp_path / "voxels.npz", occupancy=inside, origin_mm=low, voxel_mm=voxel_mm)
+    header = {"space dimension": 3, "space directions": voxel_mm * np.eye(3), "space origin": low + 0.5 * voxel_mm}
+    nrrd.write(str(tmp_path / "voxels.nrrd"), 255 * inside.astype(np.uint8), header, index_order="F")
+    of_npz, of_nrrd = (score_file.score_voxels(tmp_path / f"voxels.{suffix}", made) for suffix in ("npz", "nrrd"))
+    assert of_npz.volume_error == pytest.approx(inside.sum() * voxel_mm**3 / (4.0 / 3.0 * np.pi * RADIUS_MM**3) - 1.0, abs=0.01)
+    assert of_npz.iou > 0.95
+    assert of_npz.surface.median_mm < voxel_mm / 2.0
+    assert (of_nrrd.volume_error, of_nrrd.iou) == (of_npz.volume_error, of_npz.iou)
+
+
+def test_points_are_scored_by_their_distances(made: Path, tmp_path: Path) -> None:
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    np.savetxt(tmp_path / "points.xyz", CENTRE_MM + (RADIUS_MM + 0.3) * directions)
+    found = score_file.score_points(tmp_path / "points.xyz", made)
+    assert found.surface.result_to_truth_median_mm == pytest.approx(0.3, abs=0.03)  # the true ball has facets
+    assert found.volume_mm3 is None
+
+
+def test_centre_lines_that_equal_the_truth(planted: Path) -> None:
+    found = score_file.score_rsml(planted / "truth" / "skeleton.rsml", planted)
+    assert abs(found.roots.length_error) < 1e-4
+    assert (found.roots.tip_recall, found.roots.tip_precision) == (1.0, 1.0)
+    assert (found.topology.matched, found.topology.parents, found.topology.orders) == (1.0, 1.0, 1.0)
+    assert all(abs(one.error) < 1e-9 for one in found.traits.values())
+
+
+def test_a_wrong_parent_and_a_missing_root_are_seen() -> None:
+    true = small_system()
+    wrong = (*true[:3], replace(true[3], parent=0, order=1))
+    found = score_file.compare_topology(wrong, true)
+    assert (found.matched, found.parents, found.orders) == (1.0, 0.75, 0.75)
+    fewer = score_file.compare_topology(true[:2], true)
+    assert (fewer.roots, fewer.matched, fewer.parents) == (2, 0.5, 1.0)
+
+
+def test_stated_intervals_are_judged(planted: Path, tmp_path: Path) -> None:
+    true_mm = rsml.length_mm(small_system())
+    table = f"trait,value,low,high\ntotal_length,{0.9 * true_mm},{0.8 * true_mm},{0.95 * true_mm}\nroots,4,,\nmine,3,,\n"
+    (tmp_path / "traits.csv").write_text(table)
+    found = score_file.score_traits(tmp_path / "traits.csv", planted).traits
+    assert set(found) == {"total_length", "roots"}
+    assert found["total_length"].error == pytest.approx(-0.1)
+    assert found["total_length"].holds is False
+    assert found["total_length"].interval_score == pytest.approx(0.15 + 20.0 * 0.05)  # width, and 2 / 0.1 times the miss
+    assert (found["roots"].error, found["roots"].holds) == (0.0, None)
+    assert score_file.interval_score((0.9, 1.2), 1.0) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "content", "word"),
+    [
+        ("mesh", "a.ply", b"rubbish", "mesh"),
+        ("mesh", "a.txt", b"", "one of"),
+        ("voxels", "a.npz", b"rubbish", "voxels"),
+        ("voxels", "a.nrrd", b"rubbish", "voxels"),
+        ("points", "a.xyz", b"a b c\n", "points"),
+        ("rsml", "a.rsml", b"<", "rsml"),
+        ("traits", "a.csv", b"trait,value\nvolume,much\n", "not a number"),
+        ("traits", "a.csv", b"name;number\n", "columns"),
+    ],
+)
+def test_what_cannot_be_scored_is_one_sentence(
+    command: Command, made: Path, tmp_path: Path, option: str, name: str, content: bytes, word: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    command.fails("score", f"--{option}", tmp_path / name, made, named=[word, name])
+
+
+def test_the_command_line_scores_a_file(command: Command, made: Path) -> None:
+    file = made / "truth" / "specimen.ply"
+    assert "IoU" in command.works("score", "--mesh", file, made).out
+    assert json.loads(command.works("score", "--mesh", file, made, "--json").out)["iou"] > 0.999
+    command.fails("score", "--mesh", file, "--rsml", file, made, named=["one file"])
+    command.fails("score", "--rsml", file, made, "--registered", named=["--registered"])
+
+
+def test_stated_needs_an_interval_to_be_judged() -> None:
+    assert score_file._stated("volume", Stated(value=2.0), 1.0).holds is None
+
+
+def test_a_dataset_without_centre_lines_refuses_rsml(made: Path, tmp_path: Path) -> None:
+    rsml.write_rsml(tmp_path / "roots.rsml", small_system())
+    with pytest.raises(UserError, match="no centre lines"):
+        score_file.score_rsml(tmp_path / "roots.rsml", made)
