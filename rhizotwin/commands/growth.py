@@ -12,37 +12,44 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
     Results of one plant on several days are laid on each other, and every root gets an identity through time: when it
     came, how fast it grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and
     treatments are compared by a linear mixed model. Values that are not reliable are left out and counted. The datasets
-    must say plant and day, and the treatment where there are several.
+    must say plant and day, and the treatment where there are several. Tables of masses, weighed or predicted, give
+    curves of wet mass, dry mass and water content, beside results or alone.
 
     Parameters
     ----------
     results : list of Path
-        Results, folders of results, or tables of traits (.csv), which have curves but no roots to follow.
+        Results, folders of results, tables of traits (.csv), which have curves but no roots to follow, and tables of
+        masses (.csv).
     output : Path
-        Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time.
+        Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time; of
+        masses masses.csv and masses.png.
 
     Examples
     --------
     rhizotwin growth my_results -o my_growth
     rhizotwin growth my_results/traits.csv -o my_growth
+    rhizotwin growth my_results my_masses.csv my_predicted_masses.csv -o my_growth
     """
     from rhizotwin.experiment import growth as grown
-    from rhizotwin.experiment import growth_page
+    from rhizotwin.experiment import growth_page, mass_curves
     from rhizotwin.experiment.measured import read_all
     from rhizotwin.scenes import atomic
     from rhizotwin.scenes.folders import new_folder
 
-    measured = grown.measure(read_all(results))
+    weighed = [path for path in results if mass_curves.is_of_masses(path)]
+    others = [path for path in results if path not in weighed]
+    curves = mass_curves.measure(mass_curves.read(weighed))
+    measured = grown.measure(read_all(others)) if others or not weighed else None
+    picture = mass_curves.draw(curves) if curves else None
     with new_folder(output) as building:
-        atomic.write_text(building / "traits.csv", grown.traits_csv(measured))
-        atomic.write_text(building / "roots.csv", grown.roots_csv(measured))
-        atomic.write_text(building / "treatments.csv", grown.treatments_csv(measured))
-        if measured.curves:
+        if measured is not None:
+            grown.write(measured, building)
+        if measured is not None and measured.curves:
             atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
-        atomic.write_text(building / "growth.html", growth_page.page(measured))
-        if measured.followed:
-            (building / "rsml").mkdir()
-            grown.write_rsml(measured, building / "rsml")
-    for sentence in growth_page.sentences(measured):
+        if picture is not None:
+            atomic.write_bytes(building / "masses.png", picture)
+            atomic.write_text(building / "masses.csv", mass_curves.to_csv(curves))
+        atomic.write_text(building / "growth.html", growth_page.page(measured, picture))
+    for sentence in [] if measured is None else growth_page.sentences(measured):
         print(sentence)
     print(f"look at it: {output / 'growth.html'}")

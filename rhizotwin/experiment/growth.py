@@ -10,7 +10,7 @@ from pathlib import Path
 from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
-from rhizotwin.scenes import rsml
+from rhizotwin.scenes import atomic, rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.trait_table import csv_text, written
 from rhizotwin.stored import result_files
@@ -102,6 +102,15 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
                 roots = rsml.of_plant(roots, one.subject.plant)
             known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return follow(known) if len(known) > 1 else None
+
+
+def write(growth: Growth, folder: Path) -> None:
+    """Write the tables of growth, and roots as RSML with time, into a folder."""
+    for name, text in (("traits", traits_csv(growth)), ("roots", roots_csv(growth)), ("treatments", treatments_csv(growth))):
+        atomic.write_text(folder / f"{name}.csv", text)
+    if growth.followed:
+        (folder / "rsml").mkdir()
+        write_rsml(growth, folder / "rsml")
 
 
 def traits_csv(growth: Growth) -> str:

@@ -31,20 +31,35 @@ def draw(growth: Growth) -> bytes:
     return png(drawn, dpi=110)
 
 
-def page(growth: Growth) -> str:
-    """Return the page: the curves, what differs in words, what was followed, what was left out."""
-    curves = "<p>No trait is reliable enough for a curve.</p>"
-    if growth.curves:
-        picture = base64.b64encode(draw(growth)).decode()
-        curves = (
-            f'<img alt="curves of growth" src="data:image/png;base64,{picture}">'
-            "<p>Mean of the plants on each day with its 90 % interval.</p>"
-        )
-    told = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth))
+def page(growth: Growth | None, masses: bytes | None = None) -> str:
+    """Return the page: the curves, what differs in words, what was followed, what was left out.
+
+    Parameters
+    ----------
+    growth : Growth or None
+        None: only masses are known.
+    masses : bytes, optional
+        The figure of `mass_curves.draw`.
+    """
+    parts = []
+    if growth is not None:
+        parts.append(f"<h1>Growth of {len(growth.plants)} plants</h1>")
+        if growth.curves:
+            parts.append(_shown("curves of growth", draw(growth), "Mean of the plants on each day with its 90 % interval."))
+        else:
+            parts.append("<p>No trait is reliable enough for a curve.</p>")
+        parts.append("<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth)) + "</ul>")
+    if masses is not None:
+        caption = "Wet mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
+        parts.append("<h1>Masses</h1>" + _shown("curves of masses", masses, caption))
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Growth</title><style>{_STYLE}</style></head><body>'
-        f"<h1>Growth of {len(growth.plants)} plants</h1>{curves}<ul>{told}</ul></body></html>\n"
+        f"{''.join(parts)}</body></html>\n"
     )
+
+
+def _shown(name: str, picture: bytes, caption: str) -> str:
+    return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(picture).decode()}"><p>{caption}</p>'
 
 
 def sentences(growth: Growth) -> list[str]:

@@ -7,7 +7,7 @@ added to the dry mass (thesis, section 5.1, steps 1 and 5).
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from rhizotwin.scenes.subject import Subject
 
 ORGANS, STATES = ("root", "shoot"), ("fresh", "dry")
 KINDS = tuple(f"{organ}_{state}" for organ in ORGANS for state in STATES)
+BALANCE_G = 1e-4
+"""Readability of a laboratory balance, as the thesis's."""
 GRAMS = {"g": 1.0, "mg": 1e-3, "kg": 1e3}
 _COLUMN = re.compile(rf"({'|'.join(ORGANS)})_(fresh|dry|foil_scraped|foil)_(\w+)")
 
@@ -33,6 +35,11 @@ class Weighed:
     """By kind (`KINDS`), those that were weighed, foil residue added."""
     residue_g: Mapping[str, float]
     """What was added of foil residue, by kind."""
+
+
+def has_masses(head: Collection[str]) -> bool:
+    """Return whether columns are those of a table of masses."""
+    return any((match := _COLUMN.fullmatch(column)) is not None and f"{match[1]}_{match[2]}" in KINDS for column in head)
 
 
 def read_masses(path: Path, *, balance_g: float) -> list[Weighed]:

@@ -1,0 +1,151 @@
+"""Curves of wet mass, dry mass and water content by day, as in the thesis's figure 4.1.
+
+Masses come from a table of what was weighed (`rhizotwin.experiment.masses`), from a table that ``biomass predict``
+wrote, or from both: where a mass of a plant on a day is in both, the weighed one counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rhizotwin.experiment import tables
+from rhizotwin.experiment.compare import Point, Seen, means
+from rhizotwin.experiment.masses import BALANCE_G, KINDS, ORGANS, has_masses, read_masses
+from rhizotwin.scenes import subject
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.trait_table import csv_text, written
+
+_PREDICTED = {"plant", "day", "mass", "mass (g)"}
+QUANTITIES = {"fresh": "wet mass (g)", "dry": "dry mass (g)", "water": "water content (%)"}
+PARTS = (*ORGANS, "plant")
+"""``plant`` is root and shoot together."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Masses:
+    """The masses of a plant on a day."""
+
+    plant: str
+    day: float
+    treatment: str
+    grams: Mapping[str, float]
+    """By kind, as ``root_fresh``."""
+
+    def value(self, part: str, quantity: str) -> float | None:
+        """Return a quantity of a part; None where what it needs is not known."""
+        if quantity == "water":
+            fresh, dry = self.value(part, "fresh"), self.value(part, "dry")
+            return None if fresh is None or dry is None else 100.0 * (1.0 - dry / fresh)
+        if part != "plant":
+            return self.grams.get(f"{part}_{quantity}")
+        both = [self.grams.get(f"{organ}_{quantity}") for organ in ORGANS]
+        return None if any(one is None for one in both) else sum(one for one in both if one is not None)
+
+
+Curves = Mapping[tuple[str, str], Sequence[Point]]
+"""Means by part and quantity."""
+
+
+def is_of_masses(path: Path) -> bool:
+    """Return whether a table holds masses that were weighed or predicted."""
+    if path.suffix.lower() != ".csv":
+        return False
+    head = set(tables.read_table(path)[0].cells)
+    return head >= _PREDICTED or has_masses(head)
+
+
+def read(paths: Sequence[Path]) -> list[Masses]:
+    """Read tables of masses, one entry a plant and day.
+
+    Raises
+    ------
+    UserError
+        Where a table is damaged, or masses have no plant or day.
+    """
+    found: dict[tuple[str, float], Masses] = {}
+    predicted = [path for path in paths if set(tables.read_table(path)[0].cells) >= _PREDICTED]
+    for path in [*predicted, *(path for path in paths if path not in predicted)]:
+        for one in _predicted(path) if path in predicted else _weighed(path):
+            before = found.get((one.plant, one.day))
+            if before is not None and before.treatment != one.treatment:
+                raise UserError(f"{path}: plant {one.plant} is in two treatments, {before.treatment!r} and {one.treatment!r}")
+            grams = one.grams if before is None else {**before.grams, **one.grams}
+            found[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams)
+    return list(found.values())
+
+
+def measure(masses: Sequence[Masses]) -> Curves:
+    """Return the mean of every part and quantity on every day, with its 90 % interval."""
+    curves = {}
+    for part in PARTS:
+        for quantity in QUANTITIES:
+            seen = [
+                Seen(plant=one.plant, treatment=one.treatment, day=one.day, value=value)
+                for one in masses
+                if (value := one.value(part, quantity)) is not None
+            ]
+            if seen:
+                curves[part, quantity] = means(seen)
+    return curves
+
+
+def to_csv(curves: Curves) -> str:
+    """Return one row a part, quantity, treatment and day."""
+    rows: list[list[str]] = [["part", "quantity", "treatment", "day", "mean", "low", "high", "plants"]]
+    for (part, quantity), points in curves.items():
+        for point in points:
+            numbers = [written(value) for value in (point.day, point.mean, point.low, point.high)]
+            rows.append([part, QUANTITIES[quantity], point.treatment, *numbers, str(point.plants)])
+    return csv_text(rows)
+
+
+def draw(curves: Curves) -> bytes:
+    """Return the three panels of figure 4.1 as PNG: wet masses, dry masses, water content."""
+    colours, marks = dict(zip(PARTS, ("#8c510a", "#1b7837", "#333333"), strict=True)), "osD^v"
+    shown = [quantity for quantity in QUANTITIES if any(key[1] == quantity for key in curves)]
+    drawn = figure(4.2 * len(shown), 3.6)
+    treatments = sorted({point.treatment for points in curves.values() for point in points})
+    for axes, quantity in zip(drawn.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+        for part in PARTS:
+            points = curves.get((part, quantity), ())
+            for number, treatment in enumerate(treatments):
+                own = [point for point in points if point.treatment == treatment]
+                mean = [point.mean for point in own]
+                reach = [[point.mean - max(point.low, 0.0) for point in own], [point.high - point.mean for point in own]]
+                label = f"{part}, {treatment}" if len(treatments) > 1 else part
+                mark = marks[number % len(marks)]
+                axes.errorbar([point.day for point in own], mean, yerr=reach, marker=mark, capsize=3, color=colours[part], label=label)
+        axes.set_xlabel("day")
+        axes.set_ylabel(QUANTITIES[quantity])
+        if quantity != "water":
+            axes.set_ylim(bottom=0.0)
+    drawn.axes[0].legend()
+    return png(drawn, dpi=110)
+
+
+def _weighed(path: Path) -> list[Masses]:
+    return [_of(one.where, one.subject, one.grams) for one in read_masses(path, balance_g=BALANCE_G) if one.grams]
+
+
+def _predicted(path: Path) -> list[Masses]:
+    found = []
+    for row in tables.read_table(path):
+        kind, grams = row.cells.get("mass", ""), tables.number(row, "mass (g)")
+        if kind not in KINDS or grams is None or not grams > 0.0:
+            raise UserError(f"{row.where}: is no predicted mass; give the table as `rhizotwin biomass predict` wrote it")
+        found.append(_of(row.where, subject.of_cells(row.cells, row.where), {kind: grams}))
+    merged: dict[tuple[str, float], Masses] = {}
+    for one in found:
+        before = merged.get((one.plant, one.day))
+        grams_of = one.grams if before is None else {**before.grams, **one.grams}
+        merged[one.plant, one.day] = Masses(plant=one.plant, day=one.day, treatment=one.treatment, grams=grams_of)
+    return list(merged.values())
+
+
+def _of(where: str, whose: subject.Subject, grams: Mapping[str, float]) -> Masses:
+    if not whose.plant or whose.day is None:
+        raise UserError(f"{where}: has a mass, but not both plant and day, which curves need")
+    return Masses(plant=whose.plant, day=whose.day, treatment=whose.treatment, grams=grams)

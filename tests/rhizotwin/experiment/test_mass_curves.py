@@ -1,0 +1,43 @@
+"""Masses by day: the thesis's figure 4.1, and weighed beside predicted masses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.experiment import mass_curves
+from rhizotwin.experiment.tables import shipped
+from tests.command import Command
+
+PREDICTED = """result,plant,species,treatment,day,date,replicate,notes,mass,mass (g),low (g),high (g),from,verdict,extrapolated
+a,P1,,,5,,,,root_fresh,2.0,1.5,2.5,volume,reliable,no
+a,P1,,,5,,,,root_dry,0.1,0.05,0.2,volume,reliable,no
+"""
+
+
+def test_the_figure_of_the_thesis(command: Command, tmp_path: Path) -> None:
+    """Means by day are those of table A.1 (Kliman 2022), worked out by hand for the first harvest."""
+    command.works("growth", shipped("kliman_2022_masses.csv"), "-o", tmp_path / "grown")
+    assert sorted(path.name for path in (tmp_path / "grown").iterdir()) == ["growth.html", "masses.csv", "masses.png"]
+    curves = mass_curves.measure(mass_curves.read([shipped("kliman_2022_masses.csv")]))
+    assert set(curves) == {(part, quantity) for part in mass_curves.PARTS for quantity in mass_curves.QUANTITIES}
+    first = curves["plant", "water"][0]
+    assert (first.day, first.plants) == (5.0, 3)
+    assert first.mean == pytest.approx(np.mean([92.2439759, 91.47496617, 92.26950355]))
+    assert curves["root", "fresh"][3].mean == pytest.approx(np.mean([0.956, 0.9287, 0.5903]))
+
+
+def test_what_was_weighed_counts_before_what_was_predicted(tmp_path: Path) -> None:
+    (tmp_path / "predicted.csv").write_text(PREDICTED)
+    (tmp_path / "weighed.csv").write_text("plant,day,root_fresh_g\nP1,5,1.0\nP2,5,3.0\n")
+    for order in (("weighed.csv", "predicted.csv"), ("predicted.csv", "weighed.csv")):
+        masses = {one.plant: one for one in mass_curves.read([tmp_path / name for name in order])}
+        assert dict(masses["P1"].grams) == {"root_fresh": 1.0, "root_dry": 0.1}
+        assert masses["P1"].value("root", "water") == pytest.approx(90.0)
+        assert masses["P2"].value("root", "water") is None
+        assert masses["P1"].value("plant", "fresh") is None  # its shoot is not known
+
+
+def test_masses_without_a_day_are_refused(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "masses.csv").write_text("plant,root_fresh_g\nP1,1.0\n")
+    command.fails("growth", tmp_path / "masses.csv", "-o", tmp_path / "grown", named=["line 2", "day"])
