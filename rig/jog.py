@@ -8,11 +8,13 @@ import numpy as np
 
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
-from rhizotwin.rig.arm.placing import arm_of, camera_wanted, joints_for, place_of, within_limits
+from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, place_of, within_limits
 from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning import preflight
+from rhizotwin.rig.scanning.alignment import ALL_JOINTS, MOST_MOVES, Misalignment, misalignment, single_move
+from rhizotwin.rig.scanning.arm_stand import SEARCH_DEG, WRIST
 from rhizotwin.rig.scanning.homing import facing_angle
 from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
 from rhizotwin.rig.scanning.safety import Say, make_safe, park
@@ -41,12 +43,19 @@ class Jog:
         self._scene = scene
         self._say = say
         self._table_ready = self._camera_ready = self._arm_ready = False
+        self._seen = np.eye(4)
+        self._commanded: tuple[float, ...] | None = None
         self._words: Mapping[str, Word] = {
             "table": Word(usage="table +9 | table 90", does="turn by an angle with a sign, or to one without", run=self._table),
             "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
             "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
+            "align": Word(
+                usage="align [DISTANCE HEIGHT]",
+                does="face the canister level, upright and through its axis, by the markers",
+                run=self._align,
+            ),
             "park": Word(usage="park", does="bring the arm to its place of rest", run=self._park),
             "relax": Word(usage="relax", does="switch the arm's torque off: hold the camera", run=self._relax),
             "pose": Word(usage="pose", does="say where table, joints and camera are", run=self._pose),
@@ -171,13 +180,10 @@ class Jog:
         if not 0 <= k < JOINT_COUNT:
             raise ValueError(number)
         angle_deg = finite(text)
-        arm, part = self._arm(), arm_of(self._devices.rig)
-        here = arm.read_joints()
+        here = self._arm().read_joints()
         goal = list(here)
         goal[k] = angle_deg + (here[k] if text[0] in "+-" else 0.0)
-        within_limits(part, tuple(goal))
-        check_path(self._devices.rig, self._scene, [here, tuple(goal)])
-        self._say(joints_text(arm.move_to(tuple(goal))))
+        self._say(joints_text(self._move([tuple(goal)])))
 
     def _go(self, words: list[str]) -> None:
         distance_mm, height_mm = finite(words[0]), finite(words[1])
@@ -186,14 +192,67 @@ class Jog:
             raise ValueError(words)
         arm = self._arm()
         goal = joints_for(self._devices.rig, camera_wanted(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
-        for joints_deg in plan_path(self._devices.rig, self._scene, arm.read_joints(), goal):
+        self._say(joints_text(self._move(list(plan_path(self._devices.rig, self._scene, arm.read_joints(), goal)))))
+
+    def _align(self, words: list[str]) -> None:
+        if len(words) not in (0, 2):
+            raise ValueError(words)
+        if words:
+            self._go(words)
+        self.align()
+
+    def align(self) -> Misalignment:
+        """Correct the joints by the markers until the camera faces the canister, and return what is left (thesis C.2).
+
+        Raises
+        ------
+        UserError
+            Where the strip cannot be read, or the way is not clear.
+        """
+        rig, part = self._devices.rig, arm_of(self._devices.rig)
+        here = self._commanded or self._arm().read_joints()
+        left, moves = self._misalignment(search=True), 0
+        self._say(f"before: {left.text()}")
+        here = self._commanded or here
+        while not left.is_aligned and moves < MOST_MOVES:
+            way = [corrected_joints(rig, here, self._seen)] if moves < ALL_JOINTS else single_move(part, here, self._seen)
+            self._move(way)
+            moves, here, left = moves + 1, way[-1], self._misalignment()
+        self._say(f"after {moves} moves: {left.text()}")
+        if not left.is_aligned:
+            self._say(f"arm: {MOST_MOVES} moves came no nearer: its servos do not stop where they are sent")
+        return left
+
+    def _misalignment(self, *, search: bool = False) -> Misalignment:
+        """Take a picture and return how the camera misses the canister's axis, tilting it to find the strip."""
+        seen, why = self._look()
+        here = self._arm().read_joints()
+        for tilt_deg in SEARCH_DEG if search and seen is None else ():
+            self._move([(*here[:WRIST], here[WRIST] + tilt_deg, *here[WRIST + 1 :])])
+            seen, _ = self._look()
+            if seen is not None:
+                break
+        if seen is None:
+            raise RigError(f"markers: {why}")
+        self._seen = seen.cam_from_canister
+        return misalignment(self._seen)
+
+    def _move(self, path: list[tuple[float, ...]]) -> tuple[float, ...]:
+        """Move straight from place to place, each way checked before, and return the joints as read."""
+        arm, rig = self._arm(), self._devices.rig
+        within_limits(arm_of(rig), path[-1])
+        check_path(rig, self._scene, [arm.read_joints(), *path])
+        for joints_deg in path:
             read = arm.move_to(joints_deg)
-        self._say(joints_text(read))
+        self._devices.clock.sleep(arm_of(rig).settle_s)
+        self._commanded = path[-1]
+        return read
 
     def _park(self, words: list[str]) -> None:
         nothing(words)
         arm = self._arm()
         park(arm, self._devices.rig, self._scene)
+        self._commanded = None
         self._say(joints_text(arm.read_joints()))
 
     def _relax(self, words: list[str]) -> None:
@@ -202,7 +261,7 @@ class Jog:
         if arm is None:
             raise UserError("this rig has no arm")
         arm.relax()
-        self._arm_ready = False
+        self._arm_ready, self._commanded = False, None
 
     def _pose(self, words: list[str]) -> None:
         nothing(words)

@@ -44,6 +44,7 @@ COMMANDS = {
     "rig": "Look at every device, move them by hand, write a rig file.",
     "rig check": "Look at every device: one line each, what is well or what is wrong.",
     "rig jog": "Move every device by typed lines.",
+    "rig align": "Turn the camera to face the canister: level, upright, and through its axis.",
     "rig example": "Write a complete rig file with comments, to be changed.",
     "camera": "Serve this computer's camera to another one.",
 }

@@ -7,6 +7,7 @@ Examples
 rhizotwin rig example -o my_rig.toml
 rhizotwin rig check my_rig.toml --scene my_scene.toml
 rhizotwin rig jog my_rig.toml --scene my_scene.toml
+rhizotwin rig align my_rig.toml --scene my_scene.toml
 rhizotwin rig jog twin
 """
 
@@ -17,9 +18,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rhizotwin import rigs
-from rhizotwin.arguments import OutputFile, SceneName, named
+from rhizotwin.arguments import OutputFile, SceneName, millimetres, named, option
 from rhizotwin.scenes.atomic import write_text
 from rhizotwin.scenes.errors import UserError
+
+DISTANCE_LIMITS_MM, HEIGHT_LIMITS_MM = (20.0, 10000.0), (-2000.0, 2000.0)
 
 
 def check(
@@ -132,6 +135,52 @@ def jog(
         if typed:
             print("type help for the commands, quit to end")
         Jog(devices, bench.scene, say=print).run(_typed_lines() if typed else sys.stdin, stop_at_mistake=not typed)
+
+
+def align(
+    rig: rigs.RigName,
+    /,
+    *,
+    scene: SceneName | None = None,
+    distance_mm: Annotated[float | None, option(lambda text: millimetres(text, DISTANCE_LIMITS_MM), "MM")] = None,
+    height_mm: Annotated[float | None, option(lambda text: millimetres(text, HEIGHT_LIMITS_MM), "MM")] = None,
+    record: Annotated[Path | None, named("FILE")] = None,
+    twin: rigs.TwinErrors = rigs.TwinErrors(),
+) -> None:
+    """Turn the camera to face the canister: level, upright, and through its axis.
+
+    The camera goes before the canister, takes a picture, finds its pose from the marker strip, corrects the joints, and
+    repeats while it gets better. What is left is printed: servos move by steps, so that up to half a step of the base
+    remains. At the end the lights go off and the arm is parked; 'align' in 'rhizotwin rig jog' leaves it where it is.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, or the word twin: emulated devices in this program.
+    scene : str, optional
+        A scene file, or a name from 'rhizotwin scenes': canister, strip and camera; default: the rig of the thesis.
+    distance_mm : float, optional
+        Camera to the canister's axis; default: that of the scene's first ring.
+    height_mm : float, optional
+        z of the camera, 0 at the rim; default: that of the scene's first ring.
+    record : Path, optional
+        Append every byte on the wire to this file (JSON lines).
+    twin : TwinErrors
+        What the emulated rig gets wrong.
+
+    Examples
+    --------
+    rhizotwin rig align my_rig.toml --scene my_scene.toml
+    rhizotwin rig align twin --distance-mm 400 --height-mm=-42
+    """
+    from rhizotwin.rig.jog import Jog
+
+    bench = rigs.open_bench(rig, scene, errors=twin)
+    ring = bench.scene.plan.rings[0]
+    where = [ring.distance_mm if distance_mm is None else distance_mm, ring.height_mm if height_mm is None else height_mm]
+    with ExitStack() as stack:
+        devices = bench.open_devices(rigs.recorder(record, stack), stack)
+        Jog(devices, bench.scene, say=print).run(["lights 1 1", f"align {where[0]:.9g} {where[1]:.9g}"], stop_at_mistake=True)
 
 
 def example(*, output: OutputFile) -> None:

@@ -5,16 +5,21 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import rhizotwin.rig.jog
 from rhizotwin.rig.bench import check
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
 from rhizotwin.rig.rig_file import ArmPart, RigFile, load_rig
+from rhizotwin.rig.scanning import alignment
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
 from rhizotwin.rig.twin.twin import Twin
+from rhizotwin.scenes import frames
 from rhizotwin.scenes.files import load_profile
+from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
 from rhizotwin.scenes.pictures import decode_grey
 from tests.rig.fake_devices import STRIP
@@ -22,8 +27,8 @@ from tests.rig.fake_devices import STRIP
 SCENE = Scene(camera=Camera().resized((400, 300)), strip=STRIP, disturbances=load_profile("clean"))
 
 
-def twin_of(*faults: Fault, rig: RigFile | None = None) -> Twin:
-    return Twin(SCENE, seed=2, profile_name="clean", pictures="sketch", faults=faults, rig=rig)
+def twin_of(*faults: Fault, rig: RigFile | None = None, profile: str = "clean") -> Twin:
+    return Twin(SCENE, seed=2, profile_name=profile, pictures="sketch", faults=faults, rig=rig)
 
 
 def looked(twin: Twin, folder: Path) -> tuple[int, list[str]]:
@@ -74,8 +79,8 @@ def test_lamps_that_do_not_light_up_are_noticed(tmp_path: Path) -> None:
 class Bench:
     """A twin with somebody who types."""
 
-    def __init__(self, rig: RigFile | None = None) -> None:
-        self.twin = twin_of(rig=rig)
+    def __init__(self, rig: RigFile | None = None, *, profile: str = "clean") -> None:
+        self.twin = twin_of(rig=rig, profile=profile)
         self.said: list[str] = []
 
     def types(self, *lines: str, stop_at_mistake: bool = False, before_leaving: Callable[[], object] = lambda: None) -> list[str]:
@@ -109,6 +114,34 @@ def test_table_is_turned_by_hand_once_its_angle_is_known() -> None:
     assert any("900 deg is outside -90 to 720 deg" in line for line in said)
     assert bench.twin.world.table_deg - start_deg == pytest.approx(-10.0, abs=0.06)  # a microstep
     assert said[-1] == "turntable: its motor stays on, so that its angle is kept"
+
+
+def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Although its servos stop anywhere within 0.3 degrees (sigma) of where they are sent."""
+    bench, found = Bench(profile="bench"), list[alignment.Misalignment]()
+
+    def misalignment(pose: Array) -> alignment.Misalignment:
+        found.append(alignment.misalignment(pose))
+        return found[-1]
+
+    monkeypatch.setattr(rhizotwin.rig.jog, "misalignment", misalignment)
+    said = bench.types("lights 1 1", "align 400 -42")
+    assert found[0].size > 5.0
+    assert found[-1].is_aligned
+    assert any(re.fullmatch(r"after \d+ moves: axis .* mm, tilt .* deg, roll .* deg", line) for line in said)
+    assert bench.is_safe()
+
+
+def test_misalignment_is_that_of_the_optical_axis() -> None:
+    level = frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=0.0)
+    assert alignment.misalignment(level).size == pytest.approx(0.0, abs=1e-9)
+    assert alignment.misalignment(level @ frames.rotation_z(2.0)).size == pytest.approx(0.0, abs=1e-9)  # any azimuth
+    tilted = alignment.misalignment(frames.level_camera(distance_mm=400.0, height_mm=-42.0, tilt_deg=1.5))
+    assert (tilted.axis_mm, tilted.tilt_deg, tilted.roll_deg) == pytest.approx((0.0, 1.5, 0.0), abs=1e-9)
+    rolled = alignment.misalignment(frames.rotation_z(np.deg2rad(2.0)) @ level)
+    assert (rolled.axis_mm, rolled.tilt_deg, abs(rolled.roll_deg)) == pytest.approx((0.0, 0.0, 2.0), abs=1e-9)
+    aside = alignment.misalignment(frames.translation(3.0, 0.0, 0.0) @ level)
+    assert (abs(aside.axis_mm), aside.tilt_deg, aside.roll_deg) == pytest.approx((3.0, 0.0, 0.0), abs=1e-9)
 
 
 def test_arm_goes_before_the_canister_homes_and_comes_back(tmp_path: Path) -> None:
