@@ -26,6 +26,8 @@ class Measures:
     """Side of the grid's square openings, through which roots grow."""
     mesh_bar_mm: float = bounded(2.0, 0.4, 20.0)
     """Width of the bars between them."""
+    mesh_middle_mm: float = bounded(40.0, 0.0, 500.0)
+    """Diameter of the grid's open middle, so that it constricts no roots; 0: none."""
     motor_face_mm: float = bounded(42.3, 20.0, 100.0)
     """Side of the stepper's face (NEMA 17)."""
     motor_holes_mm: float = bounded(31.0, 10.0, 80.0)

@@ -123,9 +123,14 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
     openings = union(
         rectangle((x - opening / 2.0, y - opening / 2.0), (x + opening / 2.0, y + opening / 2.0)) for x in steps for y in steps
     ) ^ circle(reach)
+    middle = measures.mesh_middle_mm / 2.0
+    if not 0.0 <= middle < reach - RIM_MM:
+        raise UserError(f"mesh_middle_mm {measures.mesh_middle_mm:g} leaves no grid: give 0 to {2.0 * (reach - RIM_MM):.0f}")
+    if middle > 0.0:  # what grew through a grid without it was constricted, and had to be cut out (thesis, section 3.1)
+        openings = openings - circle(middle + RIM_MM) + circle(middle)
     return Part(
         name="net_pot_grid",
-        about="Lies in the net pot under the felt; roots grow through its openings.",
+        about="Lies in the net pot under the felt; roots grow through its open middle and its openings.",
         solid=disc - raised(openings, z - 1.0, z + GRID_MM + 1.0),
         rig_from_part=(np.eye(4),),
         apart_mm=(0.0, 0.0, 110.0),
@@ -135,6 +140,7 @@ def net_pot_grid(scene: Scene, measures: Measures) -> Part:
             ("thickness_mm", GRID_MM, ""),
             ("mesh_opening_mm", opening, "mesh_opening_mm"),
             ("mesh_bar_mm", measures.mesh_bar_mm, "mesh_bar_mm"),
+            ("mesh_middle_mm", measures.mesh_middle_mm, "mesh_middle_mm"),
             ("open_percent", 100.0 * openings.area() / (np.pi * low**2), "openings over the underside"),
         ),
     )

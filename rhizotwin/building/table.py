@@ -186,7 +186,8 @@ def table_base(scene: Scene, measures: Measures) -> Part:
         raise UserError(f"bearing_mm: a bearing of {bearing[2]:g} mm is wider than the base's {BASE_MM:g} mm allow; use a 608")
     pocket = raised(hole(bearing[1] + 0.1), -bearing[2], 1.0)
     sunk, small = COUNTERSINK_M4_MM / 2.0, M4_MM / 2.0
-    head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48)
+    # turned, so that none of its corners is one of the hole's: an edge would have four faces
+    head = turned([(0.0, 1.0), (sunk, 1.0), (sunk, 0.0), (small, small - sunk), (0.0, small - sunk)], sides=48).rotate((0.0, 0.0, 1.9))
     heads = joined(head.translate((x, y, 0.0)) for x, y in foot_places_mm(drive))
     solid = raised(outline, -BASE_MM, 0.0) - pocket - heads - turned(_groove(drive, measures, 0.0, -1.0))
     return Part(
@@ -229,19 +230,21 @@ def table_foot(scene: Scene, measures: Measures, floor_mm: float) -> Part:
             "use a shorter one (motor_length_mm), or a lower clearance.floor_z_mm"
         )
     wide = measures.slot_mm - 2.0 * 0.15
+    # it ends before the foot's sides, and narrows from a little below the foot: no edge lies in another one's face
     tongue = [
         (-wide / 2.0, -high + 1.0),
         (wide / 2.0, -high + 1.0),
-        (wide / 2.0, -high),
+        (wide / 2.0, -high - 0.2),
         (wide / 2.0 - 0.6, -high - TONGUE_MM),
         (-wide / 2.0 + 0.6, -high - TONGUE_MM),
-        (-wide / 2.0, -high),
+        (-wide / 2.0, -high - 0.2),
     ]
-    along_x = np.array([[0.0, 0.0, 1.0, -FOOT_MM / 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    long = FOOT_MM - 1.0
+    along_x = np.array([[0.0, 0.0, 1.0, -long / 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
     tap, deep = TAP_M4_MM / 2.0, min(high - 5.0, 20.0)
     screw = turned([(0.0, 1.0), (tap, 1.0), (tap, -deep), (0.0, -deep - tap)], sides=48)
     body = raised(rounded(FOOT_MM, measures.profile_mm, 2.0), -high, 0.0)
-    solid = joined([body, polygon(tongue).extrude(FOOT_MM).transform(along_x)]) - screw
+    solid = joined([body, polygon(tongue).extrude(long).transform(along_x)]) - screw
     return Part(
         name="table_foot",
         about="Four of them carry the base on two bars of the frame; an M4 screw from above holds each.",

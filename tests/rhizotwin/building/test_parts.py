@@ -1,17 +1,20 @@
 """The printed parts are closed, can be printed, fit what they hold, and do not run into each other."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from manifold3d import Error
 
 from rhizotwin.building import table
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
-from rhizotwin.building.pot import net_pot, strip_seat_radius_mm
+from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
 from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis_rig
-from rhizotwin.building.shapes import gear, raised, rectangle
+from rhizotwin.building.shapes import circle, gear, raised, rectangle
+from rhizotwin.building.write import stl_bytes
 from rhizotwin.rig.printing.print_strip import FlatStrip
 from rhizotwin.rig.rig_file import Clearance
 from rhizotwin.scenes.board import CharucoBoard
@@ -50,6 +53,18 @@ def check_closed(part: Part) -> None:
     there, back = {tuple(edge) for edge in edges.tolist()}, {tuple(edge) for edge in edges[:, ::-1].tolist()}
     assert len(there) == len(edges)
     assert there == back  # every edge has one face on each side, turned alike
+    stored = trimesh.load(io.BytesIO(stl_bytes(part.printed)), file_type="stl")  # as a slicer reads it, corners merged
+    assert stored.is_watertight, part.name
+    assert stored.area_faces.min() > 1e-9, part.name
+
+
+def test_the_grid_is_open_in_the_middle() -> None:
+    middle = raised(circle(MEASURES.mesh_middle_mm / 2.0 - 0.01), -200.0, 100.0)
+    assert (net_pot_grid(Scene(), MEASURES).solid ^ middle).is_empty()
+    closed = net_pot_grid(Scene(), replace(MEASURES, mesh_middle_mm=0.0))
+    assert not (closed.solid ^ middle).is_empty()
+    with pytest.raises(UserError, match="mesh_middle_mm"):
+        net_pot_grid(SMALL, replace(MEASURES, mesh_middle_mm=90.0))
 
 
 def overhang_mm2(part: Part) -> float:
