@@ -24,21 +24,30 @@ from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
 from rhizotwin.recon.hull.surface import paint
 from rhizotwin.recon.results import assessments
 from rhizotwin.scenes import atomic, frames, rsml, trait_table
-from rhizotwin.scenes.dataset import load_dataset
+from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
 from rhizotwin.stored import result_files, stored_traits
+from rhizotwin.through_water import Pictures
+from rhizotwin.undistorted import VirtualCamera, best_distance_mm
 
 REFRACTION = "cameras in air, canister frame, mm; roots are seen through a round wall and water: straight rays from these cameras miss them"
+IN_WATER = (
+    "pinholes in water, canister frame, mm; exact on the upright plane through the axis, see undistorted.json for what is left off it"
+)
 Posed = Sequence[tuple[str, NDArray[np.float64]]]
 """Pictures and their cam_from_canister (4, 4), mm."""
 MESHES = (".ply", ".stl", ".glb")
+_SAME_PLACE_MM = 5.0
+"""Cameras this near to each other, in distance and height, share the distance of their pinhole."""
 MOST_VOXELS = 1_500_000_000
 """Bytes that a dense block may take."""
 
 
-def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = None, roots: str | None = None) -> list[Path]:
+def export(
+    result_folder: Path, output: Path, *, dataset_folder: Path | None = None, roots: str | None = None, undistorted: bool = False
+) -> list[Path]:
     """Write a result in the form that the output's name asks for.
 
     Parameters
@@ -48,6 +57,8 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
         a folder (COLMAP's cameras).
     roots : str or None
         "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
+    undistorted : bool
+        Write pictures as a pinhole in water would see them, with their cameras, instead of the cameras in air.
 
     Raises
     ------
@@ -67,6 +78,8 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
         raise UserError(f"{output}: what form is {suffix}? give {known}, .json (nerfstudio's cameras) or a folder (COLMAP's cameras)")
     if roots is not None and suffix not in MESHES:
         raise UserError(f"{output}: --roots is for meshes; give {', '.join(MESHES)}, or leave it out")
+    if undistorted and suffix:
+        raise UserError(f"{output}: undistorted pictures are written to a folder; give a name without a suffix")
     if output.exists() and (suffix or not output.is_dir()):  # `new_folder` knows what a folder may hold, and recovers it
         raise UserError(f"{output} exists already; choose another name")
     summary = result_files.read_summary(result_folder)
@@ -77,6 +90,8 @@ def export(result_folder: Path, output: Path, *, dataset_folder: Path | None = N
     dataset = load_dataset(dataset_folder)
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
+    if undistorted:
+        return _undistorted(output, dataset, summary)
     camera = dataset.scene.camera.as_pinhole().focused(summary.get("rig", {}).get("focal_scale", 1.0))
     return write_nerfstudio(output, camera, posed) if suffix == ".json" else write_colmap(output, camera, posed)
 
@@ -152,8 +167,20 @@ def _voxels(result_folder: Path, output: Path) -> list[Path]:
     return [output]
 
 
-def write_nerfstudio(output: Path, camera: Camera, posed: Posed) -> list[Path]:
-    """Write cameras as nerfstudio's transforms.json, in mm; returns the path."""
+def write_nerfstudio(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
+    """Write cameras as nerfstudio's transforms.json, in mm; returns the path.
+
+    Parameters
+    ----------
+    output : path
+        The file.
+    camera : Camera
+        The lens of all.
+    posed : sequence of (str, (4, 4) array)
+        Pictures and their cam_from_canister.
+    note : str
+        What is to be known of them.
+    """
     k1, k2, p1, p2, k3 = camera.distortion
     lens = {
         "camera_model": "OPENCV",
@@ -173,14 +200,21 @@ def write_nerfstudio(output: Path, camera: Camera, posed: Posed) -> list[Path]:
         {"file_path": file, "transform_matrix": (frames.invert(cam_from_canister) @ OPENCV_FROM_OPENGL).tolist()}
         for file, cam_from_canister in posed
     ]
-    atomic.write_json(output, {"note": REFRACTION, **lens, "frames": listed})
+    atomic.write_json(output, {"note": note, **lens, "frames": listed})
     return [output]
 
 
-def write_colmap(output: Path, camera: Camera, posed: Posed) -> list[Path]:
+def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFRACTION) -> list[Path]:
     """Write COLMAP's text model.
 
     A FULL_OPENCV lens, quaternions w x y z of cam_from_canister, pixel centres at halves, no points.
+
+    Parameters
+    ----------
+    output : path
+        The folder.
+    camera, posed, note : Camera, sequence, str
+        As in `write_nerfstudio`.
     """
     k1, k2, p1, p2, k3 = camera.distortion
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
@@ -194,8 +228,38 @@ def write_colmap(output: Path, camera: Camera, posed: Posed) -> list[Path]:
     written = {"cameras.txt": [lens], "images.txt": lines, "points3D.txt": []}
     with new_folder(output) as building:
         for name, rows in written.items():
-            atomic.write_text(building / name, "\n".join([f"# {REFRACTION}", *rows]) + "\n")
+            atomic.write_text(building / name, "\n".join([f"# {note}", *rows]) + "\n")
     return [output / name for name in written]
+
+
+def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any]) -> list[Path]:
+    """Write undistorted pictures with their cameras, for nerfstudio and COLMAP."""
+    scene, pictures = dataset.scene, Pictures.of(dataset, summary)
+    if scene.tank is not None:
+        raise UserError(f"{output}: in a tank rays part instead of meeting, so that no pinhole stands for a camera")
+    if not pictures.views:
+        raise UserError(f"{output}: no picture of the result has a camera")
+    heights_mm = scene.canister.floor_z_mm, min(scene.water.level_mm, scene.net_pot.grid_z_mm)
+    known = {frame.file: frame for frame in dataset.frames}
+    places: dict[tuple[int, int], tuple[float, float]] = {}
+    lens: Camera | None = None  # one for all, as the forms want it: the first picture's
+    posed = list[tuple[str, NDArray[np.float64]]]()
+    with new_folder(output) as building:
+        (building / "images").mkdir()
+        for file, view in zip(pictures.files, pictures.views, strict=True):
+            place = round(float(np.hypot(*view.centre_mm[:2])) / _SAME_PLACE_MM), round(float(view.centre_mm[2]) / _SAME_PLACE_MM)
+            if place not in places:
+                places[place] = best_distance_mm(view, pictures.optics, heights_mm)
+            camera = VirtualCamera(view, pictures.optics, places[place][0], heights_mm, None if lens is None else lens.focal_px[0])
+            lens, name = camera.lens, f"{Path(file).stem}.png"
+            atomic.write_image(building / "images" / name, camera.undistort(np.asarray(read_image(dataset, known[file]))))
+            posed.append((name, camera.cam_from_canister))
+        assert lens is not None
+        write_nerfstudio(building / "transforms.json", lens, [(f"images/{name}", pose) for name, pose in posed], note=IN_WATER)
+        write_colmap(building / "colmap", lens, posed, note=IN_WATER)
+        about = [{"pinhole_distance_mm": distance_mm, "off_plane_rms_px": left_px} for distance_mm, left_px in places.values()]
+        atomic.write_json(building / "undistorted.json", {"exact_on": "the upright plane through the axis", "camera_places": about})
+    return [output / "images", output / "transforms.json", output / "colmap", output / "undistorted.json"]
 
 
 def describe(written: list[Path]) -> str:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rhizotwin.arguments import OutputFile, ResultFolder, named
+from rhizotwin.arguments import Flag, OutputFile, ResultFolder, named
 
 
 def export(
@@ -13,6 +13,7 @@ def export(
     output: OutputFile,
     dataset: Annotated[Path | None, named("DATASET")] = None,
     roots: Literal["order", "diameter"] | None = None,
+    undistorted: Flag = False,
 ) -> None:
     """Write a result in the files of other programs.
 
@@ -30,7 +31,8 @@ def export(
 
     Cameras are those in air, and the pictures were taken through a round wall and water, which magnify the roots by
     about a third and bend them. Programs that follow straight rays (photogrammetry, NeRF, Gaussian splatting) get wrong
-    shapes of the roots from them, whatever the lens model; they are right for what is outside the canister.
+    shapes of the roots from them, whatever the lens model; they are right for what is outside the canister. For such
+    programs --undistorted writes pictures as a pinhole camera in the water would see them.
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ def export(
         The dataset that the result was made from; cameras need its lens.
     roots : str, optional
         Write the roots as tubes in colours of this, for a mesh.
+    undistorted : bool
+        Write pictures without refraction to a folder, with cameras for nerfstudio and COLMAP.
 
     Examples
     --------
@@ -50,7 +54,8 @@ def export(
     rhizotwin export my_result -o roots.rsml
     rhizotwin export my_result --roots diameter -o roots.glb
     rhizotwin export my_result --dataset my_dataset -o transforms.json
+    rhizotwin export my_result --dataset my_dataset --undistorted -o my_undistorted
     """
     from rhizotwin import exports
 
-    print(exports.describe(exports.export(result, output, dataset_folder=dataset, roots=roots)))
+    print(exports.describe(exports.export(result, output, dataset_folder=dataset, roots=roots, undistorted=undistorted)))
