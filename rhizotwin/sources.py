@@ -10,7 +10,15 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("rhizotwin.scenes", "rhizotwin.sim", "rhizotwin.recon", "rhizotwin.scoring", "rhizotwin.stored", "benchmarks")
+PACKAGES = (
+    "rhizotwin.scenes",
+    "rhizotwin.sim",
+    "rhizotwin.recon",
+    "rhizotwin.baselines",
+    "rhizotwin.scoring",
+    "rhizotwin.stored",
+    "benchmarks",
+)
 """Packages whose modules count; libraries count by their versions."""
 
 DATA_OF_SCENES = ("rhizotwin/scenes/library", "rhizotwin/scenes/profiles")

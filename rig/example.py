@@ -6,6 +6,7 @@ EXAMPLE = """\
 # z up, the camera on the +x side, the panel on the -x side.
 name = "my_rig"
 description = "arm, turntable and lights on a bench"
+poses = []  # for `look NAME` in `rhizotwin rig jog`: [{name = "front", position_mm = [400.0, 0.0, -42.0], direction = [-1.0, 0.0, 0.0]}]
 
 [turntable]  # a Marlin 2.1 board: motor and lights; its X axis is the table, in degrees
 kind = "marlin"  # marlin: at this port. hat: on this Raspberry Pi's own pins, see [hat]

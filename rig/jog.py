@@ -8,7 +8,7 @@ import numpy as np
 
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
-from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, place_of, within_limits
+from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, joints_looking, place_of, within_limits
 from rhizotwin.rig.devices import Arm
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
@@ -51,6 +51,11 @@ class Jog:
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
             "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
+            "look": Word(
+                usage="look X Y Z DX DY DZ | look NAME",
+                does="bring the camera to a place and direction, or a named pose",
+                run=self._look_from,
+            ),
             "align": Word(
                 usage="align [DISTANCE HEIGHT]",
                 does="face the canister level, upright and through its axis, by the markers",
@@ -193,6 +198,19 @@ class Jog:
         arm = self._arm()
         goal = joints_for(self._devices.rig, camera_wanted(Ring(distance_mm=distance_mm, height_mm=height_mm, tilt_deg=tilt_deg)))
         self._say(joints_text(self._move(list(plan_path(self._devices.rig, self._scene, arm.read_joints(), goal)))))
+
+    def _look_from(self, words: list[str]) -> None:
+        rig = self._devices.rig
+        if len(words) == 1:
+            named = {pose.name: pose for pose in rig.poses}
+            if words[0] not in named:
+                raise UserError(f"there is no pose {words[0]!r} in the rig file; it has {', '.join(named) or 'none'}")
+            position_mm, direction = named[words[0]].position_mm, named[words[0]].direction
+        else:
+            x, y, z, dx, dy, dz = (finite(word) for word in words)
+            position_mm, direction = (x, y, z), (dx, dy, dz)
+        arm, goal = self._arm(), joints_looking(rig, position_mm, direction)
+        self._say(joints_text(self._move(list(plan_path(rig, self._scene, arm.read_joints(), goal)))))
 
     def _align(self, words: list[str]) -> None:
         if len(words) not in (0, 2):

@@ -182,6 +182,17 @@ class Clearance:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Pose:
+    """A named pose of the camera, rig frame, for ``look NAME`` in ``rhizotwin rig jog``."""
+
+    name: str = ""
+    position_mm: tuple[float, float, float] = bounded((400.0, 0.0, -42.0), -5000.0, 5000.0)
+    """The camera's centre."""
+    direction: tuple[float, float, float] = bounded((-1.0, 0.0, 0.0), -1e6, 1e6)
+    """Where its optical axis points."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RigFile:
     """A whole rig."""
 
@@ -193,6 +204,7 @@ class RigFile:
     arm: ArmPart | None = None
     camera: CameraPart = CameraPart()
     clearance: Clearance = Clearance()
+    poses: tuple[Pose, ...] = ()
 
 
 def load_rig(path: Path | str) -> RigFile:
@@ -221,6 +233,10 @@ def check_rig(rig: RigFile, place: Place) -> None:
     for i, bar in enumerate(rig.clearance.bars):
         if any(low >= high for low, high in zip(bar.low_mm, bar.high_mm, strict=True)):
             raise place.at("clearance", "bars", i, "high_mm").error("must be above low_mm on every axis", list(bar.high_mm))
+    names = [pose.name for pose in rig.poses]
+    for i, name in enumerate(names):
+        if not name or not name.isidentifier() or name in names[:i]:
+            raise place.at("poses", i, "name").error("must be one word of letters and digits, no two the same", name)
     if rig.arm is not None:
         _check_arm(rig.arm, place.at("arm"))
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.rig.arm.inverse import Branches, Found, inverse, newton
-from rhizotwin.rig.arm.kinematics import rig_from_arm
+from rhizotwin.rig.arm.kinematics import forward, rig_from_arm
 from rhizotwin.rig.arm.tangency import azimuth_rad, correct, tangent
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, RigFile
@@ -24,6 +24,12 @@ MOST_AZIMUTH_DEG = 15.0
 MOST_CORRECTION_DEG = 25.0
 """A joint that is off by more than this is not badly calibrated: the picture or the rig file is wrong."""
 ROUNDING_DEG = 1e-6
+MOST_ASIDE_DEG = 0.5
+"""A wanted direction may be missed by so much: servos stop no nearer."""
+UPRIGHT = 1e-3
+"""Sine of the least angle from the vertical at which the picture's up is known."""
+_TRIED = 1001
+"""Places on the way to the shoulder."""
 
 
 def camera_wanted(ring: Ring) -> Array:
@@ -81,6 +87,78 @@ def joints_for(rig: RigFile, cam_from_rig: Array) -> Joints:
         )
     elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
     return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
+
+
+def camera_looking(position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Array:
+    """Return ``cam_from_rig`` (4, 4) of an upright camera at a place that looks in a direction, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        For a direction without length, or straight up or down, where upright means nothing.
+    """
+    forward_ = np.asarray(direction, float)
+    right = np.cross(forward_, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < UPRIGHT * np.linalg.norm(forward_) or not np.linalg.norm(forward_) > 0.0:
+        raise UnsafeError("arm: the camera cannot look straight up or down and be upright; give another direction")
+    forward_, right = forward_ / np.linalg.norm(forward_), right / np.linalg.norm(right)
+    rig_from_cam = np.eye(4)
+    rig_from_cam[:3, :3] = np.column_stack([right, np.cross(forward_, right), forward_])
+    rig_from_cam[:3, 3] = position_mm
+    return frames.invert(rig_from_cam)
+
+
+def joints_looking(rig: RigFile, position_mm: tuple[float, float, float], direction: tuple[float, float, float]) -> Joints:
+    """Return joint angles that put the camera at a place and let it look in a direction.
+
+    Five joints put the camera anywhere in reach, but its optical axis stays in the upright plane through the base's
+    axis and the camera.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Where the arm stands, and its joints.
+    position_mm, direction : tuple of float
+        The camera's centre and optical axis, rig frame.
+
+    Raises
+    ------
+    UnsafeError
+        When the place is out of reach, the direction cannot be had there, or a joint would be beyond its limits; with
+        the nearest that can be had.
+    """
+    part, wanted = arm_of(rig), camera_looking(position_mm, direction)
+    arm_from_rig = frames.invert(rig_from_arm(part))
+    branches = inverse(part, arm_from_rig @ frames.invert(wanted))
+    at = ", ".join(f"{value:.4g}" for value in position_mm)
+    if np.isnan(branches.joints_rad).all():
+        nearest = _nearest_in_reach(part, wanted)
+        raise UnsafeError(f"arm: ({at}) mm is out of reach with that direction; the nearest that can be reached is ({nearest}) mm")
+    joints_rad = branches.joints_rad[~np.isnan(branches.joints_rad).any(axis=-1)]
+    if branches.left_over_rad > np.deg2rad(MOST_ASIDE_DEG):
+        axis = (rig_from_arm(part) @ forward(part.links_mm, joints_rad[0]))[:3, 2]
+        near = ", ".join(f"{value:.4f}" for value in axis)
+        raise UnsafeError(
+            f"arm: at ({at}) mm five joints cannot look there: {np.rad2deg(branches.left_over_rad):.1f} deg would be left; "
+            f"the nearest direction is ({near})"
+        )
+    excess, joints_deg = _fitted(part, joints_rad)
+    if excess.min() > ROUNDING_DEG:
+        raise UnsafeError(f"arm: ({at}) mm cannot be reached within the joints' limits: {_beyond(part, joints_deg[excess.argmin()])}")
+    elbow_up = np.cos(np.deg2rad(joints_deg[:, 1])) - np.where(excess > ROUNDING_DEG, np.inf, 0.0)
+    return _clipped(part, joints_deg[int(np.argmax(elbow_up))])
+
+
+def _nearest_in_reach(part: ArmPart, wanted: Array) -> str:
+    """Return the nearest place toward the arm's shoulder at which the camera can keep its direction, as text."""
+    arm_from_rig, rig_from_cam = frames.invert(rig_from_arm(part)), frames.invert(wanted)
+    shoulder = frames.apply(rig_from_arm(part), np.array([[0.0, 0.0, part.links_mm[0]]]))[0]
+    for share in np.linspace(0.0, 1.0, _TRIED):
+        tried = rig_from_cam.copy()
+        tried[:3, 3] += share * (shoulder - rig_from_cam[:3, 3])
+        if not np.isnan(inverse(part, arm_from_rig @ tried).joints_rad).all():
+            return ", ".join(f"{value:.1f}" for value in tried[:3, 3])
+    return "none on the way to the shoulder"
 
 
 def corrected_joints(rig: RigFile, joints_deg: Joints, cam_from_rig_measured: Array, cam_from_rig_wanted: Array | None = None) -> Joints:

@@ -13,7 +13,7 @@ from rhizotwin.rig.bench import check
 from rhizotwin.rig.example import EXAMPLE
 from rhizotwin.rig.jog import Jog
 from rhizotwin.rig.open import open_devices
-from rhizotwin.rig.rig_file import ArmPart, RigFile, load_rig
+from rhizotwin.rig.rig_file import ArmPart, Pose, RigFile, load_rig
 from rhizotwin.rig.scanning import alignment
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
 from rhizotwin.rig.twin.twin import Twin
@@ -130,6 +130,14 @@ def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -
     assert found[-1].is_aligned
     assert any(re.fullmatch(r"after \d+ moves: axis .* mm, tilt .* deg, roll .* deg", line) for line in said)
     assert bench.is_safe()
+
+
+def test_a_named_pose_is_gone_to() -> None:
+    rig = replace(twin_of().rig, poses=(Pose(name="near", position_mm=(380.0, 0.0, -30.0)),))
+    said = Bench(rig).types("look near", "pose", "look far", "look 400 0 -42 -1 0 0", "look 1 2")
+    assert any("by the joints the camera is 380" in line or "by the joints the camera is 379.9" in line for line in said)
+    assert "there is no pose 'far' in the rig file; it has near" in said
+    assert any("is not understood" in line for line in said)
 
 
 def test_misalignment_is_that_of_the_optical_axis() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhizotwin.rig.arm.kinematics import cam_from_rig
-from rhizotwin.rig.arm.placing import camera_wanted, corrected_joints, joints_for
+from rhizotwin.rig.arm.placing import camera_looking, camera_wanted, corrected_joints, joints_for, joints_looking
 from rhizotwin.rig.arm.tangency import azimuth_rad, turned_to
 from rhizotwin.rig.errors import RigError, UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Joint, RigFile
@@ -111,3 +111,26 @@ def test_corrections_that_cannot_be_are_refused() -> None:
         corrected_joints(RIG, joints_deg, cam_from_rig(ARM, joints_deg), camera_wanted(Ring(distance_mm=300.0)))
     with pytest.raises(RigError, match=r"has no \[arm\]"):
         joints_for(RigFile(), wanted)
+
+
+def test_a_pose_by_position_and_direction_is_held() -> None:
+    """Also beside the plan's rings: the base's axis stands at x = 650, so that directions through it can be had."""
+    for position, direction in (((400.0, 0.0, -42.0), (-1.0, 0.0, 0.0)), ((420.0, 30.0, -20.0), (-230.0, 30.0, -40.0))):
+        pose = cam_from_rig(ARM, joints_looking(RIG, position, direction))
+        found = frames.invert(pose)
+        np.testing.assert_allclose(found[:3, 3], position, atol=1e-6)
+        np.testing.assert_allclose(found[:3, 2], np.array(direction) / np.linalg.norm(direction), atol=1e-6)
+        assert found[2, 1] < 0.0  # the picture's down is down
+
+
+def test_what_five_joints_cannot_hold_is_said_with_the_nearest() -> None:
+    with pytest.raises(UnsafeError, match=r"the nearest direction is \((.*)\)") as refused:
+        joints_looking(RIG, (400.0, 30.0, -42.0), (-1.0, 0.5, 0.0))
+    nearest = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(")").split(","))
+    joints_looking(RIG, (400.0, 30.0, -42.0), nearest)  # which can be had
+    with pytest.raises(UnsafeError, match=r"out of reach .* the nearest that can be reached is \((.*)\) mm") as refused:
+        joints_looking(RIG, (100.0, 0.0, -42.0), (-1.0, 0.0, 0.0))
+    place = tuple(float(word) for word in str(refused.value).rpartition("(")[2].rstrip(") m").split(","))
+    assert 100.0 < place[0] < 450.0
+    with pytest.raises(UnsafeError, match="straight up or down"):
+        camera_looking((400.0, 0.0, -42.0), (0.0, 0.0, -1.0))
