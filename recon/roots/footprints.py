@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 
 _STEPS = 65535
 """A picture's longer side in steps: 1/80 px where it is 800 px."""
-_VIEWS_AT_ONCE = 10
-"""Shadows are summed for so many views at a time: each thread has four numbers a pixel of them."""
+_PIXELS_AT_ONCE = 1_000_000
+"""Shadows are summed for the views whose windows have so many pixels, but for one at least: each thread has four
+numbers a pixel of them."""
 _PARTS = 256
 """Bounds are sought in so many parts of a view's cells side by side, without a copy of them."""
 
@@ -149,8 +150,9 @@ class Table:
 
     def shadows(self, views: range, amount: Float) -> Float:
         """Return the windows of consecutive views with the shadows of cells (mi.Float, mm2), laid down bilinearly."""
-        starts = range(views.start, views.stop, _VIEWS_AT_ONCE)
-        parts = [self._few_shadows(range(start, min(start + _VIEWS_AT_ONCE, views.stop)), amount) for start in starts]
+        count = max(1, _PIXELS_AT_ONCE // self.windows.pixels)
+        starts = range(views.start, views.stop, count)
+        parts = [self._few_shadows(range(start, min(start + count, views.stop)), amount) for start in starts]
         return parts[0] if len(parts) == 1 else dr.concat(parts)
 
     def _few_shadows(self, views: range, amount: Float) -> Float:
