@@ -22,7 +22,7 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
         masses (.csv).
     output : Path
         Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time; of
-        masses masses.csv and masses.png.
+        masses masses.csv and masses.png; of plants that share a canister neighbours.csv.
 
     Examples
     --------
@@ -46,6 +46,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
             grown.write(measured, building)
         if measured is not None and measured.curves:
             atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
+        if measured is not None and (together := grown.neighbours_csv(measured)):
+            atomic.write_text(building / "neighbours.csv", together)
         if picture is not None:
             atomic.write_bytes(building / "masses.png", picture)
             atomic.write_text(building / "masses.csv", mass_curves.to_csv(curves))

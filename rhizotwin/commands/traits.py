@@ -1,6 +1,7 @@
 """`rhizotwin traits`."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,7 +66,7 @@ def traits(
         atomic.write_text(table, stored_traits.spreadsheet(rows))
     else:
         contents = [
-            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass)}
+            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder)}
             for folder, summary, one, mass in zip(results, summaries, found, masses, strict=True)
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
@@ -76,6 +77,7 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     """Print a result's traits, and those of its plants where there are several."""
     from rhizotwin.recon.results import assessments, result_traits
     from rhizotwin.scenes import subject, trait_table
+    from rhizotwin.stored import result_files
 
     whose = str(subject.of_summary(summary, str(folder))) or summary["scene"]
     print(f"{folder} ({whose}){'' if summary['volume_trusted'] else ': ' + summary['volume_verdict']}")
@@ -88,8 +90,18 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     for own in plants if len(plants) > 1 else ():
         print(f"{folder} ({own.subject})")
         print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))
+    for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
+        print("\n".join(pair.lines()))
     if one.total_length_mm is None:
         print("  no roots were found as centre lines: what needs them is a dash")
+
+
+def _neighbours(folder: Path) -> dict[str, Any]:
+    """Return how the plants of a result lie to each other, for JSON; nothing where there is one."""
+    from rhizotwin.stored import result_files
+
+    found = result_files.read_neighbours(folder)
+    return {"neighbours": [asdict(pair) for pair in found]} if found else {}
 
 
 def _name(folder: Path) -> str:

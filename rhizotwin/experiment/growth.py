@@ -10,7 +10,7 @@ from pathlib import Path
 from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
-from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes import atomic, neighbours, rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.trait_table import csv_text, written
 from rhizotwin.stored import result_files
@@ -102,6 +102,13 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
                 roots = rsml.of_plant(roots, one.subject.plant)
             known.append(Day(day=one.subject.day or 0.0, roots=roots))
     return follow(known) if len(known) > 1 else None
+
+
+def neighbours_csv(growth: Growth) -> str:
+    """Return how plants that share a canister lie to each other, day by day; empty where none do."""
+    days = {one.folder: one.subject.day for own in growth.plants.values() for one in own if one.folder is not None}
+    rows = [[written(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
+    return csv_text([["day", *neighbours.HEAD], *rows]) if rows else ""
 
 
 def write(growth: Growth, folder: Path) -> None:

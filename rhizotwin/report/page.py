@@ -28,6 +28,7 @@ from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.neighbours import find_neighbours
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
@@ -269,8 +270,11 @@ def _plants(read: _Read) -> str:
         traits, (low, high) = one.traits, one.volume_interval_mm3
         numbers = [trait_table.shown(value) for value in (traits.total_length_mm, traits.tips, traits.depth_mm)]
         rows.append([str(one.subject), f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high), *numbers])
+    if not rows:
+        return ""
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
-    return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) if rows else ""
+    pairs = "".join(f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines())}</p>" for one in find_neighbours(read.roots))
+    return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) + pairs
 
 
 def _traits(read: _Read) -> str:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhizotwin.recon.results.parts import SCHEMA_VERSION, Json, Leaves, Mesh
+from rhizotwin.scenes import rsml
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import MarkerStrip
+from rhizotwin.scenes.neighbours import Neighbours, find_neighbours
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
 from rhizotwin.scenes.schema import Place, from_plain
@@ -137,6 +139,12 @@ def _of_any_kind(path: Path) -> Mesh:
     import trimesh  # takes half a second, and results hold plain files
 
     return Mesh.of(trimesh.load(path, process=False, force="mesh"))
+
+
+def read_neighbours(folder: Path) -> tuple[Neighbours, ...]:
+    """Return how the plants of a result lie to each other; empty where there is one, or no roots were found."""
+    file = folder / "roots.rsml"
+    return find_neighbours(rsml.read_rsml(file)) if file.is_file() else ()
 
 
 def read_grey(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.float32]:

@@ -1,0 +1,186 @@
+"""How the root systems of plants that share a canister lie to each other: contact, nearness and common space.
+
+Two roots touch where their surfaces meet. Roots in each other's zone are at most `ZONE_MM` apart, about the width of
+the zone from which roots take immobile nutrients and in which they exchange exudates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
+
+from rhizotwin.scenes import polyline
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.traits import DEPTH_BIN_MM
+
+Array = NDArray[np.float64]
+
+ZONE_MM = 2.0
+_STEP_MM = 0.25
+"""Centre lines are compared at points so far apart: half the diameter of a fine root."""
+_OTHERS = 16
+"""Points of the other plant that are looked at: the nearest centre need not be that of the nearest surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neighbours:
+    """Two plants of one canister; pairs of numbers are those of the first and of the second."""
+
+    plants: tuple[str, str]
+    nearest_mm: float
+    """Least distance of their roots' surfaces; 0 where they touch."""
+    contact_mm: tuple[float, float]
+    """Length of each that touches the other."""
+    zone_mm: tuple[float, float]
+    """Length of each at most `ZONE_MM` from the other."""
+    zone_share: tuple[float, float]
+    """The same over each plant's length."""
+    zone_share_by_depth: tuple[tuple[float, ...], tuple[float, ...]]
+    """The same in bins of 10 mm from the higher plant's top; 0 where there is no root."""
+    hulls_overlap_mm3: float
+    """Common volume of the two convex hulls."""
+    hulls_overlap_share: tuple[float, float]
+    """The same over each plant's hull."""
+
+    def lines(self) -> list[str]:
+        """Return it for people, a line each."""
+        (a, b), percent = self.plants, [f"{100.0 * share:.1f} %" for share in self.zone_share]
+        shares = [f"{100.0 * share:.0f} %" for share in self.hulls_overlap_share]
+        return [
+            f"{a} and {b}: {'their roots touch' if self.nearest_mm == 0.0 else f'nearest roots {self.nearest_mm:.2f} mm apart'}",
+            f"  length in contact: {self.contact_mm[0]:.1f} mm of {a}, {self.contact_mm[1]:.1f} mm of {b}",
+            f"  length within {ZONE_MM:g} mm of the other: {percent[0]} of {a}, {percent[1]} of {b}",
+            f"  convex hulls: {self.hulls_overlap_mm3 / 1000.0:.3g} ml in common, {shares[0]} of {a}'s, {shares[1]} of {b}'s",
+        ]
+
+
+HEAD = (
+    "plant",
+    "other",
+    "nearest_mm",
+    "contact_mm",
+    "zone_mm",
+    "zone_share",
+    "hulls_overlap_mm3",
+    "hulls_overlap_share",
+    "depth_from_mm",
+    "depth_zone_share",
+)
+"""Columns of `rows`."""
+
+
+def rows(found: Sequence[Neighbours]) -> list[list[str]]:
+    """Return rows for a table: of each plant and other one the whole (no depth), and a row a bin of depth."""
+    made = []
+    for one in found:
+        for k in (0, 1):
+            pair = [one.plants[k], one.plants[1 - k]]
+            numbers = (
+                one.nearest_mm,
+                one.contact_mm[k],
+                one.zone_mm[k],
+                one.zone_share[k],
+                one.hulls_overlap_mm3,
+                one.hulls_overlap_share[k],
+            )
+            made.append([*pair, *(f"{number:.6g}" for number in numbers), "", ""])
+            blank = [""] * len(numbers)
+            made += [[*pair, *blank, f"{DEPTH_BIN_MM * bin_:g}", f"{share:.6g}"] for bin_, share in enumerate(one.zone_share_by_depth[k])]
+    return made
+
+
+def find_neighbours(roots: Sequence[Root]) -> tuple[Neighbours, ...]:
+    """Compare every pair of plants.
+
+    Parameters
+    ----------
+    roots : sequence of Root
+        Of all plants, each with its plant's name; those without one are left out.
+
+    Returns
+    -------
+    tuple of Neighbours
+        In the order of the plants; empty where there are fewer than two.
+    """
+    names = list(dict.fromkeys(root.plant for root in roots if root.plant))
+    plants = {name: _Plant.of([root for root in roots if root.plant == name]) for name in names}
+    return tuple(_pair(a, plants[a], b, plants[b]) for a, b in combinations(names, 2))
+
+
+@dataclass(frozen=True)
+class _Plant:
+    points_mm: Array
+    """(P, 3) along its centre lines."""
+    radius_mm: Array
+    length_mm: Array
+    """(P,) that each point stands for."""
+    tree: cKDTree
+
+    @staticmethod
+    def of(roots: Sequence[Root]) -> _Plant:
+        points, radius, length = [], [], []
+        for root in roots:
+            way = polyline.way_mm(root.points_mm)
+            at = polyline.middles(way, _STEP_MM)
+            points.append(polyline.between(root.points_mm, way, at))
+            radius.append(np.interp(at, way, root.diameters_mm / 2.0))
+            length.append(np.full(len(at), way[-1] / max(len(at), 1)))
+        joined = np.concatenate(points)
+        return _Plant(joined, np.concatenate(radius), np.concatenate(length), cKDTree(joined))
+
+    def away_mm(self, other: _Plant) -> Array:
+        """Return the distance (P,) of the root's surface at each point from the other plant's; 0 where they meet."""
+        count = min(_OTHERS, len(other.points_mm))
+        away, nearest = other.tree.query(self.points_mm, k=count)
+        away, nearest = away.reshape(-1, count), nearest.reshape(-1, count)
+        return np.maximum((away - other.radius_mm[nearest]).min(axis=1) - self.radius_mm, 0.0)
+
+
+def _pair(name_a: str, a: _Plant, name_b: str, b: _Plant) -> Neighbours:
+    away = a.away_mm(b), b.away_mm(a)
+    top_mm = float(max(a.points_mm[:, 2].max(), b.points_mm[:, 2].max()))
+    lengths = a.length_mm, b.length_mm
+    contact, zone = ([float(length[d <= most].sum()) for length, d in zip(lengths, away, strict=True)] for most in (0.0, ZONE_MM))
+    total = [float(length.sum()) for length in lengths]
+    by_depth = [_by_depth(one, d, top_mm) for one, d in zip((a, b), away, strict=True)]
+    common_mm3, share_a, share_b = _common_hull(a.points_mm, b.points_mm)
+    return Neighbours(
+        plants=(name_a, name_b),
+        nearest_mm=float(min(away[0].min(), away[1].min())),
+        contact_mm=(contact[0], contact[1]),
+        zone_mm=(zone[0], zone[1]),
+        zone_share=(zone[0] / total[0], zone[1] / total[1]),
+        zone_share_by_depth=(by_depth[0], by_depth[1]),
+        hulls_overlap_mm3=common_mm3,
+        hulls_overlap_share=(share_a, share_b),
+    )
+
+
+def _by_depth(plant: _Plant, away_mm: Array, top_mm: float) -> tuple[float, ...]:
+    index = np.floor((top_mm - plant.points_mm[:, 2]) / DEPTH_BIN_MM).astype(np.int64)
+    total = np.bincount(index, weights=plant.length_mm)
+    near = np.bincount(index, weights=np.where(away_mm <= ZONE_MM, plant.length_mm, 0.0), minlength=len(total))
+    return tuple(float(share) for share in np.divide(near, total, out=np.zeros_like(total), where=total > 0.0))
+
+
+def _common_hull(a: Array, b: Array) -> tuple[float, float, float]:
+    """Return the common volume of two convex hulls, and its share of each; 0 where one is flat or they are apart."""
+    try:
+        hulls = ConvexHull(a), ConvexHull(b)
+    except (QhullError, ValueError):
+        return 0.0, 0.0, 0.0
+    planes = np.concatenate([hull.equations for hull in hulls])
+    # the middle of the largest ball inside both: the point with the greatest distance from all planes
+    found = linprog(
+        [0.0, 0.0, 0.0, -1.0], A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3], bounds=(None, None)
+    )
+    if not found.success or found.x[3] <= 1e-9:
+        return 0.0, 0.0, 0.0
+    volume = float(ConvexHull(HalfspaceIntersection(planes, found.x[:3]).intersections).volume)
+    return volume, volume / float(hulls[0].volume), volume / float(hulls[1].volume)
