@@ -269,7 +269,9 @@ def _plants(read: _Read) -> str:
     for one in by_plant.of_summary(read.summary, str(read.folder / "result.json")):
         traits, (low, high) = one.traits, one.volume_interval_mm3
         numbers = [trait_table.shown(value) for value in (traits.total_length_mm, traits.tips, traits.depth_mm)]
-        rows.append([str(one.subject), f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high), *numbers])
+        volume = [f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
+        # a plant has no volume where the whole has none
+        rows.append([str(one.subject), *(volume if read.summary["volume_trusted"] else ["not reliable", ""]), *numbers])
     if not rows:
         return ""
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")

@@ -1,0 +1,39 @@
+"""Several plants on a result's page: a plant has no volume where the whole has none."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.results.by_plant import OfPlant
+from rhizotwin.report import page
+from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.subject import Subject
+from rhizotwin.scenes.traits import measure_traits
+
+
+def rod(plant: str, x: float) -> Root:
+    points = np.linspace((x, 0.0, -10.0), (x, 0.0, -50.0), 11)
+    return Root(points_mm=points, diameters_mm=np.full(11, 2.0), order=0, parent=-1, plant=plant)
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> None:
+    roots = (rod("A", 0.0), rod("B", 9.0))
+    plants = [
+        OfPlant(
+            subject=Subject(plant=root.plant),
+            at_mm=(float(root.points_mm[0, 0]), 0.0),
+            volume_mm3=126.0,
+            volume_interval_mm3=(120.0, 130.0),
+            open_mm=0.0,
+            traits=measure_traits([root], root.points_mm, volume_mm3=126.0, surface_mm2=251.0),
+        ).plain()
+        for root in roots
+    ]
+    read = SimpleNamespace(summary={"plants": plants, "volume_trusted": trusted}, folder=Path("result"), roots=roots)
+    shown = page._plants(read)
+    assert (" ml</td>" in shown) is trusted
+    assert ("not reliable" in shown) is not trusted
+    assert "nearest roots 7.00 mm apart" in shown
