@@ -224,7 +224,7 @@ class SubjectOptions:
     species: Annotated[str | None, named("NAME")] = None
     """Its species, such as 'Raphanus sativus'."""
     treatment: Annotated[str | None, named("NAME")] = None
-    """What was done to it and not to others."""
+    """Treatment, for example 'low N'."""
     day: Annotated[float | None, option(read_day, "DAYS")] = None
     """Days since sowing."""
     date: Annotated[str | None, option(read_date, "DATE")] = None

@@ -109,7 +109,7 @@ def simulate(
     profile : str, optional
         What the rig gets wrong: ``clean``, ``bench``, ``harsh`` or a file; default: the scene's own.
     seed : int
-        Of every error and noise that is drawn.
+        Random seed for all simulated errors and noise.
     fidelity : {"backlit", "path"}
         backlit: fast, without noise of its own; path: full path tracing with all reflections.
     samples : int, optional
@@ -156,7 +156,7 @@ def reconstruct(
     dataset : Dataset or path
         As `simulate` or `load_dataset` gives it, or its folder.
     voxel_mm : float, optional
-        Edge of the smallest voxels; goes before that of the settings.
+        Edge of the smallest voxels; overrides that of the settings.
     mass_g : float, optional
         Mass of the roots, if weighed: gives specific root length and tissue density.
     settings : Settings, optional

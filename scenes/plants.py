@@ -24,7 +24,7 @@ class Plant:
     species: str = ""
     """Latin name; empty: as in [subject]."""
     treatment: str = ""
-    """What was done to it and not to others; empty: as in [subject]."""
+    """Treatment of this plant; empty: that of [subject]."""
     at_mm: tuple[float, float] = bounded((0.0, 0.0), -500.0, 500.0)
     """Where it hangs through the net pot's grid: x and y in the canister frame, whose x axis runs through the strip's
     seam."""

@@ -21,7 +21,7 @@ class Subject:
     species: str = ""
     """Latin name, such as Raphanus sativus (MIAPPE: organism)."""
     treatment: str = ""
-    """What was done to it and not to others (MIAPPE: observation unit factor value)."""
+    """Treatment, for example 'low N' (MIAPPE: observation unit factor value)."""
     day: float | None = field(default=None, metadata={"limits": (0.0, 36500.0)})
     """Days since sowing (MIAPPE: time since the event 'sowing')."""
     date: str = ""

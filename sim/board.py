@@ -73,7 +73,7 @@ def simulate_board(
     pictures : int
         How many, named board_000.png and on.
     seed : int
-        Of poses and noise; picture k does not depend on the pictures before it.
+        Random seed for poses and noise; picture k does not depend on the pictures before it.
     monitor : Monitor, optional
         Hears how far it is.
 

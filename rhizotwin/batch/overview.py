@@ -109,7 +109,7 @@ def _page(rows: Sequence[_Row], failed: Sequence[tuple[Job, str]], sentence: str
 
 def _row(row: _Row, told: Sequence[str], shown: Sequence[trait_table.Definition]) -> str:
     found, interval = words.volume(row.summary)
-    state = "do not use" if words.light(row.summary)[0] == "bad" else "can be used"
+    state = "not reliable" if words.light(row.summary)[0] == "bad" else "can be used"
     source = "" if row.picture is None else f'<img alt="shape" src="data:image/jpeg;base64,{base64.b64encode(row.picture).decode()}">'
     name = html.escape(row.name, quote=True)
     cells = [source, f'<a href="{name}/report.html">{name}</a>', *(html.escape(_subject(row)[key]) for key in told)]

@@ -122,7 +122,7 @@ def simulate(
     treatments : tuple of (str, float), optional
         Names, each with the factor of growth, such as control:1,low N:0.85.
     seed : int
-        Of every error and noise that is drawn.
+        Random seed for all simulated errors and noise.
     work : Workforce
         Who does the work.
 

@@ -1,4 +1,4 @@
-"""Tell masses of plants that were never cut, from those of plants that were.
+"""Predict the mass of living plants from harvested ones.
 
 Examples
 --------
@@ -97,7 +97,7 @@ def predict(
     model: Annotated[Path, named("MODEL")],
     table: Annotated[Path | None, output("FILE")] = None,
 ) -> None:
-    """Tell masses of plants that were not weighed, with 90 % intervals.
+    """Predict the mass of plants that were not weighed, with 90 % intervals.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def predict(
     for one in found:
         told = f"{one.measured.who}: {one.relation.kind} {one.grams:.4g} g, 90 % interval {one.low_g:.4g} to {one.high_g:.4g} g"
         cautions = [
-            (one.assessment.verdict == "not reliable", f"do not use it: its {one.relation.trait} is not reliable"),
+            (one.assessment.verdict == "not reliable", f"not reliable: its {one.relation.trait} is not reliable"),
             (one.beyond, f"its {one.relation.trait} is beyond the model's plants"),
         ]
         print("; ".join([told, *(words for is_open, words in cautions if is_open)]))

@@ -50,7 +50,7 @@ class BoardPictures:
     image_wh: ImageWh | None = None
     """Picture size in pixels, such as 800x600; default: the scene's."""
     seed: Seed = 0
-    """Of poses and noise: 0, 1, 2, ..."""
+    """Random seed for poses and noise: 0, 1, 2, ..."""
 
 
 def board(*, output: OutputFile, page: PageOptions = PageOptions(), drawn: BoardOptions = BoardOptions()) -> None:

@@ -20,7 +20,7 @@ class Study:
     """What those give who study the method."""
 
     settings: Annotated[Path | None, named("FILE")] = None
-    """TOML file of settings of the stages (docs/settings.md); --voxel-mm goes before it."""
+    """TOML file of settings of the stages (docs/settings.md); --voxel-mm overrides it."""
     keep_stages: Flag = False
     """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
     method: Literal["ours", "thesis", "hull"] = "ours"

@@ -50,7 +50,7 @@ def simulate(
     rendering : Rendering
         How the pictures are made.
     seed : int
-        Of every error and noise that is drawn: 0, 1, 2, ...
+        Random seed for all simulated errors and noise: 0, 1, 2, ...
     device : str
         What computes: cpu, cuda (an NVIDIA GPU), auto (the GPU if there is one).
     progress : Progress

@@ -111,7 +111,7 @@ def write_many(result_folders: Sequence[Path], output: Path) -> Path:
     rows = []
     for place, one in enumerate(read):
         found, interval = words.volume(one.summary)
-        state = {"good": "can be used", "fair": "can be used", "bad": "do not use"}[words.light(one.summary)[0]]
+        state = {"good": "can be used", "fair": "can be used", "bad": "not reliable"}[words.light(one.summary)[0]]
         length = rounded(one.traits.total_length_mm) if one.traits.total_length_mm else "-"
         if one.traits.total_length_mm and one.assessed["total_length_mm"].verdict != "reliable":
             length += f" ({one.assessed['total_length_mm'].verdict})"

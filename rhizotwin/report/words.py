@@ -58,7 +58,7 @@ def headline(summary: dict[str, Any]) -> tuple[str, str]:
     found, interval = volume(summary)
     if summary["volume_trusted"]:
         return f"volume {found}", f"90 % interval {interval}"
-    return "no volume can be told", f"the shape found has {found} ({interval}), which is not to be trusted"
+    return "volume could not be determined", f"the shape found has {found} ({interval}), which is not to be trusted"
 
 
 def light(summary: dict[str, Any]) -> tuple[Light, str, list[str]]:

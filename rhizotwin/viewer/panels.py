@@ -225,7 +225,7 @@ def _edit_buttons(viewer: Viewer) -> None:
         ("Delete with laterals", lambda: viewer.delete(laterals=True), "take the chosen roots away with all that hangs on them", "red"),
         ("Bring the last one back", viewer.restore, "bring back what was taken away last: a root, roots or voxels", None),
         ("Join two", lambda: viewer.pair("join"), "let the first chosen root go on in the second", None),
-        ("Hang on the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
+        ("Make lateral of the second", lambda: viewer.pair("parent"), "make the first chosen root a lateral of the second", None),
         ("Fit again", viewer.fit_again, "fit centre lines and diameters to the pictures again", None),
         ("Choose nothing", viewer.choose_nothing, None, None),
     ]

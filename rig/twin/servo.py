@@ -176,7 +176,7 @@ class Servo:
         self.torque_on = on
 
     def turn_by_hand(self, counts: float) -> None:
-        """Turn it while it is limp."""
+        """Rotate the unpowered servo by hand."""
         self._sensed = counts
         self.stop()
 

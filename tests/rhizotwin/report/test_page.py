@@ -194,7 +194,7 @@ def test_the_volume_has_no_false_precision_and_is_not_at_the_head_where_it_canno
     assert "1 other causes" in words.budget(SUMMARY)[2]
     assert words.headline(SUMMARY)[0] == "volume 137.1 ml"
     headline, beside = words.headline(SUMMARY | {"volume_trusted": False})
-    assert headline == "no volume can be told"
+    assert headline == "volume could not be determined"
     assert "137.1 ml" in beside
     assert "not to be trusted" in beside
 
