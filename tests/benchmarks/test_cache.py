@@ -17,7 +17,10 @@ def our_sources(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("sources")
     for package in sources.PACKAGES:
         place = Path(*package.split("."))
-        shutil.copytree(sources.ROOT / place, root / place, ignore=shutil.ignore_patterns("__pycache__"))
+        if (sources.ROOT / place).is_dir():
+            shutil.copytree(sources.ROOT / place, root / place, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy((sources.ROOT / place).with_suffix(".py"), (root / place).with_suffix(".py"))
     return root
 
 

@@ -71,8 +71,9 @@ def test_other_seeds_grow_other_plants() -> None:
     assert case.rendered_scene().specimen != replace(case, seed=case.seed + 1).rendered_scene().specimen
 
 
-def test_the_quick_set_has_a_fingerprint() -> None:
-    benchmark = named.find("quick-1")
+@pytest.mark.parametrize("name", ["quick-1", "hard-1"])
+def test_sets_have_fingerprints(name: str) -> None:
+    benchmark = named.find(name)
     reference = fingerprints.reference(benchmark)
     for case in benchmark.cases:
         assert len(reference[case.name]["pixels"]) == case.views * case.rings
