@@ -28,7 +28,6 @@ from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.neighbours import find_neighbours
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.said import between_ml, ml, rounded
 from rhizotwin.scenes.subject import Subject
@@ -274,6 +273,8 @@ def _plants(read: _Read) -> str:
         rows.append([str(one.subject), *(volume if read.summary["volume_trusted"] else ["not reliable", ""]), *numbers])
     if not rows:
         return ""
+    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
+
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
     pairs = "".join(f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines())}</p>" for one in find_neighbours(read.roots))
     return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) + pairs

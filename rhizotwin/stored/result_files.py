@@ -4,6 +4,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import MarkerStrip
-from rhizotwin.scenes.neighbours import Neighbours, find_neighbours
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
+
+if TYPE_CHECKING:
+    from rhizotwin.scenes.neighbours import Neighbours
 
 MOST_SHAPE_MIB = 512
 """Of a result's shape when unpacked, 40 bytes a leaf with the hull's, and of its surface, 25 bytes a triangle: 13
@@ -141,8 +144,10 @@ def _of_any_kind(path: Path) -> Mesh:
     return Mesh.of(trimesh.load(path, process=False, force="mesh"))
 
 
-def read_neighbours(folder: Path) -> tuple[Neighbours, ...]:
+def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":
     """Return how the plants of a result lie to each other; empty where there is one, or no roots were found."""
+    from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
+
     file = folder / "roots.rsml"
     return find_neighbours(rsml.read_rsml(file)) if file.is_file() else ()
 
