@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
+from rhizotwin.bench import named
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.files import library, load_profile, load_scene
-from rhizotwin.scenes.model import Ring, Scene
-from rhizotwin.scenes.specimens import GrownSpecimen
+from rhizotwin.scenes.files import library, load_scene
+from rhizotwin.scenes.model import Scene
 
 Method = Literal["coverage", "thesis"]
 
@@ -37,17 +37,9 @@ LADDER: dict[str, tuple[str, ...]] = {
 SEED_SETS: dict[str, tuple[int, ...]] = {"first": (0,), "second": (101, 102)}
 """``second`` is looked at when all settings are final, and never while something is developed: its plants are new to
 the method."""
-PLANT_SEEDS_APART = 1_000_003
-"""Seed s grows the specimen of the scene's own seed + s times this: 0 is the library's plant, and no other seed is one
-of its plants."""
-
 CAMERA_SIZES: dict[str, tuple[tuple[int, int], ...]] = {"bean": ((1014, 760), (2028, 1520))}
 """Sizes that the recommended camera takes (a quarter and a half of 4056x3040), beside 800x600, for some scenes: clean
 only."""
-
-HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
-"""Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of
-radish_day05a); from 10 mm they stand before the backlight, and half of the hull's ghosts vanish."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +49,7 @@ class Pictures:
     scene: str
     profile: str = "clean"
     rings: Literal[1, 2] = 1
-    """1: the scene's own plan; 2: its first ring, and `HIGH_RING` at the same distance."""
+    """1: the scene's own plan; 2: its first ring, and `named.HIGH_RING` at the same distance."""
     views: int = 40
     """In each ring."""
     image_wh: tuple[int, int] = (800, 600)
@@ -78,16 +70,9 @@ class Pictures:
 
     def scene_to_render(self) -> Scene:
         """Return the library's scene with this plant, these views, this sensor and the profile's disturbances."""
-        scene = load_scene(self.scene)
-        rings = scene.plan.rings
-        if self.rings == 2:
-            rings = (rings[0], replace(HIGH_RING, distance_mm=rings[0].distance_mm))
-        camera = scene.camera if scene.camera.image_wh == self.image_wh else scene.camera.resized(self.image_wh)
-        specimen = scene.specimen
-        if self.is_plant and isinstance(specimen, GrownSpecimen):
-            specimen = replace(specimen, seed=specimen.seed + PLANT_SEEDS_APART * self.seed)
-        plan = replace(scene.plan, rings=tuple(replace(ring, views=self.views) for ring in rings))
-        return replace(scene, plan=plan, camera=camera, specimen=specimen, disturbances=load_profile(self.profile))
+        return named.rendered_scene(
+            load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed * self.is_plant
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

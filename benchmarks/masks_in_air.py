@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rhizotwin.nerfstudio import OPENCV_FROM_OPENGL
-from rhizotwin.scenes import atomic, files, frames
+from rhizotwin.exports import write_nerfstudio
+from rhizotwin.scenes import files
 from rhizotwin.scenes.model import CapturePlan, Ring, Scene
 from rhizotwin.scenes.truth import load_truth
 
@@ -49,17 +49,13 @@ def write(folder: Path) -> tuple[str, ...]:
     with tempfile.TemporaryDirectory(prefix="rhizotwin-air-") as working:
         simulate(scene, Path(working) / "set", profile_name="clean", seed=0)
         truth = load_truth(Path(working) / "set")
-        listed = []
+        posed = []
         for number, view in enumerate(truth.views):
             name = f"view_{number:03d}.png"
             coverage = cv2.imread(str(Path(working) / "set" / "truth" / "masks" / name), cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(masks / name), np.where(coverage >= _HALF, 255, 0).astype(np.uint8))
-            pose = frames.invert(np.asarray(view.cam_from_canister)) @ OPENCV_FROM_OPENGL
-            listed.append({"file_path": name, "transform_matrix": pose.tolist()})
-    camera = scene.camera
-    lens = dict(zip(("fl_x", "fl_y", "cx", "cy"), (*camera.focal_px, *(at + 0.5 for at in camera.principal_px)), strict=True))
-    size = dict(zip(("w", "h"), camera.image_wh, strict=True))
-    atomic.write_json(folder / "transforms.json", {"camera_model": "OPENCV", **size, **lens, "frames": listed})
+            posed.append((name, np.asarray(view.cam_from_canister)))
+    write_nerfstudio(folder / "transforms.json", scene.camera.as_pinhole(), posed)
     files.save_scene(replace(scene, specimen=None), folder / "scene.toml")
     return (
         "import",

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
-from rhizotwin.scenes import polyline
-from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.rsml import Root, sample_centre_lines
 from rhizotwin.scenes.traits import DEPTH_BIN_MM
 
 Array = NDArray[np.float64]
@@ -124,15 +123,8 @@ class _Plant:
 
     @staticmethod
     def of(roots: Sequence[Root]) -> _Plant:
-        points, radius, length = [], [], []
-        for root in roots:
-            way = polyline.way_mm(root.points_mm)
-            at = polyline.middles(way, _STEP_MM)
-            points.append(polyline.between(root.points_mm, way, at))
-            radius.append(np.interp(at, way, root.diameters_mm / 2.0))
-            length.append(np.full(len(at), way[-1] / max(len(at), 1)))
-        joined = np.concatenate(points)
-        return _Plant(joined, np.concatenate(radius), np.concatenate(length), cKDTree(joined))
+        along = sample_centre_lines(roots, _STEP_MM)
+        return _Plant(along.points_mm, along.radius_mm, along.length_mm, cKDTree(along.points_mm))
 
     def away_mm(self, other: _Plant) -> Array:
         """Return the distance (P,) of the root's surface at each point from the other plant's; 0 where they meet."""

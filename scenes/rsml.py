@@ -58,6 +58,36 @@ def of_plant(roots: Sequence[Root], plant: str) -> tuple[Root, ...]:
     return tuple(replace(roots[index], parent=number.get(roots[index].parent, -1)) for index in number)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CentrePoints:
+    """Points (P, 3) along centre lines, each the middle of a piece."""
+
+    points_mm: Array
+    radius_mm: Array
+    """(P,) at each point."""
+    length_mm: Array
+    """(P,) of each piece."""
+    root: NDArray[np.int64]
+    """(P,) index of the root that each point is on."""
+
+
+def sample_centre_lines(roots: Sequence[Root], step_mm: float) -> CentrePoints:
+    """Return points along at least one root, about ``step_mm`` apart and at least one on each root."""
+    points, radii, lengths = [], [], []
+    for root in roots:
+        way = polyline.way_mm(root.points_mm)
+        at = polyline.middles(way, step_mm)
+        points.append(polyline.between(root.points_mm, way, at))
+        radii.append(np.interp(at, way, root.diameters_mm / 2.0))
+        lengths.append(np.full(len(at), way[-1] / len(at)))
+    return CentrePoints(
+        points_mm=np.concatenate(points),
+        radius_mm=np.concatenate(radii),
+        length_mm=np.concatenate(lengths),
+        root=np.repeat(np.arange(len(roots)), [len(one) for one in lengths]),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Moment:
     """One of several files that show a plant as it grows; a root has the same id in all of them."""

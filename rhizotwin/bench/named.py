@@ -15,10 +15,44 @@ from rhizotwin.scenes.specimens import GrownSpecimen
 
 HELD_BACK = 1000
 """Seeds from here on are the benchmarks': a method that is tuned on them is not measured by them."""
-_APART = 1_000_003
-"""Seed s grows the specimen of the scene's own seed + s times this (a prime above every seed of the library)."""
-_HIGH = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
-"""The second ring of a plant: from below the rim its top is hidden by the net pot."""
+PLANT_SEEDS_APART = 1_000_003
+"""Seed s grows the specimen of the scene's own seed + s times this (a prime): 0 is the library's plant, and no other
+seed is one of its plants."""
+HIGH_RING = Ring(height_mm=10.0, tilt_deg=8.0, first_deg=4.5)
+"""Second ring of a plant. From -42 mm its topmost 2.4 mm are seen before the dark net pot (8 % of the volume of
+radish_day05a); from 10 mm they stand before the backlight, and half of the hull's ghosts vanish."""
+
+
+def rendered_scene(scene: Scene, profile: str, *, rings: int, views: int, image_wh: tuple[int, int], seed: int) -> Scene:
+    """Return a scene with another plant, other views and a profile's disturbances.
+
+    Parameters
+    ----------
+    scene : Scene
+        From the library.
+    profile : str
+        Name of the disturbances.
+    rings : int
+        1: the scene's own plan; 2: its first ring, and `HIGH_RING` at the same distance.
+    views : int
+        In each ring.
+    image_wh : tuple of int
+        Size of the pictures in px.
+    seed : int
+        Of the plant, where the specimen is grown.
+    """
+    first = scene.plan.rings[0]
+    chosen = scene.plan.rings if rings == 1 else (first, replace(HIGH_RING, distance_mm=first.distance_mm))
+    specimen = scene.specimen
+    if isinstance(specimen, GrownSpecimen):
+        specimen = replace(specimen, seed=specimen.seed + PLANT_SEEDS_APART * seed)
+    return replace(
+        scene,
+        camera=scene.camera if scene.camera.image_wh == image_wh else scene.camera.resized(image_wh),
+        plan=replace(scene.plan, rings=tuple(replace(ring, views=views) for ring in chosen)),
+        specimen=specimen,
+        disturbances=load_profile(profile),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,20 +71,10 @@ class Case:
 
     def rendered_scene(self) -> Scene:
         """Return the scene with this plant, these views and the profile's disturbances."""
-        scene = load_scene(self.scene)
-        rings = (scene.plan.rings[0], replace(_HIGH, distance_mm=scene.plan.rings[0].distance_mm))[: self.rings]
-        specimen = scene.specimen
-        if isinstance(specimen, GrownSpecimen):
-            specimen = replace(specimen, seed=specimen.seed + _APART * self.seed)
-        return replace(
-            scene,
-            name=self.name,
-            description="",
-            camera=scene.camera.resized(self.image_wh),
-            plan=replace(scene.plan, rings=tuple(replace(ring, views=self.views) for ring in rings)),
-            specimen=specimen,
-            disturbances=load_profile(self.profile),
+        scene = rendered_scene(
+            load_scene(self.scene), self.profile, rings=self.rings, views=self.views, image_wh=self.image_wh, seed=self.seed
         )
+        return replace(scene, name=self.name, description="")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +16,10 @@ from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.said import printable
 
 STATES: tuple[State, ...] = ("done", "failed", "timeout", "nothing", "unreadable")
+
+
+_LARGEST = sys.float_info.max
+"""JSON allows integers that no float can hold."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ def value(row: dict[str, Any], quantity: Quantity) -> float | None:
         found: Any = row if len(place) == 1 else row["scores"]
         for name in place:
             found = found.get(name) if isinstance(found, dict) else None
-        if isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found):
+        if isinstance(found, int | float) and not isinstance(found, bool) and abs(found) <= _LARGEST:
             return float(found)
     return None
 

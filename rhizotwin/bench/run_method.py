@@ -6,22 +6,24 @@ import json
 import os
 import platform
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from rhizotwin.bench.named import Benchmark
 from rhizotwin.bench.offers import CameraSource, offer
 from rhizotwin.bench.outputs import score_outputs
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.said import printable
 
 SCHEMA = 1
@@ -92,6 +94,7 @@ def run(
     cameras: CameraSource = "estimated",
     timeout_s: float = TIMEOUT_S,
     keep: Path | None = None,
+    finished: Mapping[str, Row] = MappingProxyType({}),
     say: Callable[[Row], None] = lambda _: None,
 ) -> list[Row]:
     """Run a method on each case, in a folder that holds no truth; a case that goes wrong is a row that says so.
@@ -110,6 +113,8 @@ def run(
         After which a case is stopped, with all that it started.
     keep : path, optional
         Folder for what the method wrote, a folder a case.
+    finished : mapping from str to Row
+        Rows of an earlier run by case, which are taken over.
     say : callable
         Hears every row.
 
@@ -117,15 +122,18 @@ def run(
     -------
     list of Row
         In the order of the cases.
+
+    Raises
+    ------
+    UserError
+        Where a folder that would be kept exists already.
     """
     command, rows = command_of(method), []
     for case in benchmark.cases:
-        dataset = folder / case.name
-        with _working(keep, case.name) as (working, output):
-            offered = working / "dataset"
-            offer(dataset, offered, cameras=cameras)
-            words = [word.replace("{dataset}", str(offered)).replace("{output}", str(output)) for word in shlex.split(command)]
-            row = _scored(_run_once(case.name, words, working, timeout_s), output, dataset)
+        if keep is not None and case.name not in finished and (keep / case.name).exists():
+            raise UserError(f"{keep / case.name} exists already; remove it, or choose another folder for what the method writes")
+    for case in benchmark.cases:
+        row = finished.get(case.name) or _run_case(case.name, folder / case.name, command, cameras, timeout_s, keep)
         rows.append(row)
         say(row)
     return rows
@@ -180,15 +188,34 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
     }
 
 
-@contextmanager
-def _working(keep: Path | None, case: str) -> Iterator[tuple[Path, Path]]:
-    """Yield a folder to work in and the one to write into, which is kept where that is wanted."""
+def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
+    """Return the rows with scores of an earlier run of the same command, by case; none where there was no such run."""
+    try:
+        stored = json.loads(read_file(path).decode("utf-8"))
+        asked = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
+        if asked != (*(stored[name] for name in ("schema_version", "benchmark", "command", "cameras")), stored["versions"]["rhizotwin"]):
+            return {}
+        rows = [Row(**row) for row in stored["rows"]]
+    except (UserError, KeyError, TypeError, ValueError, RecursionError):
+        return {}
+    return {row.case: row for row in rows if row.state == "done"}
+
+
+def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:
+    """Run a method on a case and score what it wrote; this is moved to ``keep`` only when it is complete."""
     with tempfile.TemporaryDirectory(prefix="rhizotwin-bench-", ignore_cleanup_errors=True) as temporary:
-        output = Path(temporary) / "output" if keep is None else keep.resolve() / case
-        if output.exists():
-            raise UserError(f"{output} exists already; choose another folder for what the method writes")
-        output.parent.mkdir(parents=True, exist_ok=True)
-        yield Path(temporary), output
+        working = Path(temporary)
+        offered, output = working / "dataset", working / "output"
+        try:
+            offer(dataset, offered, cameras=cameras)
+        except UserError as error:
+            return Row(case=case, state="failed", sentence=f"the method was not run: {error}")
+        words = [word.replace("{dataset}", str(offered)).replace("{output}", str(output)) for word in shlex.split(command)]
+        row = _scored(_run_once(case, words, working, timeout_s), output, dataset)
+        if keep is not None and output.is_dir():
+            keep.mkdir(parents=True, exist_ok=True)
+            shutil.move(output, keep / case)
+        return row
 
 
 def _run_once(case: str, words: list[str], working: Path, timeout_s: float) -> Row:

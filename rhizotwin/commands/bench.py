@@ -125,7 +125,8 @@ def run(
     The method sees a folder without truth that holds the dataset, cameras for nerfstudio (transforms.json) and COLMAP
     (colmap), binary masks (masks) and undistorted pictures (undistorted). What it writes is scored by the names of its
     files: shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz, roots.rsml, traits.csv. A method that
-    crashes, hangs or writes nothing is a row that says so.
+    crashes, hangs or writes nothing is a row that says so. Results are written after each case. Stopped half-way, the
+    same command goes on where it stopped.
 
     Parameters
     ----------
@@ -157,15 +158,20 @@ def run(
     run_method.command_of(method)  # a mistake is said before the work
     check_made(benchmark, folder)
     steps.start_engine(device, quiet=progress.quiet)
-    chosen: dict[str, Any] = {"cameras": options.cameras, "timeout_s": options.timeout_s, "keep": options.keep}
+    chosen: dict[str, Any] = {"timeout_s": options.timeout_s, "keep": options.keep}
+    finished = run_method.finished_rows(output, benchmark, method, cameras=options.cameras)
+    rows: list[run_method.Row] = []
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
 
         def tell(row: run_method.Row) -> None:
-            print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}", flush=True)
+            taken = ", from an earlier run" if row.case in finished else ""
+            print(f"{row.case}: {row.state}{f', {row.sentence}' if row.sentence else ''}{taken}", flush=True)
+            rows.append(row)
+            stored = run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras)
+            atomic.write_json(output, stored)
             step()
 
-        rows = run_method.run(benchmark, folder, method, say=tell, **chosen)
-    atomic.write_json(output, run_method.as_json(benchmark, method, rows, name=options.label or method, cameras=options.cameras))
+        run_method.run(benchmark, folder, method, cameras=options.cameras, finished=finished, say=tell, **chosen)
     print(results.markdown([results.read(output)]))
     print(f"next: rhizotwin bench table {output} -o results.html")
 

@@ -4,6 +4,7 @@ import csv
 import io
 import math
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.reading import check_size, read_file
+from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.trait_table import DEFINITIONS
 from rhizotwin.stored import result_files
 
@@ -26,8 +28,12 @@ VOXELS = (".nrrd", ".npz")
 POINTS = (".ply", ".xyz")
 MOST_MIB = 1024
 """Of a file of voxels or points."""
-MOST_CELLS = 1_000_000_000
-"""Of a block of voxels: four times as many bytes are needed."""
+MOST_OCCUPIED = 50_000_000
+"""Voxels of a block that are not empty: a solid of 50 ml in voxels of 0.1 mm."""
+_MOST_ITEM_BYTES = 8
+"""Of a voxel: a float64."""
+_UNREADABLE = (nrrd.NRRDError, KeyError, IndexError, ValueError, TypeError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+"""What NumPy, pynrrd and zlib raise over damaged files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +82,18 @@ def read_voxels(path: Path) -> Leaves:
     _check(path)
     try:
         block, origin_mm, voxel_mm = _read_nrrd(path) if path.suffix.lower() == ".nrrd" else _read_npz(path)
-    except (nrrd.NRRDError, KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError) as error:
-        raise UserError(f"{path} is not readable as voxels ({error})") from None
-    if block.ndim != 3 or not block.size or block.size > MOST_CELLS:
-        raise UserError(f"{path}: the block has the shape {block.shape}; give three axes, and at most {MOST_CELLS:.0e} voxels")
+    except _UNREADABLE as error:
+        raise UserError(f"{path} is not readable as voxels ({printable(str(error))[:200]})") from None
+    if block.ndim != 3 or not block.size or block.dtype.kind not in "buif":
+        raise UserError(f"{path}: the block has the shape {block.shape} of {block.dtype}; give numbers along three axes")
     if not (np.isfinite(origin_mm).all() and math.isfinite(voxel_mm) and voxel_mm > 0.0):
         raise UserError(f"{path}: origin and edge of the voxels must be finite, and the edge above 0")
     share = _as_share(block)
     if not np.isfinite(share).all() or share.min() < 0.0 or share.max() > 1.0:
         raise UserError(f"{path}: occupancies must lie between 0 and 1")
-    low = np.argwhere(share > 0.0).astype(np.int32)
+    if (occupied := int(np.count_nonzero(share))) > MOST_OCCUPIED:
+        raise UserError(f"{path}: {occupied} voxels are not empty, more than {MOST_OCCUPIED}; use larger voxels")
+    low = np.argwhere(share).astype(np.int32)
     return Leaves(
         low=low,
         size=np.ones(len(low), np.int32),
@@ -107,12 +115,9 @@ def read_points(path: Path) -> Floats:
         raise UserError(f"{path}: points are one of {', '.join(POINTS)}")
     _check(path)
     try:
-        if path.suffix.lower() == ".ply":
-            points = np.asarray(trimesh.load(path, process=False).vertices, np.float64)
-        else:
-            points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
-    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
-        raise UserError(f"{path} is not readable as points ({error})") from None
+        points = _read_ply_vertices(path) if path.suffix.lower() == ".ply" else np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+    except (ValueError, IndexError) as error:
+        raise UserError(f"{path} is not readable as points ({printable(str(error))[:200]})") from None
     if not len(points) or not np.isfinite(points).all():
         raise UserError(f"{path} has {len(points)} points and must have some, all of them finite")
     return points
@@ -144,6 +149,13 @@ def read_traits(path: Path) -> dict[str, Stated]:
     return found
 
 
+def _read_ply_vertices(path: Path) -> Floats:
+    try:
+        return np.asarray(trimesh.load(path, process=False).vertices, np.float64).reshape(-1, 3)
+    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
+        raise ValueError(str(error)) from None
+
+
 def _number(row: Mapping[str, str | None], name: str, where: str) -> float | None:
     text = row.get(name)
     if not text:
@@ -164,10 +176,19 @@ def _check(path: Path) -> None:
 
 
 def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
-    header = nrrd.read_header(str(path))
-    sizes = [int(size) for size in header["sizes"]]
-    if math.prod(sizes) > MOST_CELLS:
-        raise ValueError(f"{math.prod(sizes):.1e} voxels are too many")
+    with path.open("rb") as file:
+        header = nrrd.read_header(file)
+        encoding = header["encoding"]
+        if {"data file", "datafile"} & set(header) or encoding not in ("raw", "gzip", "gz"):
+            raise ValueError("the voxels must be in the file itself, raw or gzip")
+        sizes = [int(size) for size in header["sizes"]]
+        if min(sizes) < 1 or math.prod(sizes) > MOST_MIB * 2**20:
+            raise ValueError(f"{sizes} are too many voxels")
+        if encoding != "raw":
+            unpacked, most = zlib.decompressobj(zlib.MAX_WBITS | 32), math.prod(sizes) * _MOST_ITEM_BYTES
+            unpacked.decompress(file.read(), most)
+            if unpacked.unconsumed_tail:
+                raise ValueError(f"it unpacks to more than its {sizes} voxels")
     directions = np.asarray(header["space directions"], np.float64)
     voxel_mm = float(directions[0, 0])
     if not np.allclose(directions, voxel_mm * np.eye(3), atol=1e-9 * abs(voxel_mm)):
@@ -177,7 +198,10 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
 
 
 def _read_npz(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
-    with np.load(path, allow_pickle=False) as stored:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        if not isinstance(stored, np.lib.npyio.NpzFile) or stored.zip is None:
+            raise ValueError("it is one array, not an archive of them")
+        result_files.check_unpacked(path, stored.zip.infolist())
         return stored["occupancy"], np.asarray(stored["origin_mm"], np.float64).reshape(3), float(stored["voxel_mm"])
 
 

@@ -25,9 +25,10 @@ from rhizotwin.scoring import foreign_files, surface_distance, voxelise
 from rhizotwin.scoring.foreign_files import Stated
 from rhizotwin.scoring.registration import register
 from rhizotwin.scoring.score import plain, truth_mesh_path
-from rhizotwin.scoring.score_roots import NEAR_MM, RootScore, compare_roots
+from rhizotwin.scoring.score_roots import RootScore, compare_roots
 from rhizotwin.scoring.score_shape import SURFACE_SAMPLES, SurfaceScore, compare_surfaces, compare_voxels
 from rhizotwin.scoring.score_solid import percent, surface_rows, table_of
+from rhizotwin.scoring.score_topology import TopologyScore, compare_topology
 from rhizotwin.scoring.score_traits import compare_traits
 from rhizotwin.stored import result_files
 
@@ -49,24 +50,8 @@ OF_CENTRE_LINES = (
 """Traits that centre lines with diameters tell by themselves."""
 ALPHA = 0.1
 """Of the 90 % intervals."""
-_STEP_MM = 0.25
-"""Roots are matched by points so far apart: half of `NEAR_MM`."""
 _MOST_SIDE = 200
 """Voxels along the longest side where surfaces that bound no solid are compared."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TopologyScore:
-    """How the roots hang together. Roots are matched by the length that lies within `NEAR_MM` of the other."""
-
-    roots: int
-    roots_true: int
-    matched: float
-    """Share of the true roots, half of whose length at least is one found root's."""
-    parents: float
-    """Share of the matched true roots whose parent is the one matched with the true parent."""
-    orders: float
-    """Share of the matched true roots whose order is right."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,21 +176,12 @@ def score_points(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
     on_truth = surface_sample.sample(vertices, faces, count=SURFACE_SAMPLES, rng=np.random.default_rng(0))[0]
     some = points[np.random.default_rng(0).permutation(len(points))[:SURFACE_SAMPLES]]
     to_truth, to_points = surface_distance.distances(some, vertices, faces), cKDTree(points).query(on_truth)[0]
-    both = np.concatenate([to_truth, to_points])
-    distances = SurfaceScore(
-        median_mm=float(np.median(both)),
-        p95_mm=float(np.percentile(both, 95.0)),
-        result_to_truth_median_mm=float(np.median(to_truth)),
-        result_to_truth_p95_mm=float(np.percentile(to_truth, 95.0)),
-        truth_to_result_median_mm=float(np.median(to_points)),
-        truth_to_result_p95_mm=float(np.percentile(to_points, 95.0)),
-    )
     return FileScore(
         file=str(file),
         scene=known.scene,
         volume_true_mm3=known.truth.volume_mm3,
         extents_error=known.extents_error(points),
-        surface=distances,
+        surface=SurfaceScore.of(to_truth, to_points),
         traits={},
     )
 
@@ -253,25 +229,6 @@ def score_traits(file: Path | str, dataset: Dataset | Path | str) -> FileScore:
         volume_true_mm3=known.truth.volume_mm3,
         volume_error=None if volume is None else volume.error,
         traits=traits,
-    )
-
-
-def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologyScore:
-    """Compare parents and orders of two root systems, neither of them empty."""
-    match = _matches(found, true)
-    known = [k for k, one in enumerate(match) if one >= 0]
-    parents = [
-        found[match[k]].parent == (match[true[k].parent] if true[k].parent >= 0 else -1)
-        for k in known
-        if true[k].parent < 0 or match[true[k].parent] >= 0
-    ]
-    orders = [found[match[k]].order == true[k].order for k in known]
-    return TopologyScore(
-        roots=len(found),
-        roots_true=len(true),
-        matched=len(known) / len(true),
-        parents=float(np.mean(parents)) if parents else 0.0,
-        orders=float(np.mean(orders)) if orders else 0.0,
     )
 
 
@@ -358,31 +315,6 @@ def _by_voxels(mesh: Mesh, known: _Known) -> tuple[float | None, float | None, t
     either = int((inside | truth).sum())
     note = f"the mesh cuts itself or is inside out: volume and IoU are counted in voxels of {voxel_mm:.3f} mm"
     return float(inside.sum()) * voxel_mm**3, int((inside & truth).sum()) / either if either else 0.0, (note,)
-
-
-def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
-    """Return the found root that covers at least half of each true root, and most of it; -1 where none does."""
-    points, owner = _points(found)
-    tree = cKDTree(points)
-    match = []
-    for root in true:
-        away, nearest = tree.query(_points([root])[0], distance_upper_bound=NEAR_MM)
-        near = np.isfinite(away)
-        most = np.bincount(owner[nearest[near]], minlength=len(found))
-        match.append(int(most.argmax()) if most.max() >= 0.5 * len(near) else -1)
-    return match
-
-
-def _points(roots: Sequence[Root]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return points (P, 3) along roots, and the root (P,) of each."""
-    parts, owner = [], []
-    for number, root in enumerate(roots):
-        step = np.linalg.norm(np.diff(root.points_mm, axis=0), axis=1)
-        way = np.concatenate([[0.0], np.cumsum(step)])
-        at = np.linspace(0.0, way[-1], max(2, math.ceil(way[-1] / _STEP_MM) + 1))
-        parts.append(np.stack([np.interp(at, way, axis) for axis in root.points_mm.T], axis=1))
-        owner.append(np.full(len(at), number))
-    return np.concatenate(parts), np.concatenate(owner)
 
 
 def _traits_of(roots: Sequence[Root]) -> Traits:

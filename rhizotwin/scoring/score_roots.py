@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rhizotwin.scenes import polyline, rsml
+from rhizotwin.scenes import rsml
 from rhizotwin.scenes.rsml import Root
 
 Array = NDArray[np.float64]
@@ -44,12 +44,11 @@ class RootScore:
 
 def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
     """Compare centre lines, radii and tips of two root systems, neither of them empty."""
-    found_mm, found_radius = _dense(found)
-    true_mm, true_radius = _dense(true)
-    away, nearest = cKDTree(true_mm).query(found_mm)
-    missed = cKDTree(found_mm).query(true_mm)[0]
+    on_found, on_true = (rsml.sample_centre_lines(roots, _STEP_MM) for roots in (found, true))
+    away, nearest = cKDTree(on_true.points_mm).query(on_found.points_mm)
+    missed = cKDTree(on_found.points_mm).query(on_true.points_mm)[0]
     near = away < NEAR_MM
-    ratio = found_radius[near] / np.maximum(true_radius[nearest[near]], 1e-9)
+    ratio = on_found.radius_mm[near] / np.maximum(on_true.radius_mm[nearest[near]], 1e-9)
     tips, true_tips = (np.array([root.points_mm[-1] for root in roots if root.tip_seen]).reshape(-1, 3) for roots in (found, true))
     length, true_length = rsml.length_mm(found), rsml.length_mm(true)
     return RootScore(
@@ -70,14 +69,3 @@ def compare_roots(found: Sequence[Root], true: Sequence[Root]) -> RootScore:
 def _near_share(these: Array, others: Array) -> float:
     """Return the share of tips (A, 3) with one of the others (B, 3) within `TIP_MM`; 0 where there are none."""
     return float((cKDTree(others).query(these)[0] < TIP_MM).mean()) if len(these) and len(others) else 0.0
-
-
-def _dense(roots: Sequence[Root]) -> tuple[Array, Array]:
-    """Return points (P, 3) every 0.1 mm along the roots, and the radii (P,) there."""
-    points, radii = [], []
-    for root in roots:
-        along = polyline.way_mm(root.points_mm)
-        at = polyline.middles(along, _STEP_MM)
-        points.append(polyline.between(root.points_mm, along, at))
-        radii.append(np.interp(at, along, root.diameters_mm / 2.0))
-    return np.concatenate(points), np.concatenate(radii)

@@ -1,12 +1,17 @@
 """Compare a reconstructed shape with the true solid: voxels and surfaces."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhizotwin.recon import surface_sample
 from rhizotwin.recon.results.parts import Leaves, Mesh
 from rhizotwin.scoring import surface_distance, voxelise
+
+Array = NDArray[np.float64]
 
 SURFACE_SAMPLES = 20_000
 """Points on each surface; the sampling error of the median is below 1 % of the spread."""
@@ -57,6 +62,19 @@ class SurfaceScore:
     truth_to_result_median_mm: float
     """From true points: what was missed shows here."""
     truth_to_result_p95_mm: float
+
+    @staticmethod
+    def of(to_truth: Array, to_result: Array) -> SurfaceScore:
+        """Summarise distances (A,) of the result's points from the truth, and (B,) of the truth's from the result."""
+        both = np.concatenate([to_truth, to_result])
+        return SurfaceScore(
+            median_mm=float(np.median(both)),
+            p95_mm=float(np.percentile(both, 95.0)),
+            result_to_truth_median_mm=float(np.median(to_truth)),
+            result_to_truth_p95_mm=float(np.percentile(to_truth, 95.0)),
+            truth_to_result_median_mm=float(np.median(to_result)),
+            truth_to_result_p95_mm=float(np.percentile(to_result, 95.0)),
+        )
 
 
 def _ratio(part: float, whole: float) -> float:
@@ -110,12 +128,4 @@ def compare_surfaces(shape: Mesh, truth: Mesh) -> SurfaceScore:
     on_truth = surface_sample.sample(truth.vertices_mm, truth.faces, count=SURFACE_SAMPLES, rng=rng)[0]
     to_truth = surface_distance.distances(on_shape, truth.vertices_mm, truth.faces)
     to_shape = surface_distance.distances(on_truth, shape.vertices_mm, shape.faces)
-    both = np.concatenate([to_truth, to_shape])
-    return SurfaceScore(
-        median_mm=float(np.median(both)),
-        p95_mm=float(np.percentile(both, 95.0)),
-        result_to_truth_median_mm=float(np.median(to_truth)),
-        result_to_truth_p95_mm=float(np.percentile(to_truth, 95.0)),
-        truth_to_result_median_mm=float(np.median(to_shape)),
-        truth_to_result_p95_mm=float(np.percentile(to_shape, 95.0)),
-    )
+    return SurfaceScore.of(to_truth, to_shape)

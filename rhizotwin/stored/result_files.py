@@ -92,7 +92,7 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
         raise UserError(f"{path} does not exist; reconstruct again.")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            _check_unpacked(path, stored.zip.infolist())
+            check_unpacked(path, stored.zip.infolist())
             leaves = Leaves(
                 low=stored[f"{prefix}leaves"],
                 size=stored[f"{prefix}size"],
@@ -113,11 +113,11 @@ def read_leaves(folder: Path, *, hull: bool = False) -> Leaves:
     return leaves
 
 
-def _check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
+def check_unpacked(path: Path, parts: Sequence[zipfile.ZipInfo]) -> None:
     """Refuse an archive that would fill the memory, before it is unpacked."""
     size_mib = sum(part.file_size for part in parts) / 2**20
     if size_mib > MOST_SHAPE_MIB:
-        raise UserError(f"{path} holds {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; reconstruct with larger voxels.")
+        raise UserError(f"{path} holds {size_mib:.0f} MiB when unpacked, more than {MOST_SHAPE_MIB}; use larger voxels.")
 
 
 def read_mesh(path: Path) -> Mesh:

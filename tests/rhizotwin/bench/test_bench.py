@@ -139,6 +139,40 @@ def test_a_method_that_goes_wrong_is_a_row(command: Command, tiny: Path, tmp_pat
     assert str(tmp_path) not in found["sentence"]
 
 
+def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    several = replace(TINY, cases=(TINY.cases[0], replace(TINY.cases[0], name="other")))
+    monkeypatch.setitem(named.BENCHMARKS, TINY.name, several)
+    shutil.copytree(tiny / "ball", tiny / "other")
+    program = "import sys, pathlib; pathlib.Path('{count}').open('a').write('.'); {last}p = pathlib.Path(sys.argv[1]); p.mkdir(); {write}"
+    write, count = "(p / 'points.xyz').write_text('0 0 -20\\n1 0 -20\\n')", tmp_path / "count"
+    fails_second = f"sys.exit('no') if len(pathlib.Path('{count}').read_text()) == 2 else None; "
+    (tmp_path / "method.py").write_text(program.format(count=count, last=fails_second, write=write))
+    method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
+    words = ["bench", "run", "tiny-1", tiny, "--method", method, "-o", tmp_path / "rows.json", "--keep", tmp_path / "kept"]
+    command.works(*words)
+    assert [one["state"] for one in json.loads((tmp_path / "rows.json").read_text())["rows"]] == ["done", "failed"]
+    assert "ball: done, from an earlier run" in command.works(*words).out
+    assert [one["state"] for one in json.loads((tmp_path / "rows.json").read_text())["rows"]] == ["done", "done"]
+    assert (count.read_text(), sorted(path.name for path in (tmp_path / "kept").iterdir())) == ("...", ["ball", "other"])
+    command.fails(*words, "--cameras", "true", named=["kept/ball exists"])
+
+
+def test_a_scan_without_cameras_is_a_row(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise UserError("no picture has a camera")
+
+    monkeypatch.setattr(run_method, "offer", fail)
+    command.works("bench", "run", "tiny-1", tiny, "--method", "a {output}", "-o", tmp_path / "rows.json")
+    (found,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert (found["state"], found["sentence"]) == ("failed", "the method was not run: no picture has a camera")
+
+
+def test_numbers_that_no_float_holds_are_left_out() -> None:
+    iou = next(one for one in results.QUANTITIES if one.name == "iou")
+    for hostile in (10**400, -(10**400), float("nan"), float("inf"), True, "1"):
+        assert results.value(row(mesh={"iou": hostile}), iou) is None
+
+
 def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path: Path) -> None:
     words = ["-o", tmp_path / "rows.json"]
     command.fails("bench", "run", "tiny-1", tiny, "--method", "neither", *words, named=["{output}", "thesis"])

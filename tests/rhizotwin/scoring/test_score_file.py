@@ -1,5 +1,7 @@
 """Files of other methods against a truth: what equals it scores as such, and known errors come out as they are."""
 
+import gzip
+import io
 import json
 import shutil
 from dataclasses import replace
@@ -13,8 +15,8 @@ import trimesh
 from rhizotwin.scenes import rsml
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.rsml import Root
-from rhizotwin.scoring import score_file
-from rhizotwin.scoring.foreign_files import Stated
+from rhizotwin.scoring import score_file, score_topology
+from rhizotwin.scoring.foreign_files import Stated, read_voxels
 from tests.command import Command
 
 RADIUS_MM, CENTRE_MM = 8.0, np.array([18.0, 0.0, -60.0])
@@ -117,9 +119,9 @@ def test_centre_lines_that_equal_the_truth(planted: Path) -> None:
 def test_a_wrong_parent_and_a_missing_root_are_seen() -> None:
     true = small_system()
     wrong = (*true[:3], replace(true[3], parent=0, order=1))
-    found = score_file.compare_topology(wrong, true)
+    found = score_topology.compare_topology(wrong, true)
     assert (found.matched, found.parents, found.orders) == (1.0, 0.75, 0.75)
-    fewer = score_file.compare_topology(true[:2], true)
+    fewer = score_topology.compare_topology(true[:2], true)
     assert (fewer.roots, fewer.matched, fewer.parents) == (2, 0.5, 1.0)
 
 
@@ -154,6 +156,35 @@ def test_what_cannot_be_scored_is_one_sentence(
 ) -> None:
     (tmp_path / name).write_bytes(content)
     command.fails("score", f"--{option}", tmp_path / name, made, named=[word, name])
+
+
+def nrrd_of(header: str, data: bytes = b"") -> bytes:
+    fields = f"NRRD0004\ntype: uchar\ndimension: 3\nspace dimension: 3\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n{header}\n\n"
+    return fields.encode() + data
+
+
+def npz_of(**arrays: np.ndarray) -> bytes:
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **arrays)
+    return packed.getvalue()
+
+
+HOSTILE = {
+    "other_file.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw\ndata file: /etc/passwd"),
+    "larger_than_it_says.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: gzip", gzip.compress(bytes(1_000_000))),
+    "too_large.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 99999 99999 99999\nencoding: raw"),
+    "negative.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: -2 -2 2\nencoding: raw"),
+    "truncated.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw", b"1"),
+    "bomb.npz": npz_of(occupancy=np.zeros((1024, 1024, 600), np.uint8), origin_mm=np.zeros(3), voxel_mm=np.array(1.0)),
+    "words.npz": npz_of(occupancy=np.array([[["a"]]]), origin_mm=np.zeros(3), voxel_mm=np.array(1.0)),
+}
+
+
+@pytest.mark.parametrize("name", sorted(HOSTILE))
+def test_hostile_voxels_are_one_sentence(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(HOSTILE[name])
+    with pytest.raises(UserError, match=name):
+        read_voxels(tmp_path / name)
 
 
 def test_the_command_line_scores_a_file(command: Command, made: Path) -> None:

@@ -1,0 +1,59 @@
+"""Compare how the roots of a result branch with how the true ones do."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rhizotwin.scenes.rsml import Root, sample_centre_lines
+from rhizotwin.scoring.score_roots import NEAR_MM
+
+_STEP_MM = 0.25
+"""Roots are matched by points so far apart: half of `NEAR_MM`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopologyScore:
+    """How the roots hang together. Roots are matched by the length that lies within `NEAR_MM` of the other."""
+
+    roots: int
+    roots_true: int
+    matched: float
+    """Share of the true roots, half of whose length at least is one found root's."""
+    parents: float
+    """Share of the matched true roots whose parent is the one matched with the true parent."""
+    orders: float
+    """Share of the matched true roots whose order is right."""
+
+
+def compare_topology(found: Sequence[Root], true: Sequence[Root]) -> TopologyScore:
+    """Compare parents and orders of two root systems, neither of them empty."""
+    match = _matches(found, true)
+    known = [k for k, one in enumerate(match) if one >= 0]
+    parents = [
+        found[match[k]].parent == (match[true[k].parent] if true[k].parent >= 0 else -1)
+        for k in known
+        if true[k].parent < 0 or match[true[k].parent] >= 0
+    ]
+    orders = [found[match[k]].order == true[k].order for k in known]
+    return TopologyScore(
+        roots=len(found),
+        roots_true=len(true),
+        matched=len(known) / len(true),
+        parents=float(np.mean(parents)) if parents else 0.0,
+        orders=float(np.mean(orders)) if orders else 0.0,
+    )
+
+
+def _matches(found: Sequence[Root], true: Sequence[Root]) -> list[int]:
+    """Return the found root that covers at least half of each true root, and most of it; -1 where none does."""
+    on_found = sample_centre_lines(found, _STEP_MM)
+    tree = cKDTree(on_found.points_mm)
+    match = []
+    for root in true:
+        away, nearest = tree.query(sample_centre_lines([root], _STEP_MM).points_mm, distance_upper_bound=NEAR_MM)
+        near = np.isfinite(away)
+        most = np.bincount(on_found.root[nearest[near]], minlength=len(found))
+        match.append(int(most.argmax()) if most.max() >= 0.5 * len(near) else -1)
+    return match
