@@ -225,7 +225,7 @@ class Jog:
         Raises
         ------
         UserError
-            Where the strip cannot be read, or the way is not clear.
+            Where the strip cannot be read, the way is not clear, or the arm comes no nearer.
         """
         rig, part = self._devices.rig, arm_of(self._devices.rig)
         here = self._commanded or self._arm().read_joints()
@@ -238,7 +238,10 @@ class Jog:
             moves, here, left = moves + 1, way[-1], self._misalignment()
         self._say(f"after {moves} moves: {left.text()}")
         if not left.is_aligned:
-            self._say(f"arm: {MOST_MOVES} moves came no nearer: its servos do not stop where they are sent")
+            raise RigError(
+                f"arm: not aligned after {moves} moves ({left.text()}): its servos do not stop where they are sent; "
+                "check its supply and its stops, or calibrate it"
+            )
         return left
 
     def _misalignment(self, *, search: bool = False) -> Misalignment:

@@ -47,12 +47,19 @@ class Neighbours:
     hulls_overlap_share: tuple[float, float]
     """The same over each plant's hull."""
 
-    def lines(self) -> list[str]:
-        """Return it for people, a line each."""
+    def lines(self, *, is_reliable: bool) -> list[str]:
+        """Return it for people, a line each.
+
+        Parameters
+        ----------
+        is_reliable : bool
+            Whether the length of the roots is; otherwise the first line says that all is not.
+        """
         (a, b), percent = self.plants, [f"{100.0 * share:.1f} %" for share in self.zone_share]
+        nearest = "their roots touch" if self.nearest_mm == 0.0 else f"nearest roots {self.nearest_mm:.2f} mm apart"
         shares = [f"{100.0 * share:.0f} %" for share in self.hulls_overlap_share]
         return [
-            f"{a} and {b}: {'their roots touch' if self.nearest_mm == 0.0 else f'nearest roots {self.nearest_mm:.2f} mm apart'}",
+            f"{a} and {b}{'' if is_reliable else ' (not reliable)'}: {nearest}",
             f"  length in contact: {self.contact_mm[0]:.1f} mm of {a}, {self.contact_mm[1]:.1f} mm of {b}",
             f"  length within {ZONE_MM:g} mm of the other: {percent[0]} of {a}, {percent[1]} of {b}",
             f"  convex hulls: {self.hulls_overlap_mm3 / 1000.0:.3g} ml in common, {shares[0]} of {a}'s, {shares[1]} of {b}'s",

@@ -189,7 +189,23 @@ def as_json(benchmark: Benchmark, method: str, rows: list[Row], *, name: str, ca
 
 
 def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: CameraSource) -> dict[str, Row]:
-    """Return the rows with scores of an earlier run of the same command, by case; none where there was no such run."""
+    """Return the rows with scores of a run of the same command that was stopped before its last case.
+
+    Parameters
+    ----------
+    path : path
+        Its results.
+    benchmark : Benchmark
+        What is run.
+    method, cameras : str
+        As in `run`.
+
+    Returns
+    -------
+    dict of Row
+        By case; empty where there was no such run. A run that came to its end is not gone on with: the program behind
+        the command may have changed.
+    """
     try:
         stored = json.loads(read_file(path).decode("utf-8"))
         asked = (SCHEMA, benchmark.name, printable(method), cameras, version("rhizotwin"))
@@ -198,7 +214,8 @@ def finished_rows(path: Path, benchmark: Benchmark, method: str, *, cameras: Cam
         rows = [Row(**row) for row in stored["rows"]]
     except (UserError, KeyError, TypeError, ValueError, RecursionError):
         return {}
-    return {row.case: row for row in rows if row.state == "done"}
+    is_complete = {row.case for row in rows} >= {case.name for case in benchmark.cases}
+    return {} if is_complete else {row.case: row for row in rows if row.state == "done"}
 
 
 def _run_case(case: str, dataset: Path, command: str, cameras: CameraSource, timeout_s: float, keep: Path | None) -> Row:

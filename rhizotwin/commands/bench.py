@@ -13,7 +13,7 @@ rhizotwin bench table mine.json hull.json -o results.html
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
@@ -21,6 +21,9 @@ from rhizotwin import steps
 from rhizotwin.arguments import Device, OutputFile, OutputFolder, Progress, between, list_of, named, option
 from rhizotwin.scenes import atomic
 from rhizotwin.scenes.errors import UserError
+
+if TYPE_CHECKING:
+    from rhizotwin.bench.named import Benchmark
 
 TIMEOUT_LIMITS_S = (1.0, 1e6)
 Cases: TypeAlias = Annotated[tuple[str, ...], option(list_of(str), "NAME,NAME,...")]
@@ -126,7 +129,7 @@ def run(
     (colmap), binary masks (masks) and undistorted pictures (undistorted). What it writes is scored by the names of its
     files: shape.ply, .stl, .obj or .glb, voxels.nrrd or .npz, points.ply or .xyz, roots.rsml, traits.csv. A method that
     crashes, hangs or writes nothing is a row that says so. Results are written after each case. Stopped half-way, the
-    same command goes on where it stopped.
+    same command goes on with the case at which it stopped.
 
     Parameters
     ----------
@@ -158,7 +161,15 @@ def run(
     run_method.command_of(method)  # a mistake is said before the work
     check_made(benchmark, folder)
     steps.start_engine(device, quiet=progress.quiet)
-    chosen: dict[str, Any] = {"timeout_s": options.timeout_s, "keep": options.keep}
+    _run_cases(benchmark, folder, method, output, options, progress)
+    print(results.markdown([results.read(output)]))
+    print(f"next: rhizotwin bench table {output} -o results.html")
+
+
+def _run_cases(benchmark: "Benchmark", folder: Path, method: str, output: Path, options: RunOptions, progress: Progress) -> None:
+    """Run a method and write the results after each case."""
+    from rhizotwin.bench import run_method
+
     finished = run_method.finished_rows(output, benchmark, method, cameras=options.cameras)
     rows: list[run_method.Row] = []
     with progress.bar(cases=1.0) as bar, bar.stage("cases"), bar.steps("cases", len(benchmark.cases), "case") as step:
@@ -171,9 +182,10 @@ def run(
             atomic.write_json(output, stored)
             step()
 
-        run_method.run(benchmark, folder, method, cameras=options.cameras, finished=finished, say=tell, **chosen)
-    print(results.markdown([results.read(output)]))
-    print(f"next: rhizotwin bench table {output} -o results.html")
+        run_method.run(
+            benchmark, folder, method,
+            cameras=options.cameras, timeout_s=options.timeout_s, keep=options.keep, finished=finished, say=tell,
+        )  # fmt: skip
 
 
 def score(

@@ -12,7 +12,7 @@ rhizotwin rig jog twin
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,15 +126,11 @@ def jog(
     rhizotwin rig jog my_rig.toml --scene my_scene.toml
     rhizotwin rig jog twin
     """
-    from rhizotwin.rig.jog import Jog
-
     bench = rigs.open_bench(rig, scene, errors=twin)
     typed = sys.stdin.isatty()
-    with ExitStack() as stack:
-        devices = bench.open_devices(rigs.recorder(record, stack), stack)
-        if typed:
-            print("type help for the commands, quit to end")
-        Jog(devices, bench.scene, say=print).run(_typed_lines() if typed else sys.stdin, stop_at_mistake=not typed)
+    if typed:
+        print("type help for the commands, quit to end")
+    _jog(bench, _typed_lines() if typed else sys.stdin, record=record, stop_at_mistake=not typed)
 
 
 def align(
@@ -151,7 +147,8 @@ def align(
 
     The camera goes before the canister, takes a picture, finds its pose from the marker strip, corrects the joints, and
     repeats while it gets better. What is left is printed: servos move by steps, so that up to half a step of the base
-    remains. At the end the lights go off and the arm is parked; 'align' in 'rhizotwin rig jog' leaves it where it is.
+    remains. An arm that comes no nearer is an error. At the end the lights go off and the arm is parked; 'align' in
+    'rhizotwin rig jog' leaves it where it is.
 
     Parameters
     ----------
@@ -173,14 +170,19 @@ def align(
     rhizotwin rig align my_rig.toml --scene my_scene.toml
     rhizotwin rig align twin --distance-mm 400 --height-mm=-42
     """
-    from rhizotwin.rig.jog import Jog
-
     bench = rigs.open_bench(rig, scene, errors=twin)
     ring = bench.scene.plan.rings[0]
     where = [ring.distance_mm if distance_mm is None else distance_mm, ring.height_mm if height_mm is None else height_mm]
+    _jog(bench, ["lights 1 1", f"align {where[0]:.9g} {where[1]:.9g}"], record=record, stop_at_mistake=True)
+
+
+def _jog(bench: rigs.Bench, lines: Iterable[str], *, record: Path | None, stop_at_mistake: bool) -> None:
+    """Open a rig's devices and carry out typed lines."""
+    from rhizotwin.rig.jog import Jog
+
     with ExitStack() as stack:
         devices = bench.open_devices(rigs.recorder(record, stack), stack)
-        Jog(devices, bench.scene, say=print).run(["lights 1 1", f"align {where[0]:.9g} {where[1]:.9g}"], stop_at_mistake=True)
+        Jog(devices, bench.scene, say=print).run(lines, stop_at_mistake=stop_at_mistake)
 
 
 def example(*, output: OutputFile) -> None:

@@ -66,7 +66,7 @@ def traits(
         atomic.write_text(table, stored_traits.spreadsheet(rows))
     else:
         contents = [
-            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder)}
+            {"result": _name(folder), **result_traits.to_json(one, summary, mass_g=mass), **_neighbours(folder, summary, one)}
             for folder, summary, one, mass in zip(results, summaries, found, masses, strict=True)
         ]
         atomic.write_text(table, json.dumps(contents, indent=1, allow_nan=False) + "\n")
@@ -83,7 +83,8 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
     print(f"{folder} ({whose}){'' if summary['volume_trusted'] else ': ' + summary['volume_verdict']}")
     if edits := result_traits.edited(summary):
         print(f"  corrected by hand: {edits}")
-    print("\n".join(f"  {line}" for line in trait_table.lines(one, assessments.assess(summary, one))))
+    assessed = assessments.assess(summary, one)
+    print("\n".join(f"  {line}" for line in trait_table.lines(one, assessed)))
     if summary.get("shoot"):
         print("\n".join(f"  {line}" for line in trait_table.shoot_lines(summary["shoot"])))
     plants = result_traits.each(str(folder), summary, one)
@@ -91,17 +92,19 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
         print(f"{folder} ({own.subject})")
         print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))
     for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
-        print("\n".join(pair.lines()))
+        print("\n".join(pair.lines(is_reliable=assessed["total_length_mm"].verdict == "reliable")))
     if one.total_length_mm is None:
         print("  no roots were found as centre lines: what needs them is a dash")
 
 
-def _neighbours(folder: Path) -> dict[str, Any]:
+def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[str, Any]:
     """Return how the plants of a result lie to each other, for JSON; nothing where there is one."""
+    from rhizotwin.recon.results import assessments
     from rhizotwin.stored import result_files
 
     found = result_files.read_neighbours(folder)
-    return {"neighbours": [asdict(pair) for pair in found]} if found else {}
+    is_reliable = assessments.assess(summary, one)["total_length_mm"].verdict == "reliable"
+    return {"neighbours": [{**asdict(pair), "reliable": is_reliable} for pair in found]} if found else {}
 
 
 def _name(folder: Path) -> str:

@@ -105,8 +105,15 @@ def _followed(days: Sequence[Measured]) -> Followed | None:
 
 
 def neighbours_csv(growth: Growth) -> str:
-    """Return how plants that share a canister lie to each other, day by day; empty where none do."""
-    days = {one.folder: one.subject.day for own in growth.plants.values() for one in own if one.folder is not None}
+    """Return how plants that share a canister lie to each other, day by day, where the length of all is reliable.
+
+    Empty where none do.
+    """
+    scans: dict[Path, list[Measured]] = {}
+    for one in (one for own in growth.plants.values() for one in own):
+        if one.folder is not None:
+            scans.setdefault(one.folder, []).append(one)
+    days = {folder: own[0].subject.day for folder, own in scans.items() if all(one.usable("total_length") for one in own)}
     rows = [[written(day), *row] for folder, day in days.items() for row in neighbours.rows(result_files.read_neighbours(folder))]
     return csv_text([["day", *neighbours.HEAD], *rows]) if rows else ""
 

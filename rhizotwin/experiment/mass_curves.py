@@ -53,7 +53,7 @@ def is_of_masses(path: Path) -> bool:
     """Return whether a table holds masses that were weighed or predicted."""
     if path.suffix.lower() != ".csv":
         return False
-    head = set(tables.read_table(path)[0].cells)
+    head = _head(path)
     return head >= _PREDICTED or has_masses(head)
 
 
@@ -66,7 +66,7 @@ def read(paths: Sequence[Path]) -> list[Masses]:
         Where a table is damaged, or masses have no plant or day.
     """
     found: dict[tuple[str, float], Masses] = {}
-    predicted = [path for path in paths if set(tables.read_table(path)[0].cells) >= _PREDICTED]
+    predicted = [path for path in paths if _head(path) >= _PREDICTED]
     for path in [*predicted, *(path for path in paths if path not in predicted)]:
         for one in _predicted(path) if path in predicted else _weighed(path):
             before = found.get((one.plant, one.day))
@@ -124,6 +124,10 @@ def draw(curves: Curves) -> bytes:
             axes.set_ylim(bottom=0.0)
     drawn.axes[0].legend()
     return png(drawn, dpi=110)
+
+
+def _head(path: Path) -> set[str]:
+    return set(tables.read_table(path)[0].cells)
 
 
 def _weighed(path: Path) -> list[Masses]:

@@ -276,7 +276,9 @@ def _plants(read: _Read) -> str:
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
 
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
-    pairs = "".join(f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines())}</p>" for one in find_neighbours(read.roots))
+    is_reliable = read.assessed["total_length_mm"].verdict == "reliable"
+    found = [one.lines(is_reliable=is_reliable) for one in find_neighbours(read.roots)]
+    pairs = "".join(f"<p>{'<br>'.join(html.escape(line.strip()) for line in lines)}</p>" for lines in found)
     return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) + pairs
 
 

@@ -18,6 +18,7 @@ from rhizotwin.rig.scanning import alignment
 from rhizotwin.rig.twin.faults import FOR_GOOD, Fault
 from rhizotwin.rig.twin.twin import Twin
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.files import load_profile
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
@@ -129,6 +130,14 @@ def test_the_camera_is_aligned_by_the_markers(monkeypatch: pytest.MonkeyPatch) -
     assert found[0].size > 5.0
     assert found[-1].is_aligned
     assert any(re.fullmatch(r"after \d+ moves: axis .* mm, tilt .* deg, roll .* deg", line) for line in said)
+    assert bench.is_safe()
+
+
+def test_an_arm_that_cannot_be_aligned_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rhizotwin.rig.jog, "MOST_MOVES", 1)  # its first move stops up to a degree away
+    bench = Bench(profile="harsh")
+    with pytest.raises(UserError, match="not aligned after 1 moves"):
+        bench.types("lights 1 1", "align 400 -42", stop_at_mistake=True)
     assert bench.is_safe()
 
 

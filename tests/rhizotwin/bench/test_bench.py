@@ -143,18 +143,21 @@ def test_a_benchmark_goes_on_where_it_stopped(command: Command, tiny: Path, tmp_
     several = replace(TINY, cases=(TINY.cases[0], replace(TINY.cases[0], name="other")))
     monkeypatch.setitem(named.BENCHMARKS, TINY.name, several)
     shutil.copytree(tiny / "ball", tiny / "other")
-    program = "import sys, pathlib; pathlib.Path('{count}').open('a').write('.'); {last}p = pathlib.Path(sys.argv[1]); p.mkdir(); {write}"
-    write, count = "(p / 'points.xyz').write_text('0 0 -20\\n1 0 -20\\n')", tmp_path / "count"
-    fails_second = f"sys.exit('no') if len(pathlib.Path('{count}').read_text()) == 2 else None; "
-    (tmp_path / "method.py").write_text(program.format(count=count, last=fails_second, write=write))
+    count, kept, rows = tmp_path / "count", tmp_path / "kept", tmp_path / "rows.json"
+    (tmp_path / "method.py").write_text(
+        f"import sys, pathlib; pathlib.Path('{count}').open('a').write('.'); p = pathlib.Path(sys.argv[1]); p.mkdir(); "
+        "(p / 'points.xyz').write_text('0 0 -20\\n1 0 -20\\n')"
+    )
     method = f"{sys.executable} {tmp_path / 'method.py'} {{output}}"
-    words = ["bench", "run", "tiny-1", tiny, "--method", method, "-o", tmp_path / "rows.json", "--keep", tmp_path / "kept"]
+    words = ["bench", "run", "tiny-1", tiny, "--method", method, "-o", rows, "--keep", kept]
     command.works(*words)
-    assert [one["state"] for one in json.loads((tmp_path / "rows.json").read_text())["rows"]] == ["done", "failed"]
+    command.fails(*words, named=["kept/ball exists"])  # a complete run is begun anew
+    stored = json.loads(rows.read_text())
+    rows.write_text(json.dumps({**stored, "rows": stored["rows"][:1]}))  # as if it had been stopped there
+    shutil.rmtree(kept / "other")
     assert "ball: done, from an earlier run" in command.works(*words).out
-    assert [one["state"] for one in json.loads((tmp_path / "rows.json").read_text())["rows"]] == ["done", "done"]
-    assert (count.read_text(), sorted(path.name for path in (tmp_path / "kept").iterdir())) == ("...", ["ball", "other"])
-    command.fails(*words, "--cameras", "true", named=["kept/ball exists"])
+    assert [one["case"] for one in json.loads(rows.read_text())["rows"]] == ["ball", "other"]
+    assert (count.read_text(), sorted(path.name for path in kept.iterdir())) == ("...", ["ball", "other"])
 
 
 def test_a_scan_without_cameras_is_a_row(command: Command, tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,8 +32,10 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         ).plain()
         for root in roots
     ]
-    read = SimpleNamespace(summary={"plants": plants, "volume_trusted": trusted}, folder=Path("result"), roots=roots)
+    assessed = {"total_length_mm": SimpleNamespace(verdict="reliable" if trusted else "not reliable")}
+    read = SimpleNamespace(summary={"plants": plants, "volume_trusted": trusted}, folder=Path("result"), roots=roots, assessed=assessed)
     shown = page._plants(read)
     assert (" ml</td>" in shown) is trusted
     assert ("not reliable" in shown) is not trusted
     assert "nearest roots 7.00 mm apart" in shown
+    assert ("A and B (not reliable)" in shown) is not trusted
