@@ -28,6 +28,7 @@ from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.model import Camera
+from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.stored import result_files, stored_traits
 from rhizotwin.through_water import Pictures
 from rhizotwin.undistorted import VirtualCamera, best_distance_mm
@@ -46,7 +47,13 @@ MOST_VOXELS = 1_500_000_000
 
 
 def export(
-    result_folder: Path, output: Path, *, dataset_folder: Path | None = None, roots: str | None = None, undistorted: bool = False
+    result_folder: Path,
+    output: Path,
+    *,
+    dataset_folder: Path | None = None,
+    roots: str | None = None,
+    undistorted: bool = False,
+    monitor: Monitor | None = None,
 ) -> list[Path]:
     """Write a result in the form that the output's name asks for.
 
@@ -59,6 +66,8 @@ def export(
         "order" or "diameter": for a mesh, the roots as tubes in colours instead of the surface.
     undistorted : bool
         Write pictures as a pinhole in water would see them, with their cameras, instead of the cameras in air.
+    monitor : Monitor or None
+        Hears how far the undistorted pictures are.
 
     Raises
     ------
@@ -91,7 +100,7 @@ def export(
     result_files.check_same_scan(summary["dataset_sha256"], summary["scene"], result_folder, dataset)
     posed = [(view["file"], np.array(view["cam_from_canister"])) for view in summary["views"] if view.get("cam_from_canister") is not None]
     if undistorted:
-        return _undistorted(output, dataset, summary)
+        return _undistorted(output, dataset, summary, monitor or Monitor())
     camera = dataset.scene.camera.as_pinhole().focused(summary.get("rig", {}).get("focal_scale", 1.0))
     return write_nerfstudio(output, camera, posed) if suffix == ".json" else write_colmap(output, camera, posed)
 
@@ -232,7 +241,7 @@ def write_colmap(output: Path, camera: Camera, posed: Posed, *, note: str = REFR
     return [output / name for name in written]
 
 
-def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any]) -> list[Path]:
+def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any], monitor: Monitor) -> list[Path]:
     """Write undistorted pictures with their cameras, for nerfstudio and COLMAP."""
     scene, pictures = dataset.scene, Pictures.of(dataset, summary)
     if scene.tank is not None:
@@ -244,7 +253,7 @@ def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any]) -> lis
     places: dict[tuple[int, int], tuple[float, float]] = {}
     lens: Camera | None = None  # one for all, as the forms want it: the first picture's
     posed = list[tuple[str, NDArray[np.float64]]]()
-    with new_folder(output) as building:
+    with new_folder(output) as building, monitor.stage("pictures"), monitor.steps("pictures", len(pictures.views), "picture") as step:
         (building / "images").mkdir()
         for file, view in zip(pictures.files, pictures.views, strict=True):
             place = round(float(np.hypot(*view.centre_mm[:2])) / _SAME_PLACE_MM), round(float(view.centre_mm[2]) / _SAME_PLACE_MM)
@@ -254,6 +263,7 @@ def _undistorted(output: Path, dataset: Dataset, summary: dict[str, Any]) -> lis
             lens, name = camera.lens, f"{Path(file).stem}.png"
             atomic.write_image(building / "images" / name, camera.undistort(np.asarray(read_image(dataset, known[file]))))
             posed.append((name, camera.cam_from_canister))
+            step()
         assert lens is not None
         write_nerfstudio(building / "transforms.json", lens, [(f"images/{name}", pose) for name, pose in posed], note=IN_WATER)
         write_colmap(building / "colmap", lens, posed, note=IN_WATER)

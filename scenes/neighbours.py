@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError, cKDTree
 
+from rhizotwin.scenes.assessment import Verdict
 from rhizotwin.scenes.rsml import Root, sample_centre_lines
 from rhizotwin.scenes.traits import DEPTH_BIN_MM
 
@@ -47,19 +48,19 @@ class Neighbours:
     hulls_overlap_share: tuple[float, float]
     """The same over each plant's hull."""
 
-    def lines(self, *, is_reliable: bool) -> list[str]:
+    def lines(self, verdict: Verdict) -> list[str]:
         """Return it for people, a line each.
 
         Parameters
         ----------
-        is_reliable : bool
-            Whether the length of the roots is; otherwise the first line says that all is not.
+        verdict : Verdict
+            On the length of the roots, from which all of this is measured; the first line names any but "reliable".
         """
         (a, b), percent = self.plants, [f"{100.0 * share:.1f} %" for share in self.zone_share]
         nearest = "their roots touch" if self.nearest_mm == 0.0 else f"nearest roots {self.nearest_mm:.2f} mm apart"
         shares = [f"{100.0 * share:.0f} %" for share in self.hulls_overlap_share]
         return [
-            f"{a} and {b}{'' if is_reliable else ' (not reliable)'}: {nearest}",
+            f"{a} and {b}{'' if verdict == 'reliable' else f' ({verdict})'}: {nearest}",
             f"  length in contact: {self.contact_mm[0]:.1f} mm of {a}, {self.contact_mm[1]:.1f} mm of {b}",
             f"  length within {ZONE_MM:g} mm of the other: {percent[0]} of {a}, {percent[1]} of {b}",
             f"  convex hulls: {self.hulls_overlap_mm3 / 1000.0:.3g} ml in common, {shares[0]} of {a}'s, {shares[1]} of {b}'s",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rhizotwin.arguments import OutputFolder, between, named, option, output
+from rhizotwin.experiment.masses import BALANCE_G
 from rhizotwin.scenes.errors import UserError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def fit(
     /,
     *,
     output: Annotated[Path, output("MODEL")],
-    balance_g: Annotated[float, option(lambda text: between(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = 0.0001,
+    balance_g: Annotated[float, option(lambda text: between(text, BALANCE_LIMITS_G, "g", "grams"), "G")] = BALANCE_G,
 ) -> None:
     """Fit masses to volumes and other traits, with errors on both sides.
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rhizotwin.arguments import Flag, OutputFile, ResultFolder, named
+from rhizotwin.arguments import Flag, OutputFile, Progress, ResultFolder, named
 
 
 def export(
@@ -14,6 +14,7 @@ def export(
     dataset: Annotated[Path | None, named("DATASET")] = None,
     roots: Literal["order", "diameter"] | None = None,
     undistorted: Flag = False,
+    progress: Progress = Progress(),
 ) -> None:
     """Write a result in the files of other programs.
 
@@ -46,6 +47,8 @@ def export(
         Write the roots as tubes in colours of this, for a mesh.
     undistorted : bool
         Write pictures without refraction to a folder, with cameras for nerfstudio and COLMAP.
+    progress : Progress
+        How much is shown while undistorted pictures are written.
 
     Examples
     --------
@@ -58,4 +61,6 @@ def export(
     """
     from rhizotwin import exports
 
-    print(exports.describe(exports.export(result, output, dataset_folder=dataset, roots=roots, undistorted=undistorted)))
+    with progress.bar(pictures=1.0) as bar:
+        written = exports.export(result, output, dataset_folder=dataset, roots=roots, undistorted=undistorted, monitor=bar)
+    print(exports.describe(written))

@@ -92,7 +92,7 @@ def _print(folder: Path, summary: dict[str, Any], one: "Traits") -> None:
         print(f"{folder} ({own.subject})")
         print("\n".join(f"  {line}" for line in trait_table.lines(own.traits, own.assessed)))
     for pair in result_files.read_neighbours(folder) if len(plants) > 1 else ():
-        print("\n".join(pair.lines(is_reliable=assessed["total_length_mm"].verdict == "reliable")))
+        print("\n".join(pair.lines(assessed["total_length_mm"].verdict)))
     if one.total_length_mm is None:
         print("  no roots were found as centre lines: what needs them is a dash")
 
@@ -103,8 +103,8 @@ def _neighbours(folder: Path, summary: dict[str, Any], one: "Traits") -> dict[st
     from rhizotwin.stored import result_files
 
     found = result_files.read_neighbours(folder)
-    is_reliable = assessments.assess(summary, one)["total_length_mm"].verdict == "reliable"
-    return {"neighbours": [{**asdict(pair), "reliable": is_reliable} for pair in found]} if found else {}
+    verdict = assessments.assess(summary, one)["total_length_mm"].verdict
+    return {"neighbours": [{**asdict(pair), "verdict": verdict} for pair in found]} if found else {}
 
 
 def _name(folder: Path) -> str:

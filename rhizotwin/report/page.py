@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
-from rhizotwin.recon.results import assessments, by_plant, result_traits
+from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.report import rig_figure, solid, tables, words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
@@ -264,21 +264,24 @@ def _figure(source: str, caption: str) -> str:
 
 def _plants(read: _Read) -> str:
     """Return what is of each of several plants; nothing where there is one."""
-    rows = []
-    for one in by_plant.of_summary(read.summary, str(read.folder / "result.json")):
-        traits, (low, high) = one.traits, one.volume_interval_mm3
-        numbers = [trait_table.shown(value) for value in (traits.total_length_mm, traits.tips, traits.depth_mm)]
-        volume = [f"{ml(one.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
-        # a plant has no volume where the whole has none
-        rows.append([str(one.subject), *(volume if read.summary["volume_trusted"] else ["not reliable", ""]), *numbers])
-    if not rows:
+    if not read.summary.get("plants"):
         return ""
     from rhizotwin.scenes.neighbours import find_neighbours  # SciPy takes half a second
 
+    rows = []
+    for own in result_traits.each(str(read.folder / "result.json"), read.summary, read.traits):
+        numbers = [
+            "not reliable" if own.assessed[field].verdict == "not reliable" else trait_table.shown(getattr(own.traits, field))
+            for field in ("total_length_mm", "tips", "depth_mm")
+        ]
+        volume, (low, high) = own.assessed["volume_mm3"], own.assessed["volume_mm3"].interval or (0.0, 0.0)
+        known = [f"{ml(own.traits.volume_mm3, half_mm3=0.5 * (high - low))} ml", between_ml(low, high)]
+        rows.append([str(own.subject), *(known if volume.verdict == "reliable" else [volume.verdict, ""]), *numbers])
     head = ("plant", "volume", "90 % interval", "root length (mm)", "tips", "depth (mm)")
-    is_reliable = read.assessed["total_length_mm"].verdict == "reliable"
-    found = [one.lines(is_reliable=is_reliable) for one in find_neighbours(read.roots)]
-    pairs = "".join(f"<p>{'<br>'.join(html.escape(line.strip()) for line in lines)}</p>" for lines in found)
+    verdict = read.assessed["total_length_mm"].verdict
+    pairs = "".join(
+        f"<p>{'<br>'.join(html.escape(line.strip()) for line in one.lines(verdict))}</p>" for one in find_neighbours(read.roots)
+    )
     return tables.table(rows, head=head, numbers=(1, 2, 3, 4, 5)) + pairs
 
 

@@ -30,8 +30,6 @@ MOST_MIB = 1024
 """Of a file of voxels or points."""
 MOST_OCCUPIED = 50_000_000
 """Voxels of a block that are not empty: a solid of 50 ml in voxels of 0.1 mm."""
-_MOST_ITEM_BYTES = 8
-"""Of a voxel: a float64."""
 _UNREADABLE = (nrrd.NRRDError, KeyError, IndexError, ValueError, TypeError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 """What NumPy, pynrrd and zlib raise over damaged files."""
 
@@ -114,10 +112,14 @@ def read_points(path: Path) -> Floats:
     if path.suffix.lower() not in POINTS:
         raise UserError(f"{path}: points are one of {', '.join(POINTS)}")
     _check(path)
-    try:
-        points = _read_ply_vertices(path) if path.suffix.lower() == ".ply" else np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
-    except (ValueError, IndexError) as error:
-        raise UserError(f"{path} is not readable as points ({printable(str(error))[:200]})") from None
+    if path.suffix.lower() == ".ply":
+        loaded = result_files.load_geometry(path, "points")
+        points = np.asarray(getattr(loaded, "vertices", ()), np.float64).reshape(-1, 3)
+    else:
+        try:
+            points = np.loadtxt(path, ndmin=2, usecols=(0, 1, 2))
+        except (ValueError, IndexError) as error:
+            raise UserError(f"{path} is not readable as points ({printable(str(error))[:200]})") from None
     if not len(points) or not np.isfinite(points).all():
         raise UserError(f"{path} has {len(points)} points and must have some, all of them finite")
     return points
@@ -149,13 +151,6 @@ def read_traits(path: Path) -> dict[str, Stated]:
     return found
 
 
-def _read_ply_vertices(path: Path) -> Floats:
-    try:
-        return np.asarray(trimesh.load(path, process=False).vertices, np.float64).reshape(-1, 3)
-    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
-        raise ValueError(str(error)) from None
-
-
 def _number(row: Mapping[str, str | None], name: str, where: str) -> float | None:
     text = row.get(name)
     if not text:
@@ -181,14 +176,14 @@ def _read_nrrd(path: Path) -> tuple[NDArray[np.generic], Floats, float]:
         encoding = header["encoding"]
         if {"data file", "datafile"} & set(header) or encoding not in ("raw", "gzip", "gz"):
             raise ValueError("the voxels must be in the file itself, raw or gzip")
-        sizes = [int(size) for size in header["sizes"]]
-        if min(sizes) < 1 or math.prod(sizes) > MOST_MIB * 2**20:
-            raise ValueError(f"{sizes} are too many voxels")
+        most = result_files.MOST_SHAPE_MIB * 2**20
+        if math.prod(int(size) for size in header["sizes"]) > most:
+            raise ValueError(f"{header['sizes']} are too many voxels")
         if encoding != "raw":
-            unpacked, most = zlib.decompressobj(zlib.MAX_WBITS | 32), math.prod(sizes) * _MOST_ITEM_BYTES
+            unpacked = zlib.decompressobj(zlib.MAX_WBITS | 32)
             unpacked.decompress(file.read(), most)
             if unpacked.unconsumed_tail:
-                raise ValueError(f"it unpacks to more than its {sizes} voxels")
+                raise ValueError(f"it holds more than {result_files.MOST_SHAPE_MIB} MiB when unpacked")
     directions = np.asarray(header["space directions"], np.float64)
     voxel_mm = float(directions[0, 0])
     if not np.allclose(directions, voxel_mm * np.eye(3), atol=1e-9 * abs(voxel_mm)):

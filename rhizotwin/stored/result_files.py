@@ -4,7 +4,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from rhizotwin.scenes.folders import check_readable
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.pictures import decode_grey
 from rhizotwin.scenes.reading import MOST_PICTURE_MIB, check_size, read_file
+from rhizotwin.scenes.said import printable
 from rhizotwin.scenes.schema import Place, from_plain
 from rhizotwin.stored import plain_ply, summary_checks
 
@@ -125,11 +126,8 @@ def read_mesh(path: Path) -> Mesh:
     if not Path(path).is_file():
         raise UserError(f"{path} does not exist; it should hold a triangle mesh.")
     check_size(path, Path(path).stat(), most_mib=MOST_SHAPE_MIB)
-    try:
-        plain = plain_ply.read(Path(path))
-        mesh = _of_any_kind(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
-    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
-        raise UserError(f"{path} is not a readable mesh ({error}).") from None
+    plain = plain_ply.read(Path(path))
+    mesh = _of_any_kind(path) if plain is None else Mesh(vertices_mm=plain[0], faces=plain[1])
     vertices, faces = mesh.vertices_mm, mesh.faces
     if not len(faces) or not np.isfinite(vertices).all():
         raise UserError(f"{path} has {len(faces)} triangles and must have some, with finite vertices.")
@@ -139,9 +137,33 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def _of_any_kind(path: Path) -> Mesh:
+    loaded = load_geometry(path, "mesh")
+    if not hasattr(loaded, "faces"):  # points alone
+        raise UserError(f"{path} has no triangles and must have some.")
+    return Mesh.of(loaded)
+
+
+def load_geometry(path: Path, kind: Literal["mesh", "points"]) -> Any:
+    """Load what trimesh reads from a file of anybody: a Trimesh, or of points what it finds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : {"mesh", "points"}
+        What it should hold.
+
+    Raises
+    ------
+    UserError
+        Where it is damaged or holds no such thing.
+    """
     import trimesh  # takes half a second, and results hold plain files
 
-    return Mesh.of(trimesh.load(path, process=False, force="mesh"))
+    try:
+        return trimesh.load(path, process=False, force="mesh" if kind == "mesh" else None)
+    except Exception as error:  # noqa: BLE001 - trimesh raises whatever its parsers meet
+        raise UserError(f"{path} is not readable as {kind} ({printable(str(error))[:200]}).") from None
 
 
 def read_neighbours(folder: Path) -> "tuple[Neighbours, ...]":

@@ -32,8 +32,8 @@ def test_crossing_rods_touch() -> None:
     assert found.nearest_mm == 0.0
     # surfaces meet within sqrt(1 - 0.9^2) = 0.436 mm either way
     assert found.contact_mm == pytest.approx((0.87, 0.87), abs=0.26)
-    assert found.lines(is_reliable=True)[0] == "A and B: their roots touch"
-    assert found.lines(is_reliable=False)[0] == "A and B (not reliable): their roots touch"
+    assert found.lines("reliable")[0] == "A and B: their roots touch"
+    assert found.lines("not reliable")[0] == "A and B (not reliable): their roots touch"
 
 
 def test_the_common_volume_of_two_boxes() -> None:

@@ -1,7 +1,6 @@
 """Several plants on a result's page: a plant has no volume where the whole has none."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,10 +31,16 @@ def test_a_plant_has_a_volume_only_where_the_whole_has_one(trusted: bool) -> Non
         ).plain()
         for root in roots
     ]
-    assessed = {"total_length_mm": SimpleNamespace(verdict="reliable" if trusted else "not reliable")}
-    read = SimpleNamespace(summary={"plants": plants, "volume_trusted": trusted}, folder=Path("result"), roots=roots, assessed=assessed)
-    shown = page._plants(read)
+    summary = {
+        "plants": plants,
+        "volume_trusted": trusted,
+        "volume_verdict": "",
+        "volume_budget": {"focal": 0.01},
+        "volume_interval_mm3": (240.0, 260.0),
+    }
+    traits = measure_traits(roots, np.concatenate([root.points_mm for root in roots]), volume_mm3=252.0, surface_mm2=502.0)
+    shown = page._plants(page._Read(Path("result"), summary, roots, traits, None))
     assert (" ml</td>" in shown) is trusted
+    assert (">40</td>" in shown) is trusted  # their lengths
     assert ("not reliable" in shown) is not trusted
-    assert "nearest roots 7.00 mm apart" in shown
-    assert ("A and B (not reliable)" in shown) is not trusted
+    assert f"A and B ({'not assessed' if trusted else 'not reliable'}): nearest roots 7.00 mm apart" in shown

@@ -146,6 +146,13 @@ def test_stated_intervals_are_judged(planted: Path, tmp_path: Path) -> None:
         ("voxels", "a.npz", b"rubbish", "voxels"),
         ("voxels", "a.nrrd", b"rubbish", "voxels"),
         ("points", "a.xyz", b"a b c\n", "points"),
+        ("points", "a.ply", b"rubbish", "points"),
+        (
+            "mesh",
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
+            "triangles",
+        ),
         ("rsml", "a.rsml", b"<", "rsml"),
         ("traits", "a.csv", b"trait,value\nvolume,much\n", "not a number"),
         ("traits", "a.csv", b"name;number\n", "columns"),
@@ -171,7 +178,7 @@ def npz_of(**arrays: np.ndarray) -> bytes:
 
 HOSTILE = {
     "other_file.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw\ndata file: /etc/passwd"),
-    "larger_than_it_says.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: gzip", gzip.compress(bytes(1_000_000))),
+    "larger_than_it_says.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: gzip", gzip.compress(bytes(600 * 2**20))),
     "too_large.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 99999 99999 99999\nencoding: raw"),
     "negative.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: -2 -2 2\nencoding: raw"),
     "truncated.nrrd": nrrd_of("space origin: (0,0,0)\nsizes: 2 2 2\nencoding: raw", b"1"),
