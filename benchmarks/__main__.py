@@ -163,6 +163,10 @@ def _growth(given: argparse.Namespace) -> int:
             f"growth {found[name]['growth']:g}: {found[name]['told_apart']} of {given.sets} told apart" for name in ("treated", "equal")
         )
     )
+    slope, intervals = growth.responses(given.sets, say=say)
+    held = sum(low <= slope <= high for low, high in intervals)
+    found["dose_response"] = {"slope": slope, "intervals": intervals, "held": held}
+    say(f"dose response: the slope {slope:.4f} l/mmol lies in {held} of {given.sets} intervals")
     output = given.output or _results() / "growth.json"
     atomic.write_json(output, {"about": about(argparse.Namespace(what="growth", quick=False, device=given.device)), **found})
     say(f"every number: {output}")

@@ -74,14 +74,14 @@ def _add_thesis(one: argparse.ArgumentParser) -> None:
 
 _GROWTH = (
     "one plant reconstructed on six days: are its roots known again, how fast do they grow; "
-    "and do two treatments differ, by true lengths with a scan's error; finished days are kept"
+    "do two treatments differ, and does the interval of a dose response hold, by true lengths with a scan's error; finished days are kept"
 )
 
 
 def _add_growth(one: argparse.ArgumentParser) -> None:
     one.add_argument("--profile", choices=cases.PROFILES, default="bench", help="of the plant's pictures (default: %(default)s)")
-    one.add_argument("--sets", type=int, default=20, metavar="N", help="sets of plants under two treatments (default: %(default)s)")
-    one.add_argument("--no-pictures", action="store_true", help="only the treatments, which render and reconstruct nothing")
+    one.add_argument("--sets", type=int, default=20, metavar="N", help="sets of plants, each measured (default: %(default)s)")
+    one.add_argument("--no-pictures", action="store_true", help="only treatments and doses, which render and reconstruct nothing")
     one.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"], help="where to compute (default: %(default)s)")
     one.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write every number as JSON (default: the cache folder)")
 

@@ -266,6 +266,7 @@ def gather(
         dataset_sha256=dataset.sha256,
         scene=dataset.scene.name,
         subject=dataset.scene.subject,
+        solution=dataset.scene.solution,
         strip=dataset.scene.strip,
         solid=solid,
         cameras=tuple(replace(camera, sha256=contents.get(camera.file, "")) for camera in cameras.all),

@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.solution import Solution, read_solution
 from rhizotwin.scenes.subject import check_subject
 from rhizotwin.scenes.terminal import OneBar
 
@@ -214,6 +215,9 @@ def read_shift_mm(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+SolutionName = Annotated[Solution, option(read_solution, "NAME|FILE[,K=0.5,...]")]
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions:
@@ -233,6 +237,8 @@ class SubjectOptions:
     """Which of the plants that were treated alike."""
     notes: Annotated[str | None, named("TEXT")] = None
     """Anything else that tables shall tell."""
+    solution: SolutionName | None = None
+    """Nutrient solution: kliman_2022 or a TOML file with the keys of [solution], and factors by element."""
 
     def told(self, scene: Scene) -> Scene:
         """Return a scene whose subject is changed by what was given.
@@ -242,9 +248,11 @@ class SubjectOptions:
         UserError
             For text that cannot stand in a table.
         """
-        subject = replace(scene.subject, **{name: value for name, value in vars(self).items() if value is not None})
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        dissolved = given.pop("solution", scene.solution)
+        subject = replace(scene.subject, **given)
         check_subject(subject, Place("the command line").at("subject"))
-        return replace(scene, subject=subject)
+        return replace(scene, subject=subject, solution=dissolved)
 
 
 @Parameter(name="*")

@@ -176,7 +176,8 @@ def start(device: str = "auto") -> str:
     Raises
     ------
     UserError
-        If the device is unknown or cannot be used; the message holds the command that installs what is missing.
+        If the device is unknown or cannot be used; the message holds the command that installs what is missing. Also
+        where Dr.Jit was imported before, and loaded an LLVM that is too old.
     """
     if device not in DEVICES:
         raise UserError(f"--device {device} is unknown; choose one of {', '.join(DEVICES)}")
@@ -203,6 +204,12 @@ def start(device: str = "auto") -> str:
         mi.set_variant(_VARIANTS["cpu"])
     except ImportError as error:
         raise UserError(f"{library} (LLVM {version}) could not be loaded; reinstall it with: {install_hint()}") from error
+    loaded = dr.detail.llvm_version()
+    if loaded is not None and loaded[0] < MIN_LLVM:
+        raise UserError(
+            f"Dr.Jit was imported before rhizotwin could choose LLVM, and loaded version {loaded[0]}, which aborts on some processors; "
+            f"import rhizotwin and call rhizotwin.engine.start() first, or set DRJIT_LIBLLVM_PATH={library}"
+        )
     return f"computing on the CPU with LLVM {version} ({library})"
 
 

@@ -9,6 +9,7 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 from rhizotwin.scenes.plants import check_plants
 from rhizotwin.scenes.schema import Place, suggestion
+from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen, Specimen, SphereSpecimen
 from rhizotwin.scenes.subject import check_subject
 
@@ -40,6 +41,7 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     """
     place = Place(where, text)
     check_subject(scene.subject, place.at("subject"))
+    check_solution(scene.solution, place.at("solution"))
     _check_canister(scene, place)
     _check_tank(scene, place)
     _check_strip(scene, place)

@@ -98,12 +98,18 @@ def commented(plain: Mapping[str, Any]) -> str:
                 kind = next(kinds)
             if table.startswith("specimen."):
                 table = table.replace("specimen.", f"specimen.{kind}.", 1)
+            if why := said.get(header[1]):  # a table whose keys are free
+                lines += _comment(why)
         elif (key := re.match(r"(\w+) = ", line)) and (why := said.get(table + key[1])):
-            lines += textwrap.wrap(why, WIDTH, initial_indent="# ", subsequent_indent="# ", break_long_words=False)
+            lines += _comment(why)
         lines.append(line)
     head = ["# A scene of rhizotwin, every key with what it means [range, unit]. What is left out takes its default."]
     head.append("# Lengths are in the canister frame: origin on the canister's axis in the plane of its rim, z up; roots have z < 0.")
     return "\n".join([*head, "", *lines]) + "\n"
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ", break_long_words=False)
 
 
 def page() -> str:

@@ -1,8 +1,8 @@
 """Scene and profile files (TOML), the library of named scenes, and scenes as plain dicts for JSON.
 
-A scene file has the sections of `scenes.model.Scene`: ``[subject] [canister] [water] [net_pot] [strip] [camera]
-[lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is left out
-takes the default.
+A scene file has the sections of `scenes.model.Scene`: ``[subject] [solution] [canister] [water] [net_pot] [strip]
+[camera] [lights] [turntable] [[plan.rings]] [specimen] [disturbances]`` beside ``name`` and ``description``. What is
+left out takes the default.
 """
 
 import tomllib

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.shoots import Shoot
+from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.specimens import Specimen
 from rhizotwin.scenes.subject import Subject
 
@@ -357,6 +358,7 @@ class Scene:
     description: str = ""
     """One line for lists and reports."""
     subject: Subject = Subject()
+    solution: Solution = field(default_factory=Solution)
     canister: Canister = Canister()
     water: Water = Water()
     net_pot: NetPot = NetPot()

@@ -6,7 +6,7 @@ Radii of a series are scaled by one factor, that of the scene's own plant: the v
 times the ratio of the plants' tube volumes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,8 @@ from rhizotwin.scenes import polyline
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.rsml import Root
+from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.solution import check_solution
 from rhizotwin.scenes.specimens import GrownSpecimen
 
 SEEDS_APART = 1_000_003
@@ -60,8 +62,8 @@ def replicate(scene: Scene, number: int, *, seed: int | None = None) -> Scene:
     return replace(scene, specimen=replace(plant, seed=plant.seed + SEEDS_APART * (number if seed is None else seed)), subject=told)
 
 
-def treated(scene: Scene, name: str, growth: float) -> Scene:
-    """Return a scene whose roots grow by a factor faster and longer.
+def treated(scene: Scene, name: str, growth: float, factors: Mapping[str, float] | None = None) -> Scene:
+    """Return a scene whose roots grow by a factor faster and longer, in a solution of other concentrations.
 
     Parameters
     ----------
@@ -71,11 +73,18 @@ def treated(scene: Scene, name: str, growth: float) -> Scene:
         Of the treatment.
     growth : float
         The factor.
+    factors : mapping of float or None
+        Factors of the scene's nutrient solution, by element or formula.
 
     Returns
     -------
     Scene
         The scene with the treated plant.
+
+    Raises
+    ------
+    UserError
+        For factors where the scene has no such compounds.
     """
     plant = grown(scene)
     orders = tuple(
@@ -83,7 +92,9 @@ def treated(scene: Scene, name: str, growth: float) -> Scene:
         for order in plant.orders
     )
     told = replace(scene.subject, treatment=name, plant=f"{scene.subject.plant or scene.name} {name}".strip())
-    return replace(scene, specimen=replace(plant, orders=orders), subject=told)
+    solution = replace(scene.solution, factors={**scene.solution.factors, **(factors or {})})
+    check_solution(solution, Place(f"treatment {name} of scene {scene.name}").at("solution"))
+    return replace(scene, specimen=replace(plant, orders=orders), subject=told, solution=solution)
 
 
 def at_day(scene: Scene, day: float, *, grow: Grow, like: GrownSpecimen | None = None) -> Scene:

@@ -1,6 +1,7 @@
 """Plain dicts to TOML text; `tomllib` reads it back to the same values."""
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,15 +19,20 @@ def dumps(table: Mapping[str, Any]) -> str:
 
 def _table(table: Mapping[str, Any], prefix: str) -> list[str]:
     """Return the lines of one table: its own keys first, then the tables in it."""
-    lines = [f"{key} = {value(item)}" for key, item in table.items() if not _is_table(item) and not _is_tables(item)]
+    lines = [f"{_key(key)} = {value(item)}" for key, item in table.items() if not _is_table(item) and not _is_tables(item)]
     for key, inner in table.items():
-        name = f"{prefix}{key}"
+        name = f"{prefix}{_key(key)}"
         if _is_table(inner):
             lines += ["", f"[{name}]", *_table(inner, f"{name}.")]
         elif _is_tables(inner):
             for item in inner:
                 lines += ["", f"[[{name}]]", *_table(item, f"{name}.")]
     return lines
+
+
+def _key(key: str) -> str:
+    """Return a key, in quotes where TOML needs them."""
+    return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else value(key)
 
 
 def _is_table(value: Any) -> bool:

@@ -17,10 +17,12 @@ hypothesis.settings.register_profile("any machine", deadline=None)  # how long a
 hypothesis.settings.load_profile("any machine")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def engine_started() -> str:
-    """Choose the engine before any test touches Mitsuba's types: the CPU, unless RHIZOTWIN_TEST_DEVICE says cuda."""
-    return engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
+def pytest_sessionstart() -> None:
+    """Choose the engine before any module of tests imports Dr.Jit, which loads the first LLVM it finds at its import.
+
+    The CPU, unless RHIZOTWIN_TEST_DEVICE says cuda.
+    """
+    engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -38,6 +38,7 @@ from rhizotwin.scenes import atomic, rsml, trait_table
 from rhizotwin.scenes.model import MarkerStrip
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
+from rhizotwin.scenes.solution import Solution
 from rhizotwin.scenes.subject import Subject
 from rhizotwin.scenes.traits import Traits
 
@@ -114,6 +115,8 @@ class Result:
     solid: Solid
     subject: Subject = Subject()
     """Whose roots they are, as the dataset tells."""
+    solution: Solution = field(default_factory=Solution)
+    """Nutrient solution in which they grew, as the dataset tells."""
     plants: tuple[OfPlant, ...] = ()
     """Of several plants in the canister, each with its part of the shape; empty: there is one, or no roots."""
     strip: MarkerStrip | None = None
@@ -207,6 +210,7 @@ class Result:
             "dataset_sha256": self.dataset_sha256,
             "scene": self.scene,
             "subject": to_plain(self.subject),
+            "solution": to_plain(self.solution),
             "plants": [one.plain() for one in self.plants],
             "strip": to_plain(self.strip),
             "voxel_mm": solid.voxel_mm,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from rhizotwin.recon.results import assessments, by_plant
 from rhizotwin.recon.results.by_plant import OfPlant
 from rhizotwin.recon.results.parts import Json, Mesh
-from rhizotwin.scenes import subject, trait_table, tube_surface
+from rhizotwin.scenes import solution, subject, trait_table, tube_surface
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
@@ -59,6 +59,7 @@ def to_json(traits: Traits, summary: Json, *, mass_g: float | None) -> Json:
     return {
         "scene": summary["scene"],
         "subject": to_plain(subject.of_summary(summary, "result.json")),
+        **({"ions_mmol_per_l": ions} if (ions := solution.of_summary(summary, "result.json").ions_mmol_per_l) else {}),
         "volume_interval_mm3": list(summary["volume_interval_mm3"]),
         "mass_g": mass_g,
         **({"edits": edits} if (edits := edited(summary)) else {}),

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 
 from rhizotwin.scenes import series
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.solution import Factors
 
 
 def vary(
-    scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float]] | None = None
+    scene: Scene, *, plants: int = 1, days: Sequence[float] | None = None, treatments: Sequence[tuple[str, float, Factors]] | None = None
 ) -> dict[str, Scene]:
     """Return every combination by name; nothing varied is the scene itself.
 
@@ -20,8 +21,8 @@ def vary(
         How many.
     days : sequence of float or None
         Ages; None: the scene's.
-    treatments : Sequence[tuple[str, float]] or None
-        Names, each with its factor of growth; None: the scene's.
+    treatments : sequence of (str, float, Factors) or None
+        Names, each with its factor of growth and factors of the solution; None: the scene's.
 
     Returns
     -------
@@ -35,7 +36,11 @@ def vary(
     """
     found = {scene.name: scene}
     if treatments is not None:
-        found = {f"{name}_{_word(what)}": series.treated(one, what, growth) for name, one in found.items() for what, growth in treatments}
+        found = {
+            f"{name}_{_word(what)}": series.treated(one, what, growth, dict(factors))
+            for name, one in found.items()
+            for what, growth, factors in treatments
+        }
     if plants > 1:
         found = {  # plants of two treatments are others, too
             f"{name}_plant{k + 1}": series.replicate(one, k, seed=plants * place + k)

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from rhizotwin.arguments import Device, SceneChanges, SceneName, Seed, VoxelMm, between, list_of, named, option, output, read_day, whole
 from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.solution import Factors
 
 if TYPE_CHECKING:
     from rhizotwin.batch.run import Batch
@@ -17,12 +18,14 @@ Workers = Annotated[int, option(lambda text: whole(text, 1, 10000, "give 1 to 10
 Cluster = Annotated[str, named("ADDRESS|slurm")]
 
 
-def read_treatment(text: str) -> tuple[str, float]:
-    """Read a treatment as NAME:GROWTH."""
-    name, colon, growth = text.rpartition(":")
-    if not colon or not name.strip():
-        raise ValueError(f"{text!r} is no treatment, write it as NAME:GROWTH, such as 'low N:0.85'")
-    return name.strip(), between(growth, (0.1, 10.0), "times the scene's growth", "times")
+def read_treatment(text: str) -> tuple[str, float, Factors]:
+    """Read a treatment as NAME:GROWTH, or with factors of the nutrient solution NAME:GROWTH:ELEMENT=FACTOR:..."""
+    name, *words = (word.strip() for word in text.split(":"))
+    if not words or not name or not all("=" in word for word in words[1:]):
+        raise ValueError(f"{text!r} is no treatment, write it as NAME:GROWTH or NAME:GROWTH:K=0.5, such as 'low N:0.85'")
+    parts = (word.partition("=") for word in words[1:])
+    factors = tuple((element.strip(), between(factor, (0.0, 100.0), f"times {element}", "times")) for element, _, factor in parts)
+    return name, between(words[0], (0.1, 10.0), "times the scene's growth", "times"), factors
 
 
 @Parameter(name="*")
@@ -97,7 +100,7 @@ def simulate(
     changes: SceneChanges = SceneChanges(),
     plants: Annotated[int, option(lambda text: whole(text, 1, 1000, "give 1 to 1000"), "N")] = 1,
     days: Annotated[tuple[float, ...] | None, option(list_of(read_day), "D,D,...")] = None,
-    treatments: Annotated[tuple[tuple[str, float], ...] | None, option(list_of(read_treatment), "NAME:GROWTH,...")] = None,
+    treatments: Annotated[tuple[tuple[str, float, Factors], ...] | None, option(list_of(read_treatment), "NAME:GROWTH[:K=0.5],...")] = None,
     seed: Seed = 0,
     work: Workforce = Workforce(),
 ) -> None:
@@ -119,8 +122,9 @@ def simulate(
         Plants of each scene and treatment.
     days : tuple of float, optional
         Ages of each plant; default: the scene's.
-    treatments : tuple of (str, float), optional
-        Names, each with the factor of growth, such as control:1,low N:0.85.
+    treatments : tuple of (str, float, Factors), optional
+        Names, each with the factor of growth and, where the scene has a [solution], factors of elements in it, such as
+        control:1,low N:0.85:N=0.5.
     seed : int
         Random seed for all simulated errors and noise.
     work : Workforce

@@ -11,7 +11,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
 
     Results of one plant on several days are laid on each other, and every root gets an identity through time: when it
     came, how fast it grew. Curves of length, volume, depth and root ends have a mean a day with its 90 % interval, and
-    treatments are compared by a linear mixed model. Values that are not reliable are left out and counted. The datasets
+    treatments are compared by a linear mixed model. Where nutrient solutions differ, the response to each ion is fitted
+    in the same way. Values that are not reliable are left out and counted. The datasets
     must say plant and day, and the treatment where there are several. Tables of masses, weighed or predicted, give
     curves of wet mass, dry mass and water content, beside results or alone.
 
@@ -22,7 +23,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
         masses (.csv).
     output : Path
         Folder to make: traits.csv, roots.csv, treatments.csv, growth.html, growth.png, and roots as RSML with time; of
-        masses masses.csv and masses.png; of plants that share a canister neighbours.csv.
+        nutrient solutions doses.csv and doses.png; of masses masses.csv and masses.png; of plants that share a canister
+        neighbours.csv.
 
     Examples
     --------
@@ -46,6 +48,8 @@ def growth(results: Annotated[list[Path], named("RESULTS")], /, *, output: Outpu
             grown.write(measured, building)
         if measured is not None and measured.curves:
             atomic.write_bytes(building / "growth.png", growth_page.draw(measured))
+        if measured is not None and measured.responses:
+            atomic.write_bytes(building / "doses.png", growth_page.draw_responses(measured))
         if measured is not None and (together := grown.neighbours_csv(measured)):
             atomic.write_text(building / "neighbours.csv", together)
         if picture is not None:

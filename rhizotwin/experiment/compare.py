@@ -53,6 +53,31 @@ class Point:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Effect:
+    """A coefficient of the model, with its standard error and the degrees of freedom of its t statistic."""
+
+    value: float
+    error: float
+    dof: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """90 % interval."""
+        reach = float(student.ppf(0.95, self.dof)) * self.error
+        return self.value - reach, self.value + reach
+
+    @property
+    def p(self) -> float:
+        """Probability of a value at least as large where the true one is 0.
+
+        Values without any error are 0 or they are not.
+        """
+        if self.error <= ROUNDING:
+            return 1.0 if abs(self.value) <= ROUNDING else 0.0
+        return float(2.0 * student.sf(abs(self.value) / self.error, self.dof))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """What a treatment does, against the first one."""
 
@@ -130,42 +155,51 @@ def differences(seen: Sequence[Seen]) -> list[Difference]:
 
 
 def _difference(seen: Sequence[Seen], *, against: str, treatment: str, plants: int) -> Difference:
-    day = np.array([one.day for one in seen])
-    levels = np.unique(day)
     treated = np.array([one.treatment == treatment for one in seen], np.float64)
-    columns = [(day == level).astype(np.float64) for level in levels]
-    columns.append(treated)
-    if len(levels) > 1:
-        columns.append(treated * (day - day.mean()))
-    design, y = np.stack(columns, axis=1), np.log([one.value for one in seen])
-    value, error = _fit(y, design, [one.plant for one in seen], slopes=day - day.mean() if len(levels) > 2 else None)
-    dof = plants - 2
-    reach = float(student.ppf(0.95, dof)) * error[len(levels)]
-    size = value[len(levels)]
-    rate, rate_p = 0.0, 1.0
-    if len(levels) > 1:
-        rate = float(value[len(levels) + 1])
-        rate_p = _probability(rate, float(error[len(levels) + 1]), dof)
+    size, rate = effects(seen, treated[:, None])
+    low, high = size[0].interval
     return Difference(
         treatment=treatment,
         against=against,
-        size=exp(size),
-        size_interval=(exp(size - reach), exp(size + reach)),
-        size_p=_probability(float(size), float(error[len(levels)]), dof),
-        rate_per_day=rate,
-        rate_p=rate_p,
+        size=exp(size[0].value),
+        size_interval=(exp(low), exp(high)),
+        size_p=size[0].p,
+        rate_per_day=rate[0].value if rate else 0.0,
+        rate_p=rate[0].p if rate else 1.0,
         plants=plants,
     )
 
 
-def _probability(value: float, error: float, dof: int) -> float:
-    """Return how probable a value at least as large is where there is none.
+def effects(seen: Sequence[Seen], columns: Array) -> tuple[list[Effect], list[Effect]]:
+    """Return by what each column moves the logarithm of a trait on the mean day, and by what a day.
 
-    Values without any error are 0 or they are not.
+    Parameters
+    ----------
+    seen : sequence of Seen
+        At least ``C + 2`` plants.
+    columns : (N, C) array of float
+        What differs between plants, such as 1 for the treated ones, or a dose.
+
+    Returns
+    -------
+    tuple of list of Effect
+        Of each column; the second list is empty where there is one day.
+
+    Raises
+    ------
+    UserError
+        When statsmodels is not installed.
     """
-    if error <= ROUNDING:
-        return 1.0 if abs(value) <= ROUNDING else 0.0
-    return float(2.0 * student.sf(abs(value) / error, dof))
+    day = np.array([one.day for one in seen])
+    days = np.unique(day)
+    parts = [(day[:, None] == days).astype(np.float64), columns]
+    if len(days) > 1:
+        parts.append(columns * (day - day.mean())[:, None])
+    y, plants = np.log([one.value for one in seen]), [one.plant for one in seen]
+    value, error = _fit(y, np.concatenate(parts, axis=1), plants, slopes=day - day.mean() if len(days) > 2 else None)
+    count, dof = columns.shape[1], len(set(plants)) - 1 - columns.shape[1]
+    found = [Effect(value=float(v), error=float(e), dof=dof) for v, e in zip(value, error, strict=True)][len(days) :]
+    return found[:count], found[count:]
 
 
 def _fit(y: Array, design: Array, plants: Sequence[str], *, slopes: Array | None) -> tuple[Array, Array]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
+from rhizotwin.experiment.doses import Response, fit_responses, read_doses
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
-from rhizotwin.scenes import atomic, neighbours, rsml
+from rhizotwin.scenes import atomic, neighbours, rsml, solution
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.trait_table import csv_text, written
 from rhizotwin.stored import result_files
@@ -31,6 +32,10 @@ class Growth:
     """By trait."""
     curves: Mapping[str, Sequence[Point]]
     compared: Mapping[str, Sequence[Difference]]
+    doses: Mapping[str, Mapping[str, float]]
+    """Concentrations of ions in mmol/l, by plant whose solution is known."""
+    responses: Mapping[str, Sequence[Response]]
+    """By trait; of those whose concentrations differ between plants."""
     notes: tuple[str, ...]
 
 
@@ -53,19 +58,28 @@ def measure(found: Sequence[Measured]) -> Growth:
         _refuse_strips(plant, days)
     notes = left_out(found, CURVES)
     followed = {plant: one for plant, days in plants.items() if (one := _followed(days)) is not None}
-    notes += [f"plant {plant}: no roots were found on two days, so that none can be followed" for plant in plants if plant not in followed]
+    if lost := [plant for plant in plants if plant not in followed]:
+        notes.append(f"roots cannot be followed, because fewer than two days have some: {', '.join(lost)}")
     seen = {trait: values for trait in CURVES if (values := _seen(plants, trait))}
     if not seen and not followed:
         raise UserError("; ".join(left_out(found, CURVES)) or f"the results have none of the traits {', '.join(CURVES)}")
     unassessed = [trait for trait in seen if any(one.assessment(trait).verdict == "not assessed" for one in found)]
     notes += [f"not assessed, so that their errors are not known: {', '.join(unassessed)}"] if unassessed else []
     notes += [f"{trait}: treatments are not compared: {why}" for trait, values in seen.items() if (why := too_few(values))]
+    doses = read_doses(plants)
+    responses = {trait: fitted for trait, values in seen.items() if (fitted := fit_responses(values, doses))}
+    if doses and len(doses) < len(plants):
+        notes.append(
+            f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are left out of the dose response"
+        )
     return Growth(
         plants=plants,
         followed=followed,
         seen=seen,
         curves={trait: means(values) for trait, values in seen.items()},
         compared={trait: differences(values) for trait, values in seen.items() if not too_few(values)},
+        doses=doses,
+        responses=responses,
         notes=tuple(notes),
     )
 
@@ -122,6 +136,8 @@ def write(growth: Growth, folder: Path) -> None:
     """Write the tables of growth, and roots as RSML with time, into a folder."""
     for name, text in (("traits", traits_csv(growth)), ("roots", roots_csv(growth)), ("treatments", treatments_csv(growth))):
         atomic.write_text(folder / f"{name}.csv", text)
+    if growth.responses:
+        atomic.write_text(folder / "doses.csv", doses_csv(growth))
     if growth.followed:
         (folder / "rsml").mkdir()
         write_rsml(growth, folder / "rsml")
@@ -132,14 +148,19 @@ def traits_csv(growth: Growth) -> str:
 
     The rate is that since the day before, of values that are not called not reliable.
     """
-    rows: list[Sequence[str]] = [["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "relative_growth_rate (1/day)"]]
+    dissolved = solution.headings(list(growth.doses.values()))
+    head = ["plant", "treatment", "day", "trait", "value", "low", "high", "verdict", "relative_growth_rate (1/day)"]
+    rows: list[Sequence[str]] = [[*head, *dissolved.values()]]
     for trait in CURVES:
         rates = {(plant, end): rate for plant, _, end, rate in relative_rates(growth.seen.get(trait, ()))}
         for plant, one in ((plant, one) for plant, days in growth.plants.items() for one in days if trait in one.traits):
             assessed, day = one.assessment(trait), one.subject.day or 0.0
             low, high = assessed.interval or (None, None)
             numbers = [written(value) for value in (one.traits[trait], low, high)]
-            rows.append([plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, written(rates.get((plant, day)))])
+            doses = [written(growth.doses.get(plant, {}).get(ion)) for ion in dissolved]
+            rows.append(
+                [plant, one.subject.treatment, f"{day:g}", trait, *numbers, assessed.verdict, written(rates.get((plant, day))), *doses]
+            )
     return csv_text(rows)
 
 
@@ -171,6 +192,17 @@ def treatments_csv(growth: Growth) -> str:
             numbers = (one.size, *one.size_interval, one.size_p, one.rate_per_day, one.rate_p)
             apart = "yes" if one.told_apart else "no"
             rows.append([trait, one.treatment, one.against, *(written(value) for value in numbers), str(one.plants), apart])
+    return csv_text(rows)
+
+
+def doses_csv(growth: Growth) -> str:
+    """Return a row a trait and group of ions: how the trait's logarithm follows the concentration."""
+    head = ["trait", "ion", "together_with", f"from ({solution.UNIT})", f"to ({solution.UNIT})", "slope (l/mmol)", "low", "high", "p"]
+    rows: list[Sequence[str]] = [[*head, "rate (l/mmol/day)", "rate_p", "curvature_p", "levels", "plants"]]
+    for trait, responses in growth.responses.items():
+        for one in responses:
+            numbers = (*one.range_mmol, one.slope, *one.slope_interval, one.slope_p, one.rate, one.rate_p, one.curvature_p)
+            rows.append([trait, one.ion, " ".join(one.with_ions), *(written(value) for value in numbers), str(one.levels), str(one.plants)])
     return csv_text(rows)
 
 

@@ -6,9 +6,13 @@ A mean a day with its interval, a line a treatment.
 import base64
 import html
 
+import numpy as np
+
 from rhizotwin.experiment.compare import SURE
+from rhizotwin.experiment.doses import partial_residuals
 from rhizotwin.experiment.growth import Growth
 from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.solution import UNIT
 from rhizotwin.scenes.trait_table import DEFINITIONS
 
 _HEADINGS = {definition.name: definition.heading for definition in DEFINITIONS}
@@ -31,6 +35,26 @@ def draw(growth: Growth) -> bytes:
     return png(drawn, dpi=110)
 
 
+def draw_responses(growth: Growth) -> bytes:
+    """Return the dose responses as PNG: a row for each group of ions, a dot for each plant."""
+    many = max(len(one) for one in growth.responses.values())
+    drawn = figure(4.2 * len(growth.responses), 3.6 * many)
+    grid = drawn.subplots(many, len(growth.responses), squeeze=False)
+    for column, (trait, responses) in zip(grid.T, growth.responses.items(), strict=True):
+        points = partial_residuals(growth.seen[trait], growth.doses, responses)
+        for axes, one, (dose, size) in zip(column, responses, points.transpose(0, 2, 1), strict=False):
+            axes.plot(dose, size, "o", label="plants")
+            x = np.linspace(*one.range_mmol, 50)
+            away = x - dose.mean()
+            axes.plot(x, np.exp(one.slope * away), label="fit")
+            ends = np.exp(np.outer(one.slope_interval, away))
+            axes.fill_between(x, ends.min(axis=0), ends.max(axis=0), alpha=0.2, label="90 % interval of the slope")
+            axes.set_xlabel(f"{', '.join((one.ion, *one.with_ions))}: {one.ion} ({UNIT})")
+            axes.set_ylabel(f"{trait}, relative to the day's mean")
+    drawn.axes[0].legend()
+    return png(drawn, dpi=110)
+
+
 def page(growth: Growth | None, masses: bytes | None = None) -> str:
     """Return the page: the curves, what differs in words, what was followed, what was left out.
 
@@ -48,6 +72,9 @@ def page(growth: Growth | None, masses: bytes | None = None) -> str:
             parts.append(_shown("curves of growth", draw(growth), "Mean of the plants on each day with its 90 % interval."))
         else:
             parts.append("<p>No trait is reliable enough for a curve.</p>")
+        if growth.responses:
+            caption = "Each plant against the concentration of the ion, relative to the mean of its days, after what other ions explain."
+            parts.append("<h2>Dose response</h2>" + _shown("dose responses", draw_responses(growth), caption))
         parts.append("<ul>" + "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences(growth)) + "</ul>")
     if masses is not None:
         caption = "Wet mass, dry mass and water content: mean of the plants on each day with its 90 % interval."
@@ -74,6 +101,7 @@ def sentences(growth: Growth) -> list[str]:
                 f"(90 % interval {low:+.0f} to {high:+.0f} %, p = {one.size_p:.2g}), relative growth rate {one.rate_per_day:+.3f} a day "
                 f"(p = {one.rate_p:.2g}); differs is a size whose p is below {SURE:g}."
             )
+    told += [one.sentence(trait) for trait, responses in growth.responses.items() for one in responses]
     for plant, followed in growth.followed.items():
         often = sum(len(track.sights) > 1 for track in followed.tracks)
         told.append(f"plant {plant}: {len(followed.tracks)} roots on {len(followed.days)} days, {often} of them seen more than once.")

@@ -13,7 +13,7 @@ from typing import get_args
 
 from rhizotwin.experiment import tables
 from rhizotwin.recon.results import result_traits
-from rhizotwin.scenes import assessment, subject, trait_table
+from rhizotwin.scenes import assessment, solution, subject, trait_table
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment, Verdict
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.subject import Subject
@@ -36,6 +36,8 @@ class Measured:
     """Those that are known, by their names in tables, in the units of `scenes.trait_table`."""
     assessed: Mapping[str, Assessment] = field(default_factory=dict)
     """By the same names; a trait that is missing is not assessed."""
+    ions: Mapping[str, float] = field(default_factory=dict)
+    """Concentrations in the nutrient solution in mmol/l; empty where they are not known."""
     folder: Path | None = None
     """The result's; None for a line of a table."""
 
@@ -123,6 +125,7 @@ def _of_folder(folder: Path) -> list[Measured]:
     """Read a result: one, or one a plant where several are in the canister."""
     summary = result_files.read_summary(folder)
     above = trait_table.shoot_numbers(stored_traits.of_shoot(summary))
+    dissolved = solution.of_summary(summary, str(folder / "result.json")).ions_mmol_per_l
     return [
         Measured(
             name=folder.resolve().name,
@@ -130,6 +133,7 @@ def _of_folder(folder: Path) -> list[Measured]:
             traits={d.name: float(value) for d in trait_table.DEFINITIONS if (value := getattr(own.traits, d.field)) is not None}
             | {name: float(value) for name, value in above.items() if value is not None},
             assessed={d.name: own.assessed[d.field] for d in trait_table.DEFINITIONS},
+            ions=dissolved,
             folder=folder,
         )
         for own in result_traits.each(str(folder / "result.json"), summary, stored_traits.read(folder))
@@ -165,6 +169,7 @@ def _of_row(row: tables.Row) -> Measured:
     return Measured(
         name=row.cells.get("result") or row.where,
         subject=subject.of_cells(row.cells, row.where),
+        ions=solution.ions_of_cells(row.cells, row.where),
         traits=traits,
         assessed={name: _assessment(row, name, numbers) for name in traits},
     )

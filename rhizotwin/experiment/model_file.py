@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rhizotwin.experiment.biomass import Model, Relation, known_for
 from rhizotwin.experiment.measured import Measured
-from rhizotwin.scenes import atomic, subject
+from rhizotwin.scenes import atomic, solution, subject
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import read_versioned_json
 from rhizotwin.scenes.provenance import versions
@@ -75,10 +75,14 @@ def predict(model: Model, measured: Sequence[Measured]) -> list[Predicted]:
 
 def to_csv(found: Sequence[Predicted]) -> str:
     """Return one row a mass: whose it is, the mass with its 90 % interval, and what to know of it."""
-    rows: list[list[str]] = [["result", *subject.NAMES, "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]]
+    dissolved = solution.headings([one.measured.ions for one in found])
+    rows: list[list[str]] = [
+        ["result", *subject.NAMES, *dissolved.values(), "mass", "mass (g)", "low (g)", "high (g)", "from", "verdict", "extrapolated"]
+    ]
     for one in found:
         numbers = [written(value) for value in (one.grams, one.low_g, one.high_g)]
         states = [one.assessment.verdict, "yes" if one.beyond else "no"]
         whose = subject.as_text(one.measured.subject).values()
-        rows.append([one.measured.name, *whose, one.relation.kind, *numbers, one.relation.trait, *states])
+        ions = [written(one.measured.ions.get(ion)) for ion in dissolved]
+        rows.append([one.measured.name, *whose, *ions, one.relation.kind, *numbers, one.relation.trait, *states])
     return csv_text(rows)

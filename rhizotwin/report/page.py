@@ -24,7 +24,7 @@ from rhizotwin.corrections.lines import Line
 from rhizotwin.corrections.session import read_roots
 from rhizotwin.recon.results import assessments, result_traits
 from rhizotwin.report import rig_figure, solid, tables, words
-from rhizotwin.scenes import atomic, subject, trait_table
+from rhizotwin.scenes import atomic, solution, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.dataset import Dataset, load_dataset
 from rhizotwin.scenes.errors import UserError
@@ -81,6 +81,10 @@ class _Read:
     @property
     def subject(self) -> Subject:
         return subject.of_summary(self.summary, str(self.folder / "result.json"))
+
+    @property
+    def solution(self) -> str:
+        return str(solution.of_summary(self.summary, str(self.folder / "result.json")))
 
 
 def write(result_folder: Path, *, dataset: Dataset | Path | None = None, output: Path | None = None) -> Path:
@@ -162,7 +166,7 @@ def _short(read: _Read) -> str:
 def _head(read: _Read) -> str:
     """Return name, number and traffic light."""
     described = "" if read.dataset is None else f"<p class=soft>{html.escape(read.dataset.scene.description)}</p>"
-    whose = str(read.subject)
+    whose = "; ".join(filter(None, [str(read.subject), read.solution and f"nutrient solution {read.solution}"]))
     described = f"<p>{html.escape(whose)}</p>{described}" if whose else described
     headline, beside = words.headline(read.summary)
     state, meaning, told = words.light(read.summary)

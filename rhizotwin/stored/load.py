@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result import POSES, Result, Solid, triple
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
-from rhizotwin.scenes import rsml, subject
+from rhizotwin.scenes import rsml, solution, subject
 from rhizotwin.stored import result_files
 
 
@@ -41,6 +41,7 @@ def load_result(folder: Path | str) -> Result:
         dataset_sha256=summary["dataset_sha256"],
         scene=summary["scene"],
         subject=subject.of_summary(summary, str(folder / "result.json")),
+        solution=solution.of_summary(summary, str(folder / "result.json")),
         plants=by_plant.of_summary(summary, str(folder / "result.json")),
         strip=result_files.read_strip(folder, summary),
         solid=_solid(folder, summary),

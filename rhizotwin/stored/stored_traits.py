@@ -6,7 +6,7 @@ from typing import Any
 
 from rhizotwin.recon.results.parts import Json, Mesh
 from rhizotwin.recon.results.result_traits import each, edited, of_shape
-from rhizotwin.scenes import rsml, subject, trait_table
+from rhizotwin.scenes import rsml, solution, subject, trait_table
 from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files
@@ -56,8 +56,8 @@ def of_summary(summary: Json, surface: Mesh, roots: Sequence[Root], *, mass_g: f
 def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     """Return one row a result as CSV, and where several plants are in it, one row a plant.
 
-    A row has name, scene, subject, the traits with their units in the head, the 90 % interval of each trait that has
-    one, the verdict on each trait, edits and warnings.
+    A row has name, scene, subject, the ions of the nutrient solution where one is known, the traits with their units in
+    the head, the 90 % interval of each trait that has one, the verdict on each trait, edits and warnings.
 
     Parameters
     ----------
@@ -70,12 +70,15 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
     verdicts = [f"{d.name}_verdict" for d in trait_table.DEFINITIONS]
     headings = [d.heading for d in (*trait_table.DEFINITIONS, *above)]
-    table: list[Sequence[Any]] = [["result", "scene", *subject.NAMES, *headings, *intervals, *verdicts, "edits", "warnings"]]
-    for name, summary, one in found:
+    ions = [solution.of_summary(summary, name).ions_mmol_per_l for name, summary, _ in found]
+    dissolved = solution.headings(ions)
+    head = ["result", "scene", *subject.NAMES, *dissolved.values(), *headings, *intervals, *verdicts, "edits", "warnings"]
+    table: list[Sequence[Any]] = [head]
+    for (name, summary, one), own in zip(found, ions, strict=True):
         values = [getattr(one.traits, d.field) for d in trait_table.DEFINITIONS]
         values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
         values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
-        numbers = [trait_table.written(value) for value in values]
+        numbers = [trait_table.written(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
         judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]
         warnings = "; ".join(str(warning) for warning in summary["warnings"])
         table.append([name, summary["scene"], *subject.as_text(one.subject).values(), *numbers, *judged, edited(summary), warnings])

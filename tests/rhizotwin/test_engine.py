@@ -1,5 +1,6 @@
 """Which LLVM is taken: new enough, never one of those that abort the process, and a clear word when there is none."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -111,9 +112,17 @@ def test_unknown_device_is_refused() -> None:
         engine.start("gpu")
 
 
-def test_start_says_what_it_chose(engine_started: str) -> None:
+def test_start_says_what_it_chose() -> None:
     import mitsuba as mi
 
-    assert engine_started.startswith("computing on ")
+    assert engine.start(os.environ.get("RHIZOTWIN_TEST_DEVICE", "cpu")).startswith("computing on ")
     assert mi.variant() in ("llvm_ad_mono", "cuda_ad_mono")
     assert float((mi.Float(2.0) * 3.0)[0]) == 6.0
+
+
+def test_an_old_llvm_that_was_loaded_before_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    import drjit
+
+    monkeypatch.setattr(drjit.detail, "llvm_version", lambda: (15, 0, 6))
+    with pytest.raises(UserError, match=r"Dr.Jit was imported before .* loaded version 15, .* set DRJIT_LIBLLVM_PATH="):
+        engine.start("cpu")

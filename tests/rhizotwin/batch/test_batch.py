@@ -21,6 +21,7 @@ from rhizotwin.scenes.dataset import Dataset, Frame, save_dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.lock import locked
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.solution import Solution
 from tests.command import Command
 
 
@@ -200,12 +201,15 @@ def test_the_table_and_the_page_tell_whose_they_are_and_what_failed(ball_result:
 
 
 def test_series_name_plants_days_and_treatments() -> None:
-    scene = files.load_scene("radish_day05a")
-    varied = series.vary(scene, plants=2, days=(3.0, 5.0), treatments=(("control", 1.0), ("low N", 0.85)))
+    scene = replace(files.load_scene("radish_day05a"), solution=Solution(recipe="kliman_2022"))
+    varied = series.vary(scene, plants=2, days=(3.0, 5.0), treatments=(("control", 1.0, ()), ("low N", 0.85, (("N", 0.5),))))
     assert len(varied) == 8
     one = varied["radish_day05a_low_N_plant2_day03"]
     assert (one.subject.treatment, one.subject.day, one.subject.replicate) == ("low N", 3.0, 2)
     assert len({other.subject.plant for other in varied.values()}) == 4
+    assert one.solution.ions_mmol_per_l["NO3"] == pytest.approx(0.5 * scene.solution.ions_mmol_per_l["NO3"])
+    with pytest.raises(UserError, match=r"treatment dry of scene .* it has none"):
+        series.vary(files.load_scene("radish_day05a"), treatments=(("dry", 1.0, (("K", 0.5),)),))
     same = series.vary(scene, days=(5.0,))["radish_day05a_day05"]
     assert same.specimen.volume_ml == pytest.approx(scene.specimen.volume_ml)
     with pytest.raises(UserError, match="has no grown plant"):

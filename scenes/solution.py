@@ -1,0 +1,265 @@
+"""Nutrient solutions: compounds by mass, and the ions that they give.
+
+A compound is divided into the ions of `_IONS`; the masses of its atoms are those of molmass (IUPAC). Phosphate and
+carbonate are counted in the form that prevails between pH 5 and 7, boron as boric acid, and of organic compounds, such
+as iron chelates, only the metal counts.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from math import inf
+from pathlib import Path
+from typing import Any, Literal
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place, from_plain
+
+UNIT = "mmol/l"
+Factors = tuple[tuple[str, float], ...]
+"""Elements or compounds, each with its factor."""
+
+RECIPES: Mapping[str, Mapping[str, float]] = {
+    "kliman_2022": {
+        "MgSO4.7H2O": 0.2461,
+        "Ca(NO3)2.4H2O": 0.4859,
+        "NH4NO3": 0.038,
+        "KH2PO4": 0.136,
+        "KNO3": 0.442,
+        "H3BO3": 0.0009,
+        "MnSO4.H2O": 0.0008,
+        "Na2MoO4.2H2O": 0.00006,
+        "CuSO4.5H2O": 0.00009,
+        "ZnSO4.7H2O": 0.0006,
+        "C14H21FeN3O10": 0.01,
+    }
+}
+"""Grams per litre of each compound; ``kliman_2022`` is the thesis's table 3.1."""
+
+_IONS: Mapping[str, tuple[str, int, tuple[int, ...]]] = {
+    "NO3": ("NO3", 1, (-1,)),
+    "NH4": ("NH4", 1, (1,)),
+    "H2PO4": ("H2PO4", 1, (-1,)),
+    "HPO4": ("H2PO4", 1, (-2,)),
+    "PO4": ("H2PO4", 1, (-3,)),
+    "K": ("K", 1, (1,)),
+    "Ca": ("Ca", 1, (2,)),
+    "Mg": ("Mg", 1, (2,)),
+    "SO4": ("SO4", 1, (-2,)),
+    "Fe": ("Fe", 1, (2, 3)),
+    "Mn": ("Mn", 1, (2,)),
+    "Zn": ("Zn", 1, (2,)),
+    "Cu": ("Cu", 1, (2,)),
+    "H3BO3": ("H3BO3", 1, (0,)),
+    "B4O7": ("H3BO3", 4, (-2,)),
+    "MoO4": ("MoO4", 1, (-2,)),
+    "Mo7O24": ("MoO4", 7, (-6,)),
+    "Ni": ("Ni", 1, (2,)),
+    "Co": ("Co", 1, (2,)),
+    "Na": ("Na", 1, (1,)),
+    "Cl": ("Cl", 1, (-1,)),
+    "I": ("I", 1, (-1,)),
+    "SiO3": ("SiO3", 1, (-2,)),
+    "HCO3": ("HCO3", 1, (-1,)),
+    "CO3": ("HCO3", 1, (-2,)),
+    "H": ("", 0, (1,)),
+    "OH": ("", 0, (-1,)),
+}
+"""Group of a formula: the ion it is counted as (none for acid and alkali), how many, and the charges it may have."""
+IONS = tuple(dict.fromkeys(name for name, _, _ in _IONS.values() if name))
+"""Every ion, in the order of tables."""
+_METALS = frozenset({"K", "Ca", "Mg", "Fe", "Mn", "Zn", "Cu", "Ni", "Co", "Na"})
+_NUTRIENTS = _METALS | {"N", "P", "S", "B", "Mo", "Cl", "I", "Si", "C"}
+"""Elements that a factor may name."""
+_GROUP = re.compile(rf"({'|'.join(sorted(_IONS, key=len, reverse=True))})(\d*)|\(({'|'.join(sorted(_IONS, key=len, reverse=True))})\)(\d*)")
+_MOST_LETTERS = 80
+"""Of a formula; the longest of a chelate in use has 25."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Nutrient solution in which the plants grow; empty: not known."""
+
+    recipe: Literal["", "kliman_2022"] = ""
+    """Recipe to start from; kliman_2022 is table 3.1 of the thesis."""
+    grams_per_l: dict[str, float] = field(default_factory=dict, metadata={"limits": (0.0, 1000.0)})
+    """Grams of each compound in a litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859; they replace the recipe's."""
+    factors: dict[str, float] = field(default_factory=dict, metadata={"limits": (0.0, 100.0)})
+    """Factors by element or formula, such as K = 0.5: every compound with an ion of the element is multiplied by it, or
+    by the product of several."""
+
+    @property
+    def known(self) -> bool:
+        """Whether anything is stated."""
+        return bool(self.recipe or self.grams_per_l)
+
+    @property
+    def compounds_g_per_l(self) -> dict[str, float]:
+        """Mass concentration of each compound after the factors, by formula."""
+        found = {**RECIPES.get(self.recipe, {}), **self.grams_per_l}
+        for what, factor in self.factors.items():
+            found = {name: grams * (factor if _holds(name, what) else 1.0) for name, grams in found.items()}
+        return found
+
+    @property
+    def ions_mmol_per_l(self) -> dict[str, float]:
+        """Concentration of each ion of `IONS` in mmol/l, absent ones as 0; empty where nothing is known."""
+        if not self.known:
+            return {}
+        total = dict.fromkeys(IONS, 0.0)
+        for formula, grams in self.compounds_g_per_l.items():
+            mass, ions = _divide(formula)
+            for name, count in ions.items():
+                total[name] += 1000.0 * grams / mass * count
+        return total
+
+    def __str__(self) -> str:
+        """Return recipe, own compounds and factors on one line; empty where nothing is known."""
+        own = [f"{name} {grams:g} g/l" for name, grams in self.grams_per_l.items()]
+        return ", ".join([*filter(None, [self.recipe]), *own, *(f"{what} x {factor:g}" for what, factor in self.factors.items())])
+
+
+def check_solution(solution: Solution, place: Place) -> None:
+    """Refuse compounds that cannot be divided into ions, and factors of what is not in the solution.
+
+    Raises
+    ------
+    UserError
+        With the compound or factor and what it must be.
+    """
+    for formula in solution.grams_per_l:
+        try:
+            _divide(formula)
+        except UserError as error:
+            raise place.at("grams_per_l", formula).error(str(error)) from None
+    compounds = {**RECIPES.get(solution.recipe, {}), **solution.grams_per_l}
+    for what in solution.factors:
+        if not any(_holds(formula, what) for formula in compounds):
+            has = ", ".join(compounds) or "none"
+            raise place.at("factors", what).error(f"must be an element (K, N, potassium) or a compound of the solution; it has {has}")
+
+
+def of_summary(summary: Mapping[str, Any], where: str) -> Solution:
+    """Return the solution of a ``result.json``; an empty one in results of earlier versions.
+
+    Raises
+    ------
+    UserError
+        Where it is damaged.
+    """
+    place = Place(where).at("solution")
+    solution = from_plain(Solution, summary.get("solution") or {}, place)
+    check_solution(solution, place)
+    return solution
+
+
+def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
+    """Return the table heading of each ion that occurs in one of several solutions, such as ``K (mmol/l)``, by ion.
+
+    Parameters
+    ----------
+    many : sequence of mapping
+        Concentrations as of `Solution.ions_mmol_per_l`.
+    """
+    return {ion: f"{ion} ({UNIT})" for ion in IONS if any(own.get(ion) for own in many)}
+
+
+def ions_of_cells(cells: Mapping[str, str], where: str) -> dict[str, float]:
+    """Return the concentrations in a row of a table, mmol/l by ion; empty where it has none.
+
+    Raises
+    ------
+    UserError
+        For a cell that is not a number of 0 or more.
+    """
+    found = {}
+    for ion in IONS:
+        text = (cells.get(f"{ion} ({UNIT})") or "").strip()
+        if text:
+            try:
+                found[ion] = float(text)
+            except ValueError:
+                found[ion] = -1.0
+            if not 0.0 <= found[ion] < inf:
+                raise UserError(f"{where}: {ion} ({UNIT}) is {text!r}, but must be a number of 0 or more")
+    return found
+
+
+def read_solution(text: str) -> Solution:
+    """Read a solution of the command line: a recipe or a TOML file, then factors, as ``kliman_2022,K=0.5``.
+
+    Raises
+    ------
+    UserError
+        For an unknown recipe, a file that cannot be read, a factor that is no number, or anything wrong in them.
+    """
+    from rhizotwin.scenes.files import read_toml  # it reads scenes, which hold solutions
+
+    name, *changes = (part.strip() for part in text.split(","))
+    if name.endswith(".toml"):
+        table, content = read_toml(Path(name))
+        place = Place(name, content)
+    else:
+        table, place = {"recipe": name}, Place("--solution")
+    factors = dict(table.get("factors", {})) if isinstance(table.get("factors", {}), Mapping) else {}
+    for change in changes:
+        what, _, factor = change.partition("=")
+        try:
+            factors[what.strip()] = float(factor)
+        except ValueError:
+            raise UserError(f"--solution {text}: {change!r} is not a factor; write ELEMENT=FACTOR, such as K=0.5") from None
+    solution = from_plain(Solution, {**table, **({"factors": factors} if changes else {})}, place)
+    check_solution(solution, place)
+    return solution
+
+
+def _holds(formula: str, what: str) -> bool:
+    """Return whether a compound is the one named, or one of its ions holds the element."""
+    return formula == what or (_symbol(what) in _NUTRIENTS and any(_symbol(what) in _atoms(ion)[1] for ion in _divide(formula)[1]))
+
+
+def _symbol(element: str) -> str:
+    """Return the symbol of an element that is given by symbol or English name; else the text itself."""
+    from molmass import ELEMENTS
+
+    return next((str(one.symbol) for one in ELEMENTS if one.name.lower() == element.lower()), element)
+
+
+@lru_cache(maxsize=256)
+def _atoms(formula: str) -> tuple[float, Mapping[str, int]]:
+    """Return the molar mass in g/mol and the number of atoms of each element."""
+    from molmass import Formula, FormulaError  # costs the start of every command otherwise
+
+    if not formula or len(formula) > _MOST_LETTERS:
+        raise UserError(f"is not a formula of 1 to {_MOST_LETTERS} characters, such as KNO3")
+    try:
+        found = Formula(_plain(formula))
+        return float(found.mass), {str(one): item.count for one, item in found.composition().items()}
+    except FormulaError as error:
+        raise UserError(f"is not a formula such as KNO3 or Ca(NO3)2.4H2O: {str(error).splitlines()[0]}") from None
+
+
+@lru_cache(maxsize=256)
+def _divide(formula: str) -> tuple[float, Mapping[str, int]]:
+    """Return the molar mass in g/mol and how many of each ion a compound gives."""
+    mass, atoms = _atoms(formula)
+    body = re.sub(r"\.\d*H2O$", "", _plain(formula))
+    charges, ions, end = {0}, dict[str, int](), 0
+    while match := _GROUP.match(body, end):
+        end = match.end()
+        count = int(match[2] or match[4] or 1)
+        name, times, choices = _IONS[match[1] or match[3]]
+        charges = {charge + count * choice for charge in charges for choice in choices}
+        if name:
+            ions[name] = ions.get(name, 0) + count * times
+    if end == len(body) and 0 in charges:
+        return mass, ions
+    if {"C", "H"} <= atoms.keys():  # organic: a chelate gives its metals
+        return mass, {name: count for name, count in atoms.items() if name in _METALS}
+    raise UserError(f"cannot be divided into the ions {', '.join(IONS)} without a charge left")
+
+
+def _plain(formula: str) -> str:
+    """Return a formula with a full stop before its water."""
+    return re.sub(r"\s*[.·*]\s*", ".", formula)

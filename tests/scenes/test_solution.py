@@ -1,0 +1,103 @@
+"""Nutrient solutions: ions against hand-computed values, factors, and what is refused."""
+
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.scenes import files, solution
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.schema import Place
+from rhizotwin.scenes.solution import IONS, Solution, check_solution, headings, ions_of_cells, read_solution
+
+KLIMAN = {
+    # molar masses by hand: IUPAC 2021 atomic weights, H 1.008, N 14.007, O 15.999, P 30.974, S 32.06, K 39.098, Ca 40.078, Mg 24.305
+    "K": 1000 * (0.442 / 101.102 + 0.136 / 136.084),
+    "NO3": 1000 * (0.442 / 101.102 + 2 * 0.4859 / 236.146 + 0.038 / 80.043),
+    "NH4": 1000 * 0.038 / 80.043,
+    "H2PO4": 1000 * 0.136 / 136.084,
+    "Ca": 1000 * 0.4859 / 236.146,
+    "Mg": 1000 * 0.2461 / 246.466,
+    "Fe": 1000 * 0.01 / 447.18,
+    "MoO4": 1000 * 0.00006 / 241.95,
+}
+
+
+def test_ions_of_the_thesis_recipe() -> None:
+    found = Solution(recipe="kliman_2022").ions_mmol_per_l
+    assert {ion: found[ion] for ion in KLIMAN} == pytest.approx(KLIMAN, rel=2e-4)
+    charge = {"K": 1, "NH4": 1, "Ca": 2, "Mg": 2, "Na": 1, "Mn": 2, "Zn": 2, "Cu": 2, "NO3": -1, "H2PO4": -1, "SO4": -2, "MoO4": -2}
+    assert sum(found[ion] * charge.get(ion, 0) for ion in IONS) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("formula", "ions"),
+    [
+        ("(NH4)2SO4", {"NH4": 2, "SO4": 1}),
+        ("K2HPO4", {"K": 2, "H2PO4": 1}),
+        ("Ca(H2PO4)2·H2O", {"Ca": 1, "H2PO4": 2}),
+        ("Na2B4O7*10H2O", {"Na": 2, "H3BO3": 4}),
+        ("(NH4)6Mo7O24.4H2O", {"NH4": 6, "MoO4": 7}),
+        ("FeCl3.6H2O", {"Fe": 1, "Cl": 3}),
+        ("C10H12FeN2NaO8", {"Fe": 1, "Na": 1}),
+        ("HNO3", {"NO3": 1}),
+        ("C12H22O11", {}),
+    ],
+)
+def test_compounds_are_divided_into_ions(formula: str, ions: dict[str, int]) -> None:
+    found = Solution(grams_per_l={formula: 1.0}).ions_mmol_per_l
+    scale = max(found.values()) / max(ions.values()) if ions else 1.0
+    assert {ion: amount / scale for ion, amount in found.items() if amount} == pytest.approx(ions)
+
+
+def test_factors_scale_every_salt_of_the_element() -> None:
+    whole, half = Solution(recipe="kliman_2022"), Solution(recipe="kliman_2022", factors={"potassium": 0.5})
+    assert half.ions_mmol_per_l["K"] == pytest.approx(0.5 * whole.ions_mmol_per_l["K"])
+    assert half.ions_mmol_per_l["Ca"] == whole.ions_mmol_per_l["Ca"]
+    nitrogen = Solution(recipe="kliman_2022", factors={"N": 0.5}).ions_mmol_per_l
+    assert nitrogen["NO3"] == pytest.approx(0.5 * whole.ions_mmol_per_l["NO3"])
+    assert nitrogen["Fe"] == whole.ions_mmol_per_l["Fe"]  # the chelate's nitrogen is no nutrient
+    salt = Solution(recipe="kliman_2022", factors={"KNO3": 0.0}, grams_per_l={"KCl": 0.1}).compounds_g_per_l
+    assert salt["KNO3"] == 0.0
+    assert salt["KCl"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (Solution(grams_per_l={"K2NO3": 1.0}), "without a charge left"),
+        (Solution(grams_per_l={"kno3": 1.0}), "is not a formula"),
+        (Solution(grams_per_l={"K" * 100: 1.0}), "1 to 80 characters"),
+        (Solution(grams_per_l={"": 1.0}), "1 to 80 characters"),
+        (Solution(recipe="kliman_2022", factors={"Xy": 2.0}), "must be an element"),
+        (Solution(factors={"K": 2.0}), "it has none"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(wrong: Solution, said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        check_solution(wrong, Place("x.toml").at("solution"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scene_file_holds_it_and_the_command_line_reads_it(tmp_path: Path) -> None:
+    own = Solution(recipe="kliman_2022", grams_per_l={"Ca(NO3)2.4H2O": 0.5}, factors={"K": 0.25})
+    plain = {"recipe": "kliman_2022", "grams_per_l": own.grams_per_l, "factors": {"K": 0.25}}
+    scene = files.scene_from_dict({"solution": plain}, where="x")
+    files.save_scene(scene, tmp_path / "a.toml")
+    assert files.load_scene(tmp_path / "a.toml").solution == own
+    (tmp_path / "s.toml").write_text('recipe = "kliman_2022"\n[grams_per_l]\n"Ca(NO3)2.4H2O" = 0.5\n')
+    assert read_solution(f"{tmp_path / 's.toml'},K=0.25") == own
+    for text, said in (("kliman_2022,K", "not a factor"), ("kliman", "did you mean"), ("kliman_2022,K=-1", "between 0 and 100")):
+        with pytest.raises(UserError, match=said):
+            read_solution(text)
+
+
+def test_columns_of_tables() -> None:
+    ions = Solution(recipe="kliman_2022").ions_mmol_per_l
+    heads = headings([ions, {}])
+    assert list(heads)[:3] == ["NO3", "NH4", "H2PO4"]
+    assert "Cl" not in heads
+    cells = {heads[ion]: f"{ions[ion]:.7g}" for ion in heads}
+    assert ions_of_cells(cells, "t.csv") == pytest.approx({ion: ions[ion] for ion in heads}, rel=1e-6)
+    with pytest.raises(UserError, match="number of 0 or more"):
+        ions_of_cells({"K (mmol/l)": "-1"}, "t.csv, line 2")
+    assert solution.of_summary({}, "result.json") == Solution()
