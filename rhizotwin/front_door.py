@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("rhizotwin")
 
 Device = Literal["auto", "cpu", "cuda"]
-Method = Literal["ours", "thesis", "hull"]
+Method = Literal["ours", "thesis", "regularised", "hull"]
 FileKind = Literal["mesh", "voxels", "points", "rsml", "traits"]
 Progress = Monitor | type[Any] | Listener | None
 """A monitor, a type of tqdm, what is called as ``(stage, done, total)``, or None for silence."""
@@ -163,9 +163,9 @@ def reconstruct(
         Every setting, a group for each stage.
     keep_stages : path, optional
         Folder for what each stage made, for study: NAME.json with NAME.npz of cameras, coverage, hull, roots and solid.
-    method : {"ours", "thesis", "hull"}
-        thesis: the method of the thesis of 2022; hull: the untrimmed visual hull. Both are baselines, whose volume is
-        never trusted.
+    method : {"ours", "thesis", "regularised", "hull"}
+        thesis: the method of the thesis of 2022; regularised: the regularised visual hull of Zheng et al. (2011); hull:
+        the untrimmed visual hull. These are baselines, whose volume is never trusted.
     device : {"auto", "cpu", "cuda"}
         What computes; auto keeps what computes already, and otherwise takes an NVIDIA GPU if there is one.
     monitor : Monitor, type of tqdm, callable or None

@@ -83,9 +83,9 @@ class Solution:
 
     recipe: Literal["", "kliman_2022"] = ""
     """Recipe to start from; kliman_2022 is table 3.1 of the thesis."""
-    grams_per_l: dict[str, float] = field(default_factory=dict, metadata={"limits": (0.0, 1000.0)})
+    grams_per_l: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 1000.0)})
     """Grams of each compound in a litre, by formula, such as "Ca(NO3)2.4H2O" = 0.4859; they replace the recipe's."""
-    factors: dict[str, float] = field(default_factory=dict, metadata={"limits": (0.0, 100.0)})
+    factors: dict[str, float] = field(default_factory=dict, hash=False, metadata={"limits": (0.0, 100.0)})
     """Factors by element or formula, such as K = 0.5: every compound with an ion of the element is multiplied by it, or
     by the product of several."""
 

@@ -77,18 +77,10 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
         Their edges.
     """
     shown, missed, sees, excluded = [], [], [], []
-    half_mm = 0.5 * 3.0**0.5 * edge_mm
     for k, silhouette in enumerate(silhouettes):
-        px, reach_px, inside = _project(bank.chosen([k]), middles_mm, half_mm, silhouette.coverage.shape)
-        column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T
-        beyond = np.full(silhouette.coverage.shape, np.inf, np.float32)
-        for edge in np.unique(edge_mm):
-            chosen = (edge_mm == edge) & inside
-            if chosen.any():
-                empty = np.ones(beyond.shape, np.uint8)
-                empty[row[chosen], column[chosen]] = 0
-                away = cv2.distanceTransform(empty, cv2.DIST_L2, 5) - np.float32(reach_px[chosen].max())
-                beyond = np.minimum(beyond, away)
+        cubes = _Placed.of(bank.chosen([k]), middles_mm, edge_mm, silhouette.coverage.shape)
+        row, column, inside, reach_px = cubes.row, cubes.column, cubes.inside, cubes.reach_px
+        beyond = cubes.distance()
         shown.append(float(silhouette.coverage[silhouette.seen].sum(dtype=np.float64)))
         missed.append(float(silhouette.coverage[silhouette.seen & (beyond > _NEAR_PX)].sum(dtype=np.float64)))
         nothing = (silhouette.coverage <= _COVERED) & silhouette.seen
@@ -96,6 +88,36 @@ def compare(bank: ViewBank, silhouettes: Sequence[Silhouette], middles_mm: Array
         sees.append(inside & silhouette.seen[row, column])
         excluded.append(inside & (to_root[row, column] > reach_px + _NEAR_PX))
     return Agreement(np.array(shown), np.array(missed), np.array(sees), np.array(excluded))
+
+
+def missed_pixels(bank: ViewBank, silhouette: Silhouette, middles_mm: Array, edge_mm: Array) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) of the only view show something before which no cube stands.
+
+    Parameters
+    ----------
+    bank, silhouette : ViewBank, Silhouette
+        Of one view.
+    middles_mm, edge_mm : (N, 3) array, (N,) array
+        Centres and edges of the cubes.
+    """
+    away = _Placed.of(bank, middles_mm, edge_mm, silhouette.coverage.shape).distance()
+    return np.asarray(silhouette.seen & (silhouette.coverage > 0.5) & (away > 0.5))
+
+
+def pixels(bank: ViewBank, middles_mm: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the number (N,) of the pixel at which the only view sees each point, and which are in the picture.
+
+    Parameters
+    ----------
+    bank : ViewBank
+        Of one view.
+    middles_mm : (N, 3) array
+        The points.
+    shape : tuple of int
+        Height and width of the picture.
+    """
+    placed = _Placed.of(bank, middles_mm, np.zeros(len(middles_mm)), shape)
+    return placed.row * shape[1] + placed.column, placed.inside
 
 
 def find_wrong_views(bank: ViewBank, silhouettes: Sequence[Silhouette], water: Water) -> list[int]:
@@ -164,12 +186,39 @@ def _cut(cubes: Array, edge_mm: float) -> Array:
     return (cubes[:, None] + offset).reshape(-1, 3)
 
 
-def _project(bank: ViewBank, middles_mm: Array, half_mm: Array, shape: tuple[int, ...]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return pixels (N, 2), reach in pixels (N,), and which cubes (N,) lie in the picture of the only view."""
-    p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
-    dr.eval(p.px, p.du, p.dv, p.seen)
-    px = np.array(p.px, np.float64).T
-    scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
-    inside = np.array(dr.select(p.seen, mi.UInt32(1), mi.UInt32(0))) > 0
-    inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
-    return px, scale * half_mm, inside
+@dataclass(frozen=True)
+class _Placed:
+    """Cubes in the picture of one view."""
+
+    shape: tuple[int, ...]
+    edge_mm: Array
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    """(N,) nearest pixel; 0 for those outside of the picture."""
+    reach_px: Array
+    """(N,) from a cube's centre to its corners."""
+    inside: NDArray[np.bool_]
+    """(N,) whether the view sees them in its picture."""
+
+    @staticmethod
+    def of(bank: ViewBank, middles_mm: Array, edge_mm: Array, shape: tuple[int, ...]) -> _Placed:
+        p = projection.project(bank, dr.zeros(mi.UInt32, len(middles_mm)), points(middles_mm), mi.Bool(True))
+        dr.eval(p.px, p.du, p.dv, p.seen)
+        px = np.array(p.px, np.float64).T
+        scale = np.maximum(np.linalg.norm(np.array(p.du), axis=0), np.linalg.norm(np.array(p.dv), axis=0))
+        inside = np.array(dr.select(p.seen, mi.UInt32(1), mi.UInt32(0))) > 0
+        inside &= (px > 0.0).all(axis=1) & (px < np.array([shape[1] - 1, shape[0] - 1])).all(axis=1)
+        column, row = np.round(np.where(inside[:, None], px, 0.0)).astype(np.int64).T
+        return _Placed(shape, edge_mm, row, column, scale * 0.5 * 3.0**0.5 * edge_mm, inside)
+
+    def distance(self) -> NDArray[np.float32]:
+        """Return how far each pixel (H, W) lies from the nearest cube's picture; infinite where there is none."""
+        beyond = np.full(self.shape, np.inf, np.float32)
+        for edge in np.unique(self.edge_mm):
+            chosen = (self.edge_mm == edge) & self.inside
+            if chosen.any():
+                empty = np.ones(self.shape, np.uint8)
+                empty[self.row[chosen], self.column[chosen]] = 0
+                away = cv2.distanceTransform(empty, cv2.DIST_L2, 5) - np.float32(self.reach_px[chosen].max())
+                beyond = np.minimum(beyond, away)
+        return beyond

@@ -27,7 +27,7 @@ from rhizotwin.scenes.reading import read_file
 from rhizotwin.scenes.said import printable
 
 SCHEMA = 1
-BUILT_IN = ("ours", "thesis", "hull")
+BUILT_IN = ("ours", "thesis", "regularised", "hull")
 State = Literal["done", "failed", "timeout", "nothing", "unreadable"]
 TIMEOUT_S = 3600.0
 _SMALL = """

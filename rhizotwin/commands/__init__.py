@@ -22,7 +22,7 @@ COMMANDS = {
     "biomass tables": "Write the thesis's tables of masses and volumes.",
     "biomass fit": "Fit masses to volumes and other traits, with errors on both sides.",
     "biomass predict": "Predict the mass of plants that were not weighed, with 90 % intervals.",
-    "export": "Write a result in the files of other programs.",
+    "export": "Write a result in the files of other programs, or publish datasets and results.",
     "plan": "Try capture plans on the twin before building or scanning.",
     "bench": "Run any method on named benchmarks, and compare methods.",
     "bench list": "List the benchmarks and their cases.",

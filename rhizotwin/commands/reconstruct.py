@@ -23,9 +23,9 @@ class Study:
     """TOML file of settings of the stages (docs/settings.md); --voxel-mm overrides it."""
     keep_stages: Flag = False
     """Keep what each stage made in RESULT/stages (docs/datasets.md): cameras, coverage, hull, roots, solid."""
-    method: Literal["ours", "thesis", "hull"] = "ours"
-    """ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), hull (the untrimmed
-    visual hull)."""
+    method: Literal["ours", "thesis", "regularised", "hull"] = "ours"
+    """ours, or a baseline whose volume is never trusted: thesis (the method of the thesis of 2022), regularised (the
+    regularised visual hull of Zheng et al. 2011, which the thesis proposes), hull (the untrimmed visual hull)."""
 
 
 @Parameter(name="*")

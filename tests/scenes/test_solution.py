@@ -101,3 +101,9 @@ def test_columns_of_tables() -> None:
     with pytest.raises(UserError, match="number of 0 or more"):
         ions_of_cells({"K (mmol/l)": "-1"}, "t.csv, line 2")
     assert solution.of_summary({}, "result.json") == Solution()
+
+
+def test_scenes_with_solutions_can_be_keys() -> None:
+    one, same = (files.scene_from_dict({"solution": {"recipe": "kliman_2022", "factors": {"K": 0.5}}}, where="x") for _ in range(2))
+    assert {one: 1}[same] == 1
+    assert one != files.scene_from_dict({"solution": {"recipe": "kliman_2022"}}, where="x")

@@ -186,7 +186,7 @@ def test_what_cannot_run_is_one_sentence(command: Command, tiny: Path, tmp_path:
 
 
 def test_baselines_trust_no_volume(command: Command, made: Path, tmp_path: Path) -> None:
-    for method in ("hull", "thesis"):
+    for method in ("hull", "thesis", "regularised"):
         said = command.works("reconstruct", made, "-o", tmp_path / method, "--method", method, "--quiet").out
         assert "not to be trusted" in said
         assert json.loads((tmp_path / method / "result.json").read_text())["settings"]["method"] == method

@@ -1,0 +1,138 @@
+"""Write datasets and results as a folder with licence, authors, metadata, checksums and an overview."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.publishing import crate, miappe, published
+from rhizotwin.publishing.published import Found, Scan
+from rhizotwin.publishing.study import LICENCES, Study
+from rhizotwin.scenes import atomic
+from rhizotwin.scenes.dataset import read_image
+from rhizotwin.scenes.figures import figure, png
+from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.monitor import Monitor
+from rhizotwin.scenes.provenance import versions
+from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
+from rhizotwin.stored import stored_traits
+
+CHECKSUMS = "checksums-sha256.txt"
+Image = NDArray[np.uint8 | np.uint16]
+_ACROSS, _EDGE_PX = 4, 320
+"""Pictures in a row of the contact sheet, and their longer edge."""
+
+
+def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Monitor) -> list[Path]:
+    """Write a folder that a data repository takes as it is.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Datasets, results, or folders that hold some.
+    output : Path
+        Folder to make.
+    study : Study
+        What people say of the data.
+    monitor : Monitor
+        Hears how far it is.
+
+    Returns
+    -------
+    list of Path
+        The folder.
+
+    Raises
+    ------
+    UserError
+        For data that are damaged or hold links, a folder that is there, or when rocrate is not installed.
+    """
+    study = replace(study, published=study.published or datetime.now(UTC).date().isoformat())
+    scans, results = published.find(sources)
+    version = versions(())["rhizotwin"]
+    with new_folder(output) as building:
+        published.copy(scans, results, building, monitor=monitor)
+        files = {"README.md": "What this is and how to read it", "contact_sheet.png": "One picture of each scan and shape"}
+        atomic.write_text(building / "README.md", _readme(study, scans, results))
+        atomic.write_bytes(building / "contact_sheet.png", _contact_sheet(scans, results))
+        if results:
+            files["traits.csv"] = "Traits of all results with 90 % intervals and verdicts"
+            rows = [(found.name, found.summary, found.traits) for found in results]
+            atomic.write_text(building / "traits.csv", stored_traits.spreadsheet(rows))
+        (building / "miappe").mkdir()
+        for name, text in miappe.tables(study, scans, results).items():
+            files[f"miappe/{name}"] = f"MIAPPE 1.1: {Path(name).stem.replace('_', ' ')}"
+            atomic.write_text(building / "miappe" / name, text)
+        files[CHECKSUMS] = "SHA-256 of every other file; check with: sha256sum -c"
+        atomic.write_text(building / CHECKSUMS, "")  # it is described before it is filled
+        crate.write(building, study, scans, results, files=files, version=version)
+        atomic.write_text(building / CHECKSUMS, _checksums(building))
+    return [output]
+
+
+def _checksums(folder: Path) -> str:
+    """Return a line for each file, as sha256sum writes and checks it."""
+    lines = []
+    for path in sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")):
+        name = path.relative_to(folder).as_posix()
+        if name != CHECKSUMS:
+            with path.open("rb") as file:
+                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
+    return "".join(lines)
+
+
+def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
+    """Return the middle picture of each scan and the shape of each result."""
+    shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
+    for found in results:
+        file = found.folder / "pictures" / "shape.png"
+        data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        if picture is not None:
+            shown.append((f"{found.name}: shape", _small(picture)))
+    across = max(1, min(_ACROSS, len(shown)))
+    rows = max(1, -(-len(shown) // across))
+    drawn = figure(3.0 * across, 2.6 * rows)
+    for axes, (name, picture) in zip(drawn.subplots(rows, across, squeeze=False).ravel(), shown, strict=False):
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=np.iinfo(picture.dtype).max)
+        axes.set_title(name, fontsize=8, parse_math=False)
+    for axes in drawn.axes:
+        axes.axis("off")
+    return png(drawn, dpi=110)
+
+
+def _small(picture: Image) -> Image:
+    scale = min(1.0, _EDGE_PX / max(picture.shape[:2]))
+    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+
+
+def _readme(study: Study, scans: Sequence[Scan], results: Sequence[Found]) -> str:
+    """Return what a person reads first."""
+    people = ", ".join(author.name + (f" ({author.affiliation})" if author.affiliation else "") for author in study.authors)
+    names = ", ".join(author.name for author in study.authors)
+    paper = f" Belongs to https://doi.org/{study.publication_doi}." if study.publication_doi else ""
+    lines = [
+        *(f"# {study.title}", "", study.description, ""),
+        *(f"**Authors:** {people}", "", f"**Licence:** [{LICENCES[study.licence]}]({study.licence_url})", ""),
+        *(f"**Cite as:** {names} ({study.published[:4]}): {study.title}. Data set.{paper}", ""),
+        *("| file or folder | what |", "|---|---|"),
+        f"| `{published.SCANS}/` | scans ({len(scans)}): pictures, with the scene and what the rig reported (`dataset.json`) |",
+        f"| `{published.RESULTS}/` | reconstructions ({len(results)}): surface (PLY), centre lines (RSML), traits, report |",
+        *(["| `traits.csv` | traits of all results with 90 % intervals and verdicts |"] if results else []),
+        "| `contact_sheet.png` | one picture of each scan and shape |",
+        "| `miappe/` | tables of MIAPPE 1.1 |",
+        "| `ro-crate-metadata.json` | the same for machines (RO-Crate) |",
+        f"| `{CHECKSUMS}` | checksums; `sha256sum -c {CHECKSUMS}` checks them |",
+        *("", "| scan | pictures | plant | made by |", "|---|---|---|---|"),
+    ]
+    for scan in scans:
+        whose = "; ".join(filter(None, (str(one) for one in miappe.subjects(scan)))).replace("|", "/")
+        made = "simulation" if scan.simulated else "camera"
+        lines.append(f"| `{scan.place}` | {len(scan.dataset.frames)} | {whose} | {made} |")
+    lines += ["", "Open a result in this folder: `pip install rhizotwin`, then `rhizotwin view results/NAME`.", ""]
+    return "\n".join(lines)

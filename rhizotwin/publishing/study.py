@@ -1,0 +1,143 @@
+"""What people say of the data that they publish: title, authors, licence, where the plants grew."""
+
+import re
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Literal
+
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import read_toml
+from rhizotwin.scenes.schema import Place, from_plain
+
+LICENCES = {
+    "CC0-1.0": "Creative Commons Zero v1.0 Universal",
+    "CC-BY-4.0": "Creative Commons Attribution 4.0 International",
+    "CC-BY-SA-4.0": "Creative Commons Attribution Share Alike 4.0 International",
+    "CC-BY-NC-4.0": "Creative Commons Attribution Non Commercial 4.0 International",
+    "CC-BY-NC-SA-4.0": "Creative Commons Attribution Non Commercial Share Alike 4.0 International",
+    "ODC-By-1.0": "Open Data Commons Attribution License v1.0",
+    "ODbL-1.0": "Open Data Commons Open Database License v1.0",
+    "PDDL-1.0": "Open Data Commons Public Domain Dedication & License 1.0",
+}
+"""Names of data licences by their SPDX identifier."""
+EXAMPLE = """title = "Roots of radishes in nutrient solution"
+description = "Eighteen radishes, scanned every five days."
+licence = "CC-BY-4.0"
+
+[[authors]]
+name = "Ada Example"
+orcid = "0000-0002-1825-0097"
+affiliation = "University of Example"
+affiliation_url = "https://university.example"
+"""
+"""The least that a study's file must hold."""
+_ORCID = re.compile(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", re.ASCII)
+_URL = re.compile(r"https?://[^\s\"<>]+", re.ASCII)
+_DOI = re.compile(r"10\.\d{4,9}/\S+", re.ASCII)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Author:
+    """A person to be named with the data."""
+
+    name: str
+    """Given and family name."""
+    orcid: str = ""
+    """ORCID iD, such as 0000-0002-1825-0097."""
+    affiliation: str = ""
+    """Institution."""
+    affiliation_url: str = ""
+    """Its address, best that of https://ror.org."""
+    email: str = ""
+    """Address for questions; it is published."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What a study's file (TOML) holds."""
+
+    title: str
+    """Of the data (MIAPPE: study title)."""
+    description: str
+    """What was done and why, in a few sentences (MIAPPE: study description)."""
+    licence: Literal["CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "ODC-By-1.0", "ODbL-1.0", "PDDL-1.0"]
+    """SPDX identifier of the licence under which the data are given."""
+    authors: tuple[Author, ...]
+    """In the order of the citation."""
+    keywords: tuple[str, ...] = ("plant roots", "phenotyping", "hydroponics")
+    """Words under which the data shall be found."""
+    published: str = ""
+    """Date as 2026-11-25; empty: today."""
+    publication_doi: str = ""
+    """DOI of the paper that the data belong to, such as 10.1234/abc."""
+    start: str = ""
+    """Date on which the experiment began (MIAPPE: start date of study)."""
+    institution: str = ""
+    """Where the plants grew (MIAPPE: contact institution)."""
+    country: str = ""
+    """ISO 3166 code or name (MIAPPE: geographic location, country)."""
+    facility: str = "growth chamber"
+    """MIAPPE: type of growth facility."""
+    cultivation: str = "single plants in round acrylic canisters of nutrient solution"
+    """MIAPPE: cultural practices."""
+
+    @property
+    def licence_url(self) -> str:
+        """Address of the licence's text."""
+        return f"https://spdx.org/licenses/{self.licence}"
+
+
+def read_study(path: Path) -> Study:
+    """Read and check a study's file.
+
+    Raises
+    ------
+    UserError
+        For a file that cannot be read, an unknown or missing key, no author, an ORCID iD whose check digit is wrong, a
+        date or DOI that is none, or text that has line breaks.
+    """
+    table, text = read_toml(path)
+    place = Place(str(path), text)
+    study = from_plain(Study, table, place)
+    if not study.authors:
+        raise place.at("authors").error("must name one person or more")
+    if not study.title.strip():
+        raise place.at("title").error("must not be empty", study.title)
+    for number, author in enumerate(study.authors):
+        here = place.at("authors", number)
+        if not author.name.strip() or not author.name.isprintable():
+            raise here.at("name").error("must be a name on one line", ascii(author.name))
+        if author.affiliation_url and not _URL.fullmatch(author.affiliation_url):
+            raise here.at("affiliation_url").error("must be an address such as https://ror.org/01zkghx44", author.affiliation_url)
+        if author.orcid and not _is_orcid(author.orcid):
+            raise here.at("orcid").error("must be an ORCID iD with its check digit, such as 0000-0002-1825-0097", author.orcid)
+    for key in ("published", "start"):
+        _check_date(getattr(study, key), place.at(key))
+    if study.publication_doi and not _DOI.fullmatch(study.publication_doi):
+        raise place.at("publication_doi").error("must be a DOI without address, such as 10.1234/abc", study.publication_doi)
+    return study
+
+
+def _check_date(text: str, place: Place) -> None:
+    try:
+        date.fromisoformat(text or "2000-01-01")
+    except ValueError:
+        raise place.error("must be a date as 2026-11-25", text) from None
+
+
+def _is_orcid(text: str) -> bool:
+    """Return whether an ORCID iD has its check digit (ISO 7064, MOD 11-2)."""
+    if not _ORCID.fullmatch(text):
+        return False
+    total = 0
+    for digit in text.replace("-", "")[:-1]:
+        total = 2 * (total + int(digit))
+    rest = (12 - total % 11) % 11
+    return text[-1] == ("X" if rest == 10 else str(rest))
+
+
+def missing_study(folder: Path) -> UserError:
+    """Return the error for data without a study's file, with an example of one."""
+    lines = " | ".join(line for line in EXAMPLE.splitlines() if line)
+    return UserError(f"to publish {folder}, say whose data they are: --study FILE.toml, which holds: {lines} (docs/publishing.md)")

@@ -1,0 +1,128 @@
+"""Published folders: valid RO-Crates with checksums, MIAPPE tables and no path of a person; bad input is refused whole."""
+
+import csv
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.publishing.study import EXAMPLE, read_study
+from rhizotwin.scenes.errors import UserError
+from tests.command import Command
+from tests.conftest import Reconstructed
+
+pytest.importorskip("rocrate")
+
+
+@pytest.fixture
+def offline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the validator RO-Crate's context from the copy that comes with rocrate."""
+    import requests
+    import rocrate
+
+    http = pytest.importorskip("rocrate_validator.utils.http")
+    packaged = (Path(rocrate.__file__).parent / "data" / "ro-crate.jsonld").read_bytes()
+
+    def get(_: object, url: str, **__: object) -> requests.Response:
+        response = requests.Response()
+        response.status_code, response.url, response._content = 200, url, packaged
+        response.headers["Content-Type"] = "application/ld+json"
+        assert url.startswith("https://w3id.org/ro/crate/")
+        return response
+
+    monkeypatch.setattr(http.HttpRequester, "get", get, raising=False)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(EXAMPLE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def published(made: Path, found: Reconstructed, study: Path, tmp_path: Path, command: Command) -> Path:
+    command.works("export", made, found.folder, "--publish", tmp_path / "data", "--study", study)
+    return tmp_path / "data"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rdflib, in the validator
+@pytest.mark.usefixtures("offline")
+@pytest.mark.parametrize("severity", ["REQUIRED", "RECOMMENDED"])
+def test_the_folder_is_a_valid_ro_crate(published: Path, severity: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    models = pytest.importorskip("rocrate_validator.models")
+    services = pytest.importorskip("rocrate_validator.services")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    settings = services.ValidationSettings(
+        profile_identifier="ro-crate-1.1", rocrate_uri=str(published), requirement_severity=models.Severity[severity]
+    )
+    assert [issue.message for issue in services.validate(settings).get_issues()] == []
+    (published / "README.md").unlink()
+    assert not services.validate(settings).passed()
+
+
+def test_checksums_tables_and_copies_are_those_of_the_sources(published: Path, made: Path, found: Reconstructed) -> None:
+    lines = (published / "checksums-sha256.txt").read_text(encoding="utf-8").splitlines()
+    listed = {name: digest for digest, name in (line.split("  ", 1) for line in lines)}
+    files = {path.relative_to(published).as_posix() for path in published.rglob("*") if path.is_file()}
+    assert set(listed) == files - {"checksums-sha256.txt"}
+    assert all(hashlib.sha256((published / name).read_bytes()).hexdigest() == digest for name, digest in listed.items())
+    scan, result = published / "scans" / made.name, published / "results" / found.folder.name
+    assert (scan / "dataset.json").read_bytes() == (made / "dataset.json").read_bytes()
+    assert json.loads((result / "result.json").read_text(encoding="utf-8"))["dataset"] == f"scans/{made.name}"
+    text = "".join(path.read_text(encoding="utf-8") for path in (result / "report.html", published / "ro-crate-metadata.json"))
+    assert str(made) not in text
+    units = list(csv.DictReader((published / "miappe" / "observation_unit.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["Data file link"] for row in units] == [f"scans/{made.name}/"]
+    assert "CC-BY-4.0" in (published / "README.md").read_text(encoding="utf-8")
+    assert (published / "contact_sheet.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, study: Path, tmp_path: Path, command: Command) -> None:
+    goal = tmp_path / "data"
+    command.fails("export", made, "--publish", goal, named=["--study", "title", "licence", "authors"])
+    command.fails("export", made, "-o", tmp_path / "x", "--publish", goal, named=["leave -o"])
+    command.fails("export", made, made, "-o", tmp_path / "x.ply", named=["one result"])
+    command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["there is no such folder"])
+    (tmp_path / "empty").mkdir()
+    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["holds no dataset"])
+    copy = tmp_path / "copy"
+    shutil.copytree(made, copy)
+    picture = sorted((copy / "images").iterdir())[0]
+    picture.write_bytes(picture.read_bytes()[:-50])
+    command.fails("export", copy, "--publish", goal, "--study", study, named=[picture.name])
+    picture.unlink()
+    picture.symlink_to("/etc/passwd")
+    command.fails("export", copy, "--publish", goal, "--study", study, named=["is a link"])
+    assert not goal.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("CC-BY-4.0", "CC-BY", 'did you mean "CC-BY-4.0"'),
+        ("0000-0002-1825-0097", "0000-0002-1825-0098", "check digit"),
+        ("https://university.example", "university.example", "must be an address"),
+        ("title", "titel", "unknown key"),
+        ('name = "Ada Example"', 'name = " "', "must be a name"),
+        ("[[authors]]", 'published = "yesterday"\n[[authors]]', "must be a date"),
+        ("[[authors]]", 'publication_doi = "https://doi.org/10.1/2"\n[[authors]]', "must be a DOI"),
+    ],
+)
+def test_a_wrong_study_is_one_sentence(study: Path, old: str, new: str, named: str) -> None:
+    assert read_study(study).authors[0].name == "Ada Example"
+    study.write_text(EXAMPLE.replace(old, new), encoding="utf-8")
+    with pytest.raises(UserError, match=named) as caught:
+        read_study(study)
+    assert "\n" not in str(caught.value)
+
+
+def test_orcid_check_digits() -> None:
+    from rhizotwin.publishing.study import _is_orcid
+
+    known = ("0000-0002-1825-0097", "0000-0001-5109-3700", "0000-0002-1694-233X")
+    assert all(_is_orcid(one) for one in known)
+    assert not any(_is_orcid(one[:-1] + str(digit)) for one in known for digit in np.arange(10) if str(digit) != one[-1])
