@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rhizotwin import steps
 from rhizotwin.arguments import Device, Profile, Seed, named
 from rhizotwin.scenes import files
-from rhizotwin.scenes.checks import check_scene, refuse_tank
+from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
 
@@ -112,10 +112,8 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
 
         real = load_rig(rig)
         known = files.load_scene(scene) if scene else Scene()
-        refuse_tank(known, "the rig")
         return Bench(rig=real, scene=_with_plan(known, plan), clock=SystemClock())
     known = _with_plan(files.load_scene(scene or TWIN_SCENE), plan)
-    refuse_tank(known, "the rig")
     known = replace(known, disturbances=files.load_profile(errors.profile))
     pictures: Fidelity = "sketch"
     if isinstance(errors, TwinPictures) and errors.fidelity == "render":

@@ -5,7 +5,6 @@ from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, Ring, Scene, Tank
 from rhizotwin.scenes.plants import check_plants
 from rhizotwin.scenes.schema import Place, suggestion
@@ -53,28 +52,6 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_specimen(scene.specimen, scene, place.at("specimen"))
     for number, plant in enumerate(scene.plants):
         _check_specimen(plant.placed(), scene, place.at("plants", number, "specimen"))
-
-
-def refuse_tank(scene: Scene, what: str) -> None:
-    """Refuse a scene with a tank where light through its flat walls is not reckoned with.
-
-    Parameters
-    ----------
-    scene : Scene
-        Any scene.
-    what : str
-        Who refuses, as the beginning of a sentence.
-
-    Raises
-    ------
-    UserError
-        Where there is a tank.
-    """
-    if scene.tank is not None:
-        raise UserError(
-            f"{what} knows no tank: scene {scene.name} has a [tank], through whose flat walls light goes another "
-            "way; leave that section out (simulate, import, plan and reconstruct know it)"
-        )
 
 
 def marker_capacity(dictionary: str) -> int | None:

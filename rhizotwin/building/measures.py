@@ -44,6 +44,8 @@ class Measures:
     """Bore, outer diameter and width of the ball bearing under the table (608, ISO 15)."""
     ball_mm: float = bounded(6.0, 2.0, 20.0)
     """Diameter of the loose balls between table and base."""
+    magnet_mm: tuple[float, float] = bounded((10.0, 3.0), 1.0, 30.0)
+    """Diameter and height of the magnets that turn the canister in a tank."""
     profile_mm: float = bounded(20.0, 10.0, 60.0)
     """Side of the aluminium profile (2020)."""
     slot_mm: float = bounded(6.2, 3.0, 20.0)

@@ -1,18 +1,17 @@
 """All parts of a scene's rig, what is bought beside them, and how they stand together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from rhizotwin.building import mounts, pot, table
+from rhizotwin.building import mounts, pot, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part
 from rhizotwin.building.shapes import circle, joined, raised, rectangle, union
 from rhizotwin.rig.rig_file import ArmPart, RigFile
 from rhizotwin.scenes.board import CharucoBoard
-from rhizotwin.scenes.checks import refuse_tank
 from rhizotwin.scenes.model import Scene
 
 BAR_END_MM = 20.0
@@ -49,36 +48,40 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
     UserError
         Where the scene leaves no room for a part.
     """
-    refuse_tank(scene, "parts")
-    floor_mm = rig.clearance.floor_z_mm
+    floor_mm, under = rig.clearance.floor_z_mm, tank.below(scene)
     parts = [
         pot.net_pot(scene, measures),
         pot.net_pot_grid(scene, measures),
         pot.canister_ring(scene, measures),
-        table.table_plate(scene, measures),
-        table.pinion(scene, measures),
-        table.table_base(scene, measures),
-        table.table_foot(scene, measures, floor_mm),
+        tank.with_magnets(table.table_plate(under, measures), scene, measures),
+        table.pinion(under, measures),
+        table.table_base(under, measures),
+        table.table_foot(under, measures, floor_mm),
         mounts.lightbox_clip(scene, measures),
         mounts.panel_holder(scene, measures),
         mounts.board_stand(scene, board, measures, floor_mm),
+        *tank.parts(scene, measures, floor_mm),
     ]
     if rig.arm is not None:
         parts += [mounts.camera_bracket(scene, rig.arm, measures), mounts.arm_mount(rig.arm, measures, floor_mm)]
     return parts
 
 
-def thesis_rig() -> RigFile:
-    """Return the rig file's defaults with an arm."""
-    return RigFile(arm=ArmPart())
+def thesis_rig(scene: Scene | None = None) -> RigFile:
+    """Return the rig file's defaults with an arm; on a floor that is lower by what a scene's tank needs."""
+    rig = RigFile(arm=ArmPart())
+    if scene is None or scene.tank is None:
+        return rig
+    return replace(rig, clearance=replace(rig.clearance, floor_z_mm=rig.clearance.floor_z_mm - tank.drop_mm(scene.tank)))
 
 
 def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]:
     """Return canister, motor, frame bars, LED board and diffuser, where they stand."""
     can, floor_mm = scene.canister, rig.clearance.floor_z_mm
+    under = tank.below(scene)
     drive = table.drive_of(scene, measures)
     cup = raised(circle(can.outer_radius_mm), -can.height_mm, 0.0) - raised(circle(can.inner_radius_mm), can.floor_z_mm, 1.0)
-    face = table.base_top_mm(scene) - table.BASE_MM
+    face = table.base_top_mm(under) - table.BASE_MM
     half = measures.motor_face_mm / 2.0
     body = raised(rectangle((-half, -half), (half, half)), face - measures.motor_length_mm, face)
     shaft = raised(_shaft(measures), face, face + measures.shaft_length_mm)
@@ -86,6 +89,7 @@ def bought_of(scene: Scene, *, rig: RigFile, measures: Measures) -> list[Bought]
     things = [
         Bought(name="canister", solid=cup, apart_mm=(0.0, 0.0, 0.0)),
         Bought(name="motor", solid=motor, apart_mm=(0.0, -60.0, -170.0)),
+        *([] if scene.tank is None else [Bought(name="tank", solid=tank.solid(scene, scene.tank))]),
         *(
             Bought(
                 name="bar",

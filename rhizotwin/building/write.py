@@ -31,6 +31,7 @@ PICTURE_PX = 1100
 """Longer side of the pictures, before they are made half as large for smooth edges."""
 COLOURS = {
     "canister": (0.75, 0.85, 0.95),
+    "tank": (0.80, 0.88, 0.92),
     "motor": (0.35, 0.35, 0.38),
     "bar": (0.7, 0.7, 0.72),
     "diffuser": (0.95, 0.95, 0.9),

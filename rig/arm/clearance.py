@@ -1,4 +1,4 @@
-"""Whether a path of the arm keeps clear of canister, net pot, table, floor and bars.
+"""Whether a path of the arm keeps clear of canister, net pot, table, tank, floor and bars.
 
 The arm is three capsules and a sphere that holds the camera; what it must not touch are cylinders, boxes and a plane.
 Between two places of a path no point of a link moves farther than the joints' steps times the lengths beyond each
@@ -19,7 +19,7 @@ from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.model import Scene, Tank
 
 TABLE_THICKNESS_MM = 20.0
 """Of the table's disc, below the canister."""
@@ -53,9 +53,18 @@ def solids(rig: RigFile, scene: Scene) -> list[Solid]:
         Cylinder("canister", canister.outer_radius_mm, under, 0.0),
         Cylinder("net pot", pot.outer_radius_mm, pot.skirt_bottom_mm, pot.top_mm),
         Cylinder("table", clearance.table_radius_mm, under - TABLE_THICKNESS_MM, under),
+        *([] if scene.tank is None else [_tank(scene.tank, clearance.floor_z_mm)]),
         Floor("floor", clearance.floor_z_mm),
         *(Box(f"bar {i + 1}", bar.low_mm, bar.high_mm) for i, bar in enumerate(clearance.bars)),
     ]
+
+
+def _tank(tank: Tank, floor_z_mm: float) -> Box:
+    """Return the box about a tank, however it is turned, from its rim to the floor: its stand is within it."""
+    turn = np.deg2rad(abs(tank.turn_deg))
+    x = tank.front_mm * np.cos(turn) + tank.half_width_mm * np.sin(turn)
+    y = tank.half_width_mm * np.cos(turn) + tank.front_mm * np.sin(turn)
+    return Box("tank", (-x, -y, floor_z_mm), (x, y, tank.level_mm))
 
 
 def pairs(rig: RigFile, scene: Scene, joints_deg: Array) -> Pairs:

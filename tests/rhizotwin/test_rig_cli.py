@@ -15,7 +15,7 @@ from rhizotwin import cli
 from rhizotwin.rig.rig_file import load_rig
 from rhizotwin.scenes.dataset import load_dataset
 from rhizotwin.scenes.files import load_scene, save_scene
-from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene
+from rhizotwin.scenes.model import Camera, CapturePlan, MarkerStrip, Ring, Scene, Tank
 from tests.command import Command
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,6 +47,13 @@ def test_scan_of_the_twin(scene: Path, tmp_path: Path, command: Command) -> None
     command.fails(*words, named=["holds a finished scan: choose a new folder"])
     assert "all 3 pictures are there" in command.works(*words, "--resume").out
     assert load_dataset(tmp_path / "d").frames == dataset.frames
+
+
+def test_a_tank_is_scanned(scene: Path, tmp_path: Path, command: Command) -> None:
+    inside = tmp_path / "tank.toml"
+    inside.write_text(scene.read_text(encoding="utf-8") + "\n[tank]\nlevel_mm = -8.0\n", encoding="utf-8")
+    command.works("scan", "--rig", "twin", "--scene", inside, "-o", tmp_path / "d", *SKETCH)
+    assert load_dataset(tmp_path / "d").scene.tank == Tank(level_mm=-8.0)
 
 
 def test_plan_of_another_file(scene: Path, tmp_path: Path, command: Command) -> None:

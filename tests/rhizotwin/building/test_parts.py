@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from manifold3d import Error
+from manifold3d import Error, Manifold
 
-from rhizotwin.building import table
+from rhizotwin.building import table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part, check_bed, surface
 from rhizotwin.building.pot import net_pot, net_pot_grid, strip_seat_radius_mm
@@ -16,10 +16,10 @@ from rhizotwin.building.rig_parts import bought_of, collisions, parts_of, thesis
 from rhizotwin.building.shapes import circle, gear, raised, rectangle
 from rhizotwin.building.write import stl_bytes
 from rhizotwin.rig.printing.print_strip import FlatStrip
-from rhizotwin.rig.rig_file import Clearance
+from rhizotwin.rig.rig_file import Clearance, RigFile
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene
+from rhizotwin.scenes.model import Canister, MarkerStrip, NetPot, Scene, Tank
 
 OVERHANG_DEG = 50.0
 """Surfaces that lean further out over nothing than this, from upright, need support: printers manage 45 to 60."""
@@ -33,12 +33,18 @@ SMALL = Scene(
     strip=MarkerStrip(columns=18),
 )
 RIG = thesis_rig()
-SCENES = [Scene(), SMALL]
+TANK = replace(Scene(), name="tank", tank=Tank(turn_deg=2.0))
+SCENES = [Scene(), SMALL, TANK]
+
+
+def low(scene: Scene) -> RigFile:
+    """Return the rig on a floor that is low enough for the scene's table."""
+    more = 0.0 if scene.tank is None else tank.drop_mm(scene.tank)
+    return replace(RIG, clearance=Clearance(floor_z_mm=-(scene.canister.height_mm + 42.6 + more)))
 
 
 def made(scene: Scene) -> list[Part]:
-    low = replace(RIG, clearance=Clearance(floor_z_mm=-(scene.canister.height_mm + 42.6)))
-    return parts_of(scene, rig=low, measures=MEASURES, board=CharucoBoard())
+    return parts_of(scene, rig=low(scene), measures=MEASURES, board=CharucoBoard())
 
 
 PARTS = {scene.name: made(scene) for scene in SCENES}
@@ -96,8 +102,7 @@ def test_an_overhang_is_seen() -> None:
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_nothing_runs_into_anything(scene: Scene) -> None:
-    rig = replace(RIG, clearance=Clearance(floor_z_mm=-(scene.canister.height_mm + 42.6)))
-    assert collisions(PARTS[scene.name], bought_of(scene, rig=rig, measures=MEASURES)) == []
+    assert collisions(PARTS[scene.name], bought_of(scene, rig=low(scene), measures=MEASURES)) == []
 
 
 def test_a_collision_is_seen() -> None:
@@ -157,3 +162,27 @@ def test_what_cannot_be_printed_is_refused() -> None:
         table.table_foot(Scene(), MEASURES, -165.0)
     with pytest.raises(UserError, match="does not fit a bed of 150 x 150"):
         check_bed(PARTS["scene"][0], (150.0, 150.0, 200.0))
+
+
+def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_it() -> None:
+    parts = {part.name: part for part in PARTS["tank"]}
+    assert {"tank_carrier", "tank_pivot", "tank_post"} <= parts.keys()
+    assert not {"tank_carrier", "tank_pivot", "tank_post"} & {part.name for part in PARTS["scene"]}
+    glass = tank.solid(TANK, TANK.tank)
+    above, below = parts["tank_carrier"].placed()[0], parts["table_plate"].placed()[0]
+    floor_mm = tank.floor_mm(TANK, TANK.tank)
+    assert above.bounding_box()[2] == pytest.approx(floor_mm + TANK.tank.wall_mm)  # the carrier glides on the tank's floor
+    assert below.bounding_box()[5] == pytest.approx(floor_mm - tank.PLAY_MM)
+    assert below.min_gap(glass, 5.0) == pytest.approx(tank.PLAY_MM, abs=1e-6)
+    for x, y in tank.magnet_places_mm(TANK):  # both pockets open towards the tank's floor, one over the other
+        bore = Manifold.cylinder(100.0, 4.0, 4.0).translate((x, y, floor_mm - 50.0))
+        wide, high = MEASURES.magnet_mm
+        probe = Manifold.cylinder(high, wide / 2.0, wide / 2.0)
+        assert (probe.translate((x, y, floor_mm - tank.PLAY_MM - high)) ^ below).volume() < 1e-6
+        assert (probe.translate((x, y, floor_mm + TANK.tank.wall_mm + tank.GLIDE_MM)) ^ above).volume() < 1e-6
+        assert (bore ^ below).volume() > 1.0  # the pockets have a floor
+    wet = replace(TANK, tank=replace(TANK.tank, level_mm=-6.5))
+    with pytest.raises(UserError, match=r"strip.bottom_mm lies 3.5 mm above tank.level_mm, but water climbs 3.9 mm"):
+        tank.parts(wet, MEASURES, -300.0)
+    with pytest.raises(UserError, match=r"leaves the tank's posts"):
+        tank.parts(TANK, MEASURES, -160.0)

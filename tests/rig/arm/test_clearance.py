@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path
+from rhizotwin.rig.arm.clearance import FINE_MM, check_path, pairs, plan_path, solids
 from rhizotwin.rig.arm.kinematics import arm_from_cam, rig_from_arm
 from rhizotwin.rig.arm.placing import Joints, camera_wanted, joints_for
 from rhizotwin.rig.arm.solids import Box, Cylinder, Floor, Solid, least_distance, point_to_segment
@@ -17,7 +17,7 @@ from rhizotwin.rig.errors import UnsafeError
 from rhizotwin.rig.rig_file import ArmPart, Bar, Clearance, RigFile
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
-from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.model import Ring, Scene, Tank
 
 ARM = ArmPart(position_mm=(650.0, 0.0, -100.0))
 """On a stand so low that it reaches the floor."""
@@ -246,3 +246,15 @@ def test_way_round_turns_the_base_with_the_arm_drawn_in(bar: Bar, shape: tuple[f
     between = Bar(low_mm=tuple(middle - 2.0), high_mm=tuple(middle + 2.0))
     rig = replace(RIG, clearance=Clearance(bars=(between, bar)))
     assert plan_path(rig, SCENE, begin, end) == [(45.0, *shape, 10.0), (88.0, *shape, 0.0), end]
+
+
+def test_a_tank_is_kept_clear_of_however_it_is_turned() -> None:
+    scene = replace(Scene(), tank=Tank(front_mm=100.0, half_width_mm=130.0, level_mm=-8.0, turn_deg=5.0))
+    box = next(solid for solid in solids(RIG, scene) if solid.name == "tank")
+    turn = np.deg2rad(5.0)
+    flat = np.array([[x, y] for x in (-100.0, 100.0) for y in (-130.0, 130.0)])
+    turned = flat @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    corners = np.insert(turned, 2, -50.0, axis=1)
+    assert np.all(box.distance_mm(corners) <= 1e-9)
+    assert box.distance_mm(np.array([0.0, 0.0, 10.0])) == pytest.approx(18.0)
+    assert not [solid for solid in solids(RIG, Scene()) if solid.name == "tank"]
