@@ -69,6 +69,26 @@ def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
     return Planted(tuple(made), tuple(unsure), missing)
 
 
+def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
+    """Return roots that know their plants, as a person gave them, with which of them may as well be of another.
+
+    Parameters
+    ----------
+    roots, plants, grid_z_mm : sequence of Root, sequence of Plant, float
+        As in `give`; every root has the name of one of the plants.
+    """
+    at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
+    trees = Tree.of(roots)
+    uncertain = _nearest(trees, [_owner(tree, at_mm) for tree in trees], at_mm)[1]
+    made: list[Root] = []
+    for tree in trees:
+        first = len(made)
+        made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in tree.roots]
+    unsure = [is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree.roots]
+    names = {root.plant for root in roots}
+    return Planted(tuple(made), tuple(unsure), tuple(one.plant for one in plants if one.plant not in names))
+
+
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:
     """Return the plants whose bases a tree holds, with root and point of each."""
     reach_mm, found = crown.reach_mm(at_mm[:, :2]), {}

@@ -50,8 +50,6 @@ def edit(
     from rhizotwin.stored import result_files
 
     session = Session(result)
-    if session.summary.get("plants"):
-        raise UserError(f"{result} holds several plants, whose own numbers corrections would not follow; look at it with 'rhizotwin view'")
     made = log.read(apply, result)
     if any(entry.do == "fit" for entry in made.edits):
         found = load_dataset(dataset or Path(str(session.summary["dataset"])))

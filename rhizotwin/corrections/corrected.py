@@ -16,17 +16,22 @@ from rhizotwin.corrections import against_pictures, surface
 from rhizotwin.corrections import log as logs
 from rhizotwin.corrections.session import Measured, Session
 from rhizotwin.corrections.state import State
-from rhizotwin.recon.results import result_traits
-from rhizotwin.recon.results.parts import Leaves, Mesh, shape_npz
+from rhizotwin.recon.results import by_plant, dividing, result_traits
+from rhizotwin.recon.results.parts import Json, Leaves, Mesh, shape_npz
+from rhizotwin.recon.roots import plants
 from rhizotwin.recon.uncertainty.budget import Budget, Term
 from rhizotwin.recon.uncertainty.checks import NO_VOLUME, failed, verdict
-from rhizotwin.scenes import atomic, rsml
+from rhizotwin.scenes import atomic, rsml, subject
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.folders import new_folder
+from rhizotwin.scenes.plants import Plant
+from rhizotwin.scenes.rsml import Root
 from rhizotwin.scenes.schema import to_plain
 from rhizotwin.stored import result_files, stored_traits
 
 _EMPTY_MM3 = 1e-9
+_OWN = ("plant", "species", "treatment")
+"""What a plant has of its own among the words of its subject."""
 
 
 def share(before_mm3: float, after_mm3: float) -> float:
@@ -62,12 +67,15 @@ def write(
     state, measured = session.state, session.measure()
     mesh, roots = _mesh(session, state, measured), state.roots()
     summary = _summary(session, measured, mesh) | _trust(session, measured.volume_mm3, dataset)
+    if summary.get("plants"):
+        roots, summary["plants"] = _by_plant(session, summary, Mesh.of(mesh), _voxels(measured))
     traits = stored_traits.of_summary(summary, Mesh.of(mesh), roots)
     with new_folder(output, replaces=result_files.RESULT_NAMES) as building:
         for name in ("silhouettes", "seen"):
             if (session.folder / name).is_dir():
                 shutil.copytree(session.folder / name, building / name)
-        atomic.write_bytes(building / "shape.npz", _shape(session, measured))
+        hull = result_files.read_leaves(session.folder, hull=True)  # as it was
+        atomic.write_bytes(building / "shape.npz", shape_npz(_voxels(measured), hull))
         atomic.write_bytes(building / "shape.ply", bytes(trimesh.exchange.ply.export_ply(mesh)))
         if roots:
             rsml.write_rsml(building / "roots.rsml", roots)
@@ -142,21 +150,42 @@ def _trust(session: Session, after_mm3: float, dataset: Path | None) -> dict[str
     }
 
 
-def _shape(session: Session, measured: Measured) -> bytes:
-    """Return ``shape.npz``: the voxels that are left, and the hull as it was."""
-    solid, volumes_mm3, hull = measured.solid, measured.volumes_mm3, result_files.read_leaves(session.folder, hull=True)
+def _by_plant(session: Session, summary: Json, mesh: Mesh, voxels: Leaves) -> tuple[tuple[Root, ...], list[Json]]:
+    """Return the roots in the order of their trees, and what is of each of several plants.
+
+    Plants hang where the highest root of the result began: a result does not hold the net pot.
+    """
+    where = str(session.folder / "result.json")
+    known = [Plant(**{n: getattr(one.subject, n) for n in _OWN}, at_mm=one.at_mm) for one in by_plant.of_summary(session.summary, where)]
+    grid_z_mm = max((float(root.points_mm[:, 2].max()) for root in session.roots), default=0.0)
+    planted = plants.keep(session.state.roots(), known, grid_z_mm=grid_z_mm)
+    if not planted.roots:
+        return (), []
+    low, high = summary["volume_interval_mm3"]
+    shape = dividing.Shape(
+        leaves=voxels,
+        surface=mesh,
+        finest_mm=float(summary["settings"].get("finest_mm", summary["voxel_mm"])),
+        volume_mm3=float(summary["volume_mm3"]),
+        interval_mm3=(float(low), float(high)),
+    )
+    return planted.roots, [one.plain() for one in dividing.measure(shape, planted, known, subject.of_summary(summary, where))]
+
+
+def _voxels(measured: Measured) -> Leaves:
+    """Return the voxels that are left."""
+    solid, volumes_mm3 = measured.solid, measured.volumes_mm3
     kept = volumes_mm3 > _EMPTY_MM3
     if not kept.any():
         kept[0] = True  # a shape of which nothing is left keeps one empty voxel, so that it can be read
     room = (solid.size[kept] * solid.voxel_mm) ** 3
-    left = Leaves(
+    return Leaves(
         low=solid.low[kept].astype(np.int32),
         size=solid.size[kept].astype(np.int32),
         occupancy=(volumes_mm3[kept] / room).astype(np.float32),
         origin_mm=solid.origin_mm,
         voxel_mm=solid.voxel_mm,
     )
-    return shape_npz(left, hull)
 
 
 def read_mesh(session: Session) -> Mesh:

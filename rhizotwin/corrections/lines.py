@@ -54,6 +54,8 @@ class Line:
     label: str = ""
     sigma_mm: Array | None = None
     """Standard deviation of its diameters (N,); None: not known."""
+    plant: str = ""
+    """Name of its plant, where there are several."""
 
     @property
     def way_mm(self) -> Array:
@@ -104,6 +106,12 @@ def below(lines: Lines, number: int) -> list[int]:
         found.append(one)
         waiting += [k for k, line in lines.items() if line.parent == one]
     return found
+
+
+def adopted(lines: Lines, number: int) -> dict[int, Line]:
+    """Return lines in which a root and all that hang on it are of its parent's plant."""
+    plant = lines[lines[number].parent].plant
+    return {**lines, **{k: replace(lines[k], plant=plant) for k in below(lines, number)}}
 
 
 def without(lines: Lines, numbers: Sequence[int]) -> dict[int, Line]:
@@ -229,6 +237,7 @@ def as_roots(lines: Lines) -> tuple[Root, ...]:
                 label=line.label,
                 tip_seen=line.tip_seen,
                 diameter_sigma_mm=line.sigma_mm,
+                plant=line.plant,
             )
         )
         waiting += sorted((k for k, other in lines.items() if other.parent == number), reverse=True)

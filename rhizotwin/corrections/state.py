@@ -82,6 +82,7 @@ def start(solid: Solid, roots: tuple[Root, ...]) -> State:
             root.tip_seen,
             root.label,
             root.diameter_sigma_mm,
+            root.plant,
         )
         for k, root in enumerate(roots)
     }
@@ -137,7 +138,7 @@ def apply(state: State, edit: Edit, solid: Solid, *, refit: Refit | None = None)
         return _joined(state, one, other, solid)
     if other in roots_of.below(state.lines, one):
         raise UserError(f"root {one} cannot hang on root {other}, which hangs on it")
-    return replace(state, lines={**state.lines, one: replace(line, parent=other)})
+    return replace(state, lines=roots_of.adopted({**state.lines, one: replace(line, parent=other)}, one))
 
 
 def _there(state: State, edit: Edit) -> list[int]:
@@ -249,8 +250,10 @@ def _joined(state: State, one: int, other: int, solid: Solid) -> State:
         pieces=(*first.pieces, *between, *second.pieces),
         tip_seen=second.tip_seen,
     )
-    lines = {k: replace(line, parent=one) if line.parent == other else line for k, line in state.lines.items() if k != other}
-    return replace(state, lines={**lines, one: whole})
+    lines = {k: replace(line, parent=one) if line.parent == other else line for k, line in state.lines.items() if k != other} | {one: whole}
+    for lateral in [k for k, line in lines.items() if line.parent == one]:
+        lines = roots_of.adopted(lines, lateral)
+    return replace(state, lines=lines)
 
 
 def _refitted(state: State, found: dict[int, Refitted], solid: Solid) -> State:

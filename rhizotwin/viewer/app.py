@@ -134,9 +134,6 @@ class Viewer(Drawing):
 
     def do(self, kind: str, **what: Any) -> None:
         """Make a correction and show what it comes to."""
-        if self.shown.session.summary.get("plants"):
-            self.say("this result holds several plants, whose own numbers corrections would not follow: it can only be looked at")
-            return
         with self.lock:
             try:
                 self.shown.session.do(logs.edit(kind, **what))

@@ -93,10 +93,6 @@ def test_what_cannot_be_done_is_said(viewer: Viewer):
     assert "choose two roots" in viewer.told
     viewer.restore()
     assert viewer.told == "nothing was taken away"
-    viewer.shown.session.summary["plants"] = [{}]
-    viewer.do("delete roots", roots=[1])
-    assert "several plants" in viewer.told
-    assert len(viewer.shown.session.state.lines) == 4
 
 
 def test_pixels_are_those_of_the_reference(plant: plants.Plant):
