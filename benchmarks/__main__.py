@@ -6,6 +6,7 @@ import platform
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -60,10 +61,18 @@ def results_table(metrics: Sequence[Metric]) -> str:
     return "\n".join(lines)
 
 
+_HERE = ("thesis", "batch", "growth", "damages", "adopt", "rig")
+"""What computes in this process; the others run workers."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmarks; returns the exit code."""
     given = parser().parse_args(arguments)
     try:
+        if given.what in _HERE:  # before anything imports Dr.Jit, which loads the first LLVM that it finds
+            from rhizotwin import engine
+
+            engine.start(getattr(given, "device", "cpu"))
         if given.what == "compare":
             return _compare(given)
         if given.what == "scatter":
@@ -97,13 +106,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _thesis(given: argparse.Namespace) -> int:
     """Write the page of the thesis beside ours."""
-    from benchmarks import assumptions, thesis_page
-    from rhizotwin import engine
+    from benchmarks import assumptions, thesis_figures, thesis_page
 
     path = given.output or _results() / "thesis.md"
     if path.suffix.lower() != ".md":
         raise UserError(f"{path}: the page is Markdown; give a name that ends in .md")
-    engine.start(given.device)
     counted = assumptions.measure(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     levels = assumptions.levels(thesis_page.PHANTOM, say=say, only_kept=given.kept)
     if given.committed:
@@ -111,7 +118,8 @@ def _thesis(given: argparse.Namespace) -> int:
     else:
         records = thesis_page.measure(given.profile, device=given.device, say=say, only_kept=given.kept)
     found = thesis_page.plants(records)
-    for file in thesis_page.write(path, found, levels, counted):
+    method = {} if given.kept else thesis_figures.draw(replace(thesis_page.PHANTOM, profile="bench"))
+    for file in thesis_page.write(path, found, levels, counted, method):
         say(f"wrote {file}")
     return 0
 
@@ -132,9 +140,7 @@ def _mixtures(given: argparse.Namespace) -> int:
 def _batch(given: argparse.Namespace) -> int:
     """Run a batch that loses a worker and holds a damaged scan; 1 where a result is missing, or made twice."""
     from benchmarks import many
-    from rhizotwin import engine
 
-    engine.start("cpu")
     with tempfile.TemporaryDirectory(prefix="rhizotwin-many-") as folder:
         night = many.measure(Path(folder), say=say)
     say("\n".join(many.lines(night, given.job_s)))
@@ -148,9 +154,7 @@ def _batch(given: argparse.Namespace) -> int:
 def _growth(given: argparse.Namespace) -> int:
     """Measure growth on reconstructions, and how treatments are told apart."""
     from benchmarks import growth
-    from rhizotwin import engine
 
-    engine.start(given.device)
     found: dict[str, Any] = {}
     if not given.no_pictures:
         found["links"] = growth.measure(given.profile, say=say).plain()
@@ -176,9 +180,7 @@ def _growth(given: argparse.Namespace) -> int:
 def _damages(given: argparse.Namespace) -> int:
     """Try every damage; 1 where a wrong volume is called trusted, or something crashed."""
     from benchmarks import damages
-    from rhizotwin import engine
 
-    engine.start(given.device)
     records = damages.measure(given.names, scene=given.scene, say=say)
     say("\n" + damages.table(records))
     output = given.output or _results() / "damages.json"
@@ -274,9 +276,7 @@ def _against(given: argparse.Namespace) -> int:
 def _adopt(given: argparse.Namespace) -> int:
     """Adopt each folder; those that do not fit are named and the rest go on."""
     from benchmarks.adopt import adopt
-    from rhizotwin import engine
 
-    engine.start(given.device)
     refused = 0
     for number, folder in enumerate(given.folders, start=1):
         try:
@@ -366,9 +366,7 @@ def _measured(given: argparse.Namespace, chosen: Sequence[cases.Case]) -> Run:
 
         return speed.measure(quick=given.quick, device=given.device, say=say)
     from benchmarks import rig
-    from rhizotwin import engine
 
-    engine.start(given.device)
     return rig.measure(quick=given.quick, say=say)
 
 

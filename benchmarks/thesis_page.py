@@ -111,7 +111,9 @@ def plants(records: Sequence[Record]) -> list[Plant]:
     return found
 
 
-def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted]) -> list[Path]:
+def write(
+    path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Counted], method: Mapping[str, bytes] | None = None
+) -> list[Path]:
     """Write the page (Markdown) and its figures beside it, and return their paths.
 
     Parameters
@@ -124,6 +126,8 @@ def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: 
         Volume and time by voxel.
     counted : sequence of Counted
         The thesis's assumptions, one by one.
+    method : mapping of bytes, optional
+        Figures of `thesis_figures.draw`.
 
     Returns
     -------
@@ -143,6 +147,10 @@ def write(path: Path, found: Sequence[Plant], levels: Sequence[Level], counted: 
         draw(drawn.subplots())
         made.append(path.with_name(f"{path.stem}_{name}.png"))
         write_bytes(made[-1], png(drawn, dpi=130))
+    for name, picture in (method or {}).items():
+        made.append(path.with_name(f"{path.stem}_{name}.png"))
+        write_bytes(made[-1], picture)
+    figures |= dict.fromkeys(method or {}, lambda _: None)
     write_text(path, page(found, levels, counted, figures={name: f"{path.stem}_{name}.png" for name in figures}))
     return [path, *made]
 
@@ -159,7 +167,8 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
     counted : sequence of Counted
         The thesis's assumptions, one by one.
     figures : mapping of str
-        Files of the figures: volume_by_level (3.10), time_by_level (5.3), growth (4.1).
+        Files of the figures: volume_by_level (3.10), time_by_level (5.3), growth (4.1); circle (3.6), rays (3.8) and
+        carving (3.9) where they were drawn.
 
     Returns
     -------
@@ -175,6 +184,7 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         _table(found),
         "## Figure 4.1: growth",
         f"![Root volume by age]({figures['growth']})",
+        *_method(figures),
         "## Figure 3.10: volume of the printed phantom by level",
         f"![Volume of the printed phantom by voxel]({figures['volume_by_level']})" if levels else "Not measured.",
         "## Figure 5.3: time by level",
@@ -185,6 +195,14 @@ def page(found: Sequence[Plant], levels: Sequence[Level], counted: Sequence[Coun
         assumptions.table(counted) if counted else "Not measured.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _method(figures: Mapping[str, str]) -> list[str]:
+    """Return the figures of the method, those that there are."""
+    titles = {"circle": "3.6: cameras and their circle", "rays": "3.8: rays through the canister", "carving": "3.9: progressive carving"}
+    return [
+        part for name, title in titles.items() if name in figures for part in (f"## Figure {title}", f"![Figure {title}]({figures[name]})")
+    ]
 
 
 def _table(found: Sequence[Plant]) -> str:

@@ -14,11 +14,14 @@ class Height:
     """In the rig frame (0 is the canister's rim)."""
     tilt_deg: float | None = None
     """Optical axis below the horizon; None: it looks at what the scene's first ring looks at."""
+    distance_mm: float | None = None
+    """From the table's axis; None: that of the scene's first ring."""
 
     @property
     def name(self) -> str:
         """As people type it."""
-        return f"{self.mm:g}" if self.tilt_deg is None else f"{self.mm:g}:{self.tilt_deg:g}"
+        tilt = "" if self.tilt_deg is None else f":{self.tilt_deg:g}"
+        return f"{self.mm:g}{tilt}" + ("" if self.distance_mm is None else f"@{self.distance_mm:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,27 +37,24 @@ class Variant:
     @property
     def name(self) -> str:
         """Short name, also of its file."""
-        heights = "_".join(height.name.replace(":", "tilt") for height in self.heights)
+        heights = "_".join(height.name.replace(":", "tilt").replace("@", "from") for height in self.heights)
         return f"{self.views}x{self.image_wh[0]}x{self.image_wh[1]}_at_{heights}"
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene with this plan.
 
-        Every ring at the distance of the scene's first one, the rings' views interleaved.
+        Rings stand at the distance of the scene's first one where they have none of their own; their views are
+        interleaved.
         """
         first = scene.plan.rings[0]
         aim_mm = first.height_mm - first.distance_mm * math.tan(math.radians(first.tilt_deg))
-        rings = tuple(
-            Ring(
-                views=self.views,
-                height_mm=height.mm,
-                distance_mm=first.distance_mm,
-                tilt_deg=math.degrees(math.atan2(height.mm - aim_mm, first.distance_mm)) if height.tilt_deg is None else height.tilt_deg,
-                first_deg=first.first_deg + k * 360.0 / self.views / len(self.heights),
-            )
-            for k, height in enumerate(self.heights)
-        )
-        return replace(scene, plan=CapturePlan(rings=rings), camera=scene.camera.resized(self.image_wh))
+        rings = []
+        for k, height in enumerate(self.heights):
+            away_mm = height.distance_mm or first.distance_mm
+            tilt_deg = math.degrees(math.atan2(height.mm - aim_mm, away_mm)) if height.tilt_deg is None else height.tilt_deg
+            first_deg = first.first_deg + k * 360.0 / self.views / len(self.heights)
+            rings.append(Ring(views=self.views, height_mm=height.mm, distance_mm=away_mm, tilt_deg=tilt_deg, first_deg=first_deg))
+        return replace(scene, plan=CapturePlan(rings=tuple(rings)), camera=scene.camera.resized(self.image_wh))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from rhizotwin.scenes.folders import contents, new_folder, recover
 
 if TYPE_CHECKING:
     from rhizotwin.recon.settings import PictureSettings, Settings
+    from rhizotwin.scenes.model import Scene
 
 SHARES = {
     "read": 0.1,
@@ -175,3 +176,11 @@ def reconstruct_whole(
                 written.append(page.write(building, dataset=loaded))
         names = [path.relative_to(building) for path in written]
     return [output / name for name in names]
+
+
+def print_marker_warnings(scene: "Scene") -> None:
+    """Print which rings see too few markers to find their cameras."""
+    from rhizotwin.scenes import plan
+
+    for warning in plan.marker_warnings(scene):
+        print(f"warning: {warning}")

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import MarkerStrip, NetPot, Scene
+
+SLANT = 0.5
+"""Cosine at which a marker is seen too slantwise to be counted on."""
+LEAST_MARKERS = 4
+"""Whole markers that a picture needs for a pose: sixteen corners for six unknowns; with fewer markers one that is
+misread is not told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,3 +75,48 @@ def marker_corners(strip: MarkerStrip, net_pot: NetPot) -> dict[int, frames.Arra
             xy = net_pot.outer_radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
             corners[strip.first_id + row * strip.columns + column] = np.concatenate([xy, z[:, None]], axis=1)
     return corners
+
+
+def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
+    """Count the markers that a camera sees whole and not too slantwise, on a straight strip at table angle 0.
+
+    Parameters
+    ----------
+    scene : Scene
+        Strip, net pot and camera.
+    cam_from_rig : (4, 4) array
+        Pose of the camera.
+
+    Returns
+    -------
+    int
+        Markers.
+    """
+    centre = frames.invert(cam_from_rig)[:3, 3]
+    width, height = scene.camera.image_wh
+    (fx, fy), (cx, cy) = scene.camera.focal_px, scene.camera.principal_px
+    count = 0
+    for corners in marker_corners(scene.strip, scene.net_pot).values():
+        outward, toward = corners[:, :2].mean(axis=0), centre[:2] - corners[:, :2].mean(axis=0)
+        facing = outward @ toward > SLANT * np.linalg.norm(outward) * np.linalg.norm(toward)
+        x, y, z = frames.apply(cam_from_rig, corners).T
+        if facing and z.min() > 0.0:
+            u, v = fx * x / z + cx, fy * y / z + cy
+            count += bool(u.min() > 0.0 and u.max() < width - 1 and v.min() > 0.0 and v.max() < height - 1)
+    return count
+
+
+def marker_warnings(scene: Scene) -> list[str]:
+    """Return a sentence for each ring of roots that sees fewer whole markers than a pose needs.
+
+    Rings near the wall see the strip from a low or level place only where they stand high enough.
+    """
+    found = []
+    for number, ring in enumerate(scene.plan.rings, start=1):
+        level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+        if scene.strip.rows and ring.kind == "root" and visible_markers(scene, level) < LEAST_MARKERS:
+            found.append(
+                f"ring {number} ({ring.distance_mm:g} mm away, height {ring.height_mm:g} mm) sees fewer than {LEAST_MARKERS} whole "
+                "markers, so that no cameras will be found in its pictures: raise it, tilt it up, or stand farther away"
+            )
+    return found

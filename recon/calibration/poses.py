@@ -12,13 +12,14 @@ from rhizotwin.recon.calibration.markers import Markers
 from rhizotwin.recon.calibration.pose_errors import PoseErrors
 from rhizotwin.recon.calibration.rig_fit import RigFit, fit_rig
 from rhizotwin.recon.calibration.rig_start import first_rig
-from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, Sightings
+from rhizotwin.recon.calibration.view_fit import Sightings
 from rhizotwin.recon.settings import CalibrationSettings
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.dataset import Frame
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.plan import LEAST_MARKERS
 
 STILL_PX = 2.0
 """A camera that moves more than this between the views was not meant to stand still: none of its views is left out for

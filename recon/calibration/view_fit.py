@@ -14,8 +14,6 @@ from rhizotwin.scenes import frames, plan
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Camera, Scene
 
-LEAST_MARKERS = 4
-"""Sixteen corners for six unknowns; with fewer markers one that is misread is not told."""
 FLOOR_PX = 0.02
 """Error of a measured corner that its covariance does not know of: lens model, print, the pattern's model."""
 UNKNOWN_PX = 0.1
@@ -152,7 +150,7 @@ def single_view(seen: Sightings, *, polish: bool = True) -> Array | None:
         ok, rotvec, shift, kept = cv2.solvePnPRansac(
             points, px, camera, lens, reprojectionError=_RANSAC_PX, iterationsCount=_RANSAC_TRIES, flags=cv2.SOLVEPNP_SQPNP
         )
-        if not ok or kept is None or len(kept) < 4 * LEAST_MARKERS - 4:
+        if not ok or kept is None or len(kept) < 4 * plan.LEAST_MARKERS - 4:
             return None
         chosen = np.ravel(kept)
         points, px = points[chosen], px[chosen]

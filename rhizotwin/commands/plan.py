@@ -30,15 +30,21 @@ if TYPE_CHECKING:
 
 HEIGHT_LIMITS_MM = (-2000.0, 2000.0)
 TILT_LIMITS_DEG = (-89.0, 89.0)
+DISTANCE_LIMITS_MM = (20.0, 10000.0)
 PERCENT_LIMITS = (0.01, 1000.0)
-Rings = tuple[tuple[float, float | None], ...]
-"""Height in mm, and tilt in degrees where it is given, of each ring."""
+Rings = tuple[tuple[float, float | None, float | None], ...]
+"""Height in mm, and tilt in degrees and distance in mm where they are given, of each ring."""
 
 
-def read_height(text: str) -> tuple[float, float | None]:
-    """Read a camera's height in mm, and its tilt in degrees where there is one behind a colon."""
-    height_mm, colon, tilt_deg = text.partition(":")
-    return between(height_mm, HEIGHT_LIMITS_MM, "mm"), between(tilt_deg, TILT_LIMITS_DEG, "degrees") if colon else None
+def read_height(text: str) -> tuple[float, float | None, float | None]:
+    """Read a camera's height in mm, with its tilt in degrees behind a colon and its distance in mm behind an @."""
+    place, at, distance_mm = text.partition("@")
+    height_mm, colon, tilt_deg = place.partition(":")
+    return (
+        between(height_mm, HEIGHT_LIMITS_MM, "mm"),
+        between(tilt_deg, TILT_LIMITS_DEG, "degrees") if colon else None,
+        between(distance_mm, DISTANCE_LIMITS_MM, "mm") if at else None,
+    )
 
 
 @Parameter(name="*")
@@ -48,10 +54,10 @@ class Grid:
 
     views: Annotated[tuple[int, ...], option(list_of(read_views), "N,N,...")] = (20, 40, 41)
     """Views in a ring to try."""
-    heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "=MM[:DEG],...")] = ()
-    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon; \
-without one it looks where the scene's first ring looks; once for each set of rings to try; default: the scene's first \
-ring, and it with a second one 52 mm higher."""
+    heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "=MM[:DEG][@MM],...")] = ()
+    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon (else it \
+looks where the scene's first ring looks) and the distance from the axis behind an @; once for each set of rings to try; \
+default: the scene's first ring, and it with a second one 52 mm higher."""
     image_wh: Annotated[tuple[tuple[int, int], ...] | None, option(list_of(read_image_wh), "WxH,WxH,...")] = None
     """Picture sizes to try; default: the scene's."""
 
@@ -100,8 +106,8 @@ def plan(
     --------
     a first look in a few minutes:
       rhizotwin plan radish_day05a -o my_plan --views 10,20 --image-wh 400x300 --profile clean
-    odd or even, one ring or two (the second 10 mm above the rim, tilted 8 degrees down):
-      rhizotwin plan radish_day15a -o my_plan --views 20,21,40,41 --heights=-42 --heights=-42,10:8
+    odd or even, one ring or two (the second 10 mm above the rim, tilted 8 degrees down, or 200 mm from the axis):
+      rhizotwin plan radish_day15a -o my_plan --views 40,41 --heights=-42 --heights=-42,10:8 --heights=-42,-14:0@200
     which heights, to stay within 3 % of the volume:
       rhizotwin plan printed_8ml -o my_plan --views 41 --heights=-42 --heights=-100,-42 --heights=-42,10 --within 3
     how many pixels, for a rig of your own with three draws of its errors:
@@ -132,10 +138,13 @@ def _variants(grid: Grid, scene: Scene) -> "list[plans.Variant]":
 
     first_mm = scene.plan.rings[0].height_mm
     own = plans.Height(first_mm)
-    asked = [tuple(plans.Height(mm, tilt_deg) for mm, tilt_deg in rings) for rings in grid.heights]
-    return [
+    asked = [tuple(plans.Height(*ring) for ring in rings) for rings in grid.heights]
+    found = [
         plans.Variant(heights=rings, views=count, image_wh=size)
         for size in grid.image_wh or (scene.camera.image_wh,)
         for rings in dict.fromkeys(asked or [(own,), (own, plans.Height(first_mm + planning.SECOND_RING_MM))])
         for count in grid.views
     ]
+    for variant in found:
+        steps.print_marker_warnings(variant.of(scene))
+    return found

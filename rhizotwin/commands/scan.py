@@ -104,6 +104,7 @@ def scan(
         raise UserError("--scene is missing: give the scene file of this rig, with its canister, strip, calibrated camera and plan")
     bench = rigs.open_bench(rig, scene, errors=twin, plan=options.plan)
     told = subject.told(bench.scene)
+    steps.print_marker_warnings(told)
     made = _take(bench, told, output, options=options, twin=emulated, watching=watching, progress=progress)
     print(f"{len(made.frames)} pictures in {output / 'images'}")
     if emulated is None or emulated.fidelity == "render":

@@ -64,6 +64,7 @@ def simulate(
     rhizotwin simulate sphere_20mm -o my_dataset --specimen my_roots.rsml --specimen-unit cm --specimen-diameter-mm 0.5
     """
     changed = subject.told(front_door.load_scene(scene, **vars(changes)))
+    steps.print_marker_warnings(changed)
     steps.start_engine(device, quiet=progress.quiet)
     with progress.bar(render=1.0) as bar:
         dataset = front_door.simulate(changed, output, profile=changes.profile, seed=seed, **vars(rendering), monitor=bar)

@@ -17,10 +17,11 @@ from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.rig_file import ArmPart
 from rhizotwin.rig.scanning.eye import Eye
-from rhizotwin.rig.scanning.markers import Sighting, visible_markers
+from rhizotwin.rig.scanning.markers import Sighting
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Ring, Scene
+from rhizotwin.scenes.plan import visible_markers
 
 NEAR_MM, NEAR_DEG = 3.0, 0.6
 """Placed well enough: servos do not repeat better at the arm's reach, and the pictures tell the rest."""

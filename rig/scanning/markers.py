@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rhizotwin.recon.calibration.markers import detect_markers
-from rhizotwin.recon.calibration.view_fit import LEAST_MARKERS, linearise, sightings, single_view
-from rhizotwin.scenes import frames, plan
+from rhizotwin.recon.calibration.view_fit import linearise, sightings, single_view
+from rhizotwin.scenes import frames
 from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.pictures import Grey
+from rhizotwin.scenes.plan import LEAST_MARKERS
 
 WORST_PX = 3.0
 """Above this reprojection error the markers are not the scene's strip seen by the scene's camera."""
-SLANT = 0.5
-"""Cosine at which a marker is seen too slantwise to be counted on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,35 +63,6 @@ def why_unread(image: Grey, scene: Scene) -> str:
     """Say why the strip cannot be read in a picture; empty when it can."""
     found = _read(image, scene)
     return found if isinstance(found, str) else ""
-
-
-def visible_markers(scene: Scene, cam_from_rig: Array) -> int:
-    """Count the markers that a camera sees whole and not too slantwise, on a straight strip at table angle 0.
-
-    Parameters
-    ----------
-    scene : Scene
-        Strip, net pot and camera.
-    cam_from_rig : (4, 4) array
-        Pose of the camera.
-
-    Returns
-    -------
-    int
-        Markers.
-    """
-    centre = frames.invert(cam_from_rig)[:3, 3]
-    width, height = scene.camera.image_wh
-    (fx, fy), (cx, cy) = scene.camera.focal_px, scene.camera.principal_px
-    count = 0
-    for corners in plan.marker_corners(scene.strip, scene.net_pot).values():
-        outward, toward = corners[:, :2].mean(axis=0), centre[:2] - corners[:, :2].mean(axis=0)
-        facing = outward @ toward > SLANT * np.linalg.norm(outward) * np.linalg.norm(toward)
-        x, y, z = frames.apply(cam_from_rig, corners).T
-        if facing and z.min() > 0.0:
-            u, v = fx * x / z + cx, fy * y / z + cy
-            count += bool(u.min() > 0.0 and u.max() < width - 1 and v.min() > 0.0 and v.max() < height - 1)
-    return count
 
 
 def _read(image: Grey, scene: Scene) -> Sighting | str:

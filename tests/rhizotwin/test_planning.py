@@ -10,7 +10,8 @@ from benchmarks import cases
 from rhizotwin import command_line, plan_report, planning, plans
 from rhizotwin.plans import Height
 from rhizotwin.scenes import files, frames
-from rhizotwin.scenes.model import Ring
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.plan import marker_warnings
 from tests.command import Command
 
 
@@ -97,3 +98,23 @@ def test_plans_are_compared_and_a_second_run_takes_them_over(tmp_path: Path, com
     before = [path.stat().st_mtime_ns for path in scores]
     assert "no plan stays within 0.01 %" in command.works(*words, "--within", "0.01").out
     assert [path.stat().st_mtime_ns for path in scores] == before
+
+
+def test_a_ring_has_a_distance_of_its_own():
+    words = ["plan", "radish_day05a", "-o", "plan", "--heights=-42,-14:0@200"]
+    asked = command_line.bind(words)[1].arguments["grid"].heights[0]
+    variant = plans.Variant(heights=tuple(Height(*one) for one in asked), views=40, image_wh=(400, 300))
+    rings = variant.of(files.load_scene("radish_day05a")).plan.rings
+    assert [(ring.height_mm, ring.distance_mm, ring.tilt_deg) for ring in rings] == [(-42.0, 400.0, 0.0), (-14.0, 200.0, 0.0)]
+    assert variant.name == "40x400x300_at_-42_-14tilt0from200"
+
+
+@pytest.mark.parametrize(("height_mm", "distance_mm", "blind"), [(-42.0, 400.0, False), (-22.0, 200.0, True), (-14.0, 200.0, False)])
+def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: float, distance_mm: float, blind: bool):
+    """As simulated scans of 400x300: at -22 mm no markers were found in any of 40 pictures, at -14 mm in all."""
+    ring = Ring(height_mm=height_mm, distance_mm=distance_mm)
+    scene = replace(Scene(camera=Camera().resized((400, 300))), plan=CapturePlan(rings=(Ring(), ring)))
+    found = marker_warnings(scene)
+    assert bool(found) == blind
+    assert not blind or found[0].startswith(f"ring 2 (200 mm away, height {height_mm:g} mm) sees fewer than 4 whole markers")
+    assert marker_warnings(replace(scene, strip=replace(scene.strip, rows=0))) == []

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG
 from rhizotwin.rig.scanning.homing import Reference, angle_against, facing_angle, find_angle, turns_near, wrapped
-from rhizotwin.rig.scanning.markers import Sighting, read_strip, visible_markers, why_unread
+from rhizotwin.rig.scanning.markers import Sighting, read_strip, why_unread
 from rhizotwin.rig.twin.sketch import Sketch
 from rhizotwin.rig.twin.world import Sight
 from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera, Ring, Scene, Turntable
+from rhizotwin.scenes.plan import visible_markers
 
 SCENE = Scene(camera=Camera().resized((800, 600)))
 ANGLES = st.floats(-90.0, 720.0)
