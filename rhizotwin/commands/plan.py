@@ -55,9 +55,9 @@ class Grid:
     views: Annotated[tuple[int, ...], option(list_of(read_views), "N,N,...")] = (20, 40, 41)
     """Views in a ring to try."""
     heights: Annotated[tuple[Rings, ...], options(list_of(read_height), "=MM[:DEG][@MM],...")] = ()
-    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon (else it \
-looks where the scene's first ring looks) and the distance from the axis behind an @; once for each set of rings to try; \
-default: the scene's first ring, and it with a second one 52 mm higher."""
+    """Heights of the camera over the canister's rim, one a ring, with the tilt below the horizon behind a colon \
+(else it looks where the scene's first ring looks) and the distance from the axis behind an @; once for each set of \
+rings to try; default: the scene's first ring, and it with a second one 52 mm higher."""
     image_wh: Annotated[tuple[tuple[int, int], ...] | None, option(list_of(read_image_wh), "WxH,WxH,...")] = None
     """Picture sizes to try; default: the scene's."""
 
