@@ -5,9 +5,8 @@ from manifold3d import CrossSection
 
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import FLIPPED, Dimension, Part, moved
-from rhizotwin.building.shapes import circle, hole, joined, polygon, raised, rounded, slot, teardrop, turned, union
+from rhizotwin.building.shapes import circle, hole, joined, polygon, raised, rounded, slot, turned, union
 from rhizotwin.rig.rig_file import ArmPart
-from rhizotwin.scenes import frames
 from rhizotwin.scenes.board import CharucoBoard
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Scene
@@ -23,14 +22,6 @@ LEAST_POST_MM = 8.0
 DRIVER_MM = 10.0
 """Way for an M5 screw's head and its driver."""
 MOUNT_WALL_MM, MOUNT_TOP_MM, MOUNT_FOOT_MM = 5.0, 6.0, 6.0
-CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
-CLIP_SCREWS_MM = 10.0
-"""Half the distance of the two screws that hold a panel holder on a clip."""
-HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
-HOLDER_TAB_MM = 40.0
-"""Length of the tab that is screwed on the clip."""
-HOLDER_EVERY_MM = 250.0
-"""One holder for so much of the panel's upper and lower edges."""
 STAND_LEAN_DEG = 15.0
 """How far the calibration board leans back in its stand."""
 STAND_DEEP_MM, STAND_WIDE_MM = 12.0, 24.0
@@ -144,125 +135,6 @@ def arm_mount(arm: ArmPart, measures: Measures, floor_mm: float) -> Part:
             ("bars_apart_mm", wide - foot, "middle to middle, from arm_base_mm"),
             ("base_holes_along_mm", along, "arm_base_mm; slots of 8"),
             ("base_holes_across_mm", across, "arm_base_mm"),
-        ),
-    )
-
-
-def _clip_outline(measures: Measures) -> CrossSection:
-    """Return a clip's outline: a C about a profile whose middle is the origin, open towards -y, its back towards +y."""
-    half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
-    gap = half + fit
-    nose = measures.slot_mm / 2.0 - fit
-    lip = min(measures.slot_lip_mm, nose)
-    body = rounded(2.0 * (gap + wall), 2.0 * (gap + wall), 1.0) - CrossSection.square((2.0 * gap, 2.0 * gap), center=True)
-    mouth = CrossSection.square((2.0 * (gap - wall), 4.0 * wall)).translate((-(gap - wall), -gap - 3.0 * wall))
-    noses = [polygon([(side * (gap + 0.1), -nose), (side * (gap + 0.1), nose), (side * (gap - lip), 0.0)]) for side in (-1, 1)]
-    back = CrossSection.square((4.0 * CLIP_SCREWS_MM + 4.0, wall + 2.0)).translate((-(2.0 * CLIP_SCREWS_MM + 2.0), gap))
-    return union([body - mouth, *noses, back])
-
-
-def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
-    """Return where along the panel's edges, y and z in the rig's frame, clips and holders sit."""
-    wide, high = scene.lights.backlight_wh_mm
-    count = max(2, int(np.ceil(wide / HOLDER_EVERY_MM)))
-    across = (np.arange(count) + 0.5) / count * wide - wide / 2.0
-    z = scene.lights.backlight_z_mm
-    return [(float(y), z + side * high / 2.0) for side in (-1, 1) for y in across]
-
-
-def lightbox_clip(scene: Scene, measures: Measures) -> Part:
-    """Return the clip that snaps on a profile and carries a panel holder; the profile runs along its z."""
-    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
-    thick = CLIP_WALL_MM + 2.0
-    drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
-    through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
-    # the profile runs along y, behind the panel; the clip's back, to which the holder is screwed, looks to the canister
-    rig_axes = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    places = []
-    for y, z in clip_places_mm(scene):
-        side = np.sign(z - scene.lights.backlight_z_mm)
-        at = frames.translation(_bar_x_mm(scene, measures), y - CLIP_WIDE_MM / 2.0, z + side * _bar_beyond_mm())
-        places.append(np.asarray(at @ rig_axes))
-    return Part(
-        name="lightbox_clip",
-        about="Snaps on a 2020 profile by two noses in its slots; a panel holder is screwed to its back.",
-        solid=raised(_clip_outline(measures), 0.0, CLIP_WIDE_MM) - through,
-        rig_from_part=tuple(places),
-        apart_mm=(-60.0, 0.0, 0.0),
-        dimensions=(
-            Dimension(name="round the profile", from_mm=(-back, 0.0, CLIP_WIDE_MM), to_mm=(back, 0.0, CLIP_WIDE_MM)),
-            Dimension(name="screws", from_mm=(-1.5 * CLIP_SCREWS_MM, back, 0.0), to_mm=(1.5 * CLIP_SCREWS_MM, back, 0.0)),
-        ),
-        numbers=(
-            ("opening_mm", 2.0 * back, "profile_mm + fit_mm"),
-            ("screws_apart_mm", 3.0 * CLIP_SCREWS_MM, ""),
-            ("pieces", float(len(places)), f"one every {HOLDER_EVERY_MM:g} mm of the panel's upper and lower edge"),
-        ),
-    )
-
-
-def _holder_back_mm(measures: Measures) -> float:
-    """Return from the holder's back to the panel's bright face, the diffuser's."""
-    return (
-        HOLDER_WALL_MM + measures.panel_board_mm + measures.fit_mm + measures.diffuser_gap_mm + measures.diffuser_mm + measures.fit_mm / 2.0
-    )
-
-
-def _bar_x_mm(scene: Scene, measures: Measures) -> float:
-    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + 2.0
-    return -scene.lights.backlight_distance_mm - _holder_back_mm(measures) - back
-
-
-def _bar_beyond_mm() -> float:
-    """Return how far the profile's middle is beyond the panel's edge.
-
-    Where the middle of the holder's two screws is.
-    """
-    return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
-
-
-def panel_holder(scene: Scene, measures: Measures) -> Part:
-    """Return the channel that holds LED board and diffuser at one edge of the panel.
-
-    Its back at x = 0, the edge's floor at y = 0.
-    """
-    fit, wall, deep = measures.fit_mm, HOLDER_WALL_MM, HOLDER_DEEP_MM
-    board = (wall, wall + measures.panel_board_mm + fit)
-    bright = board[1] + measures.diffuser_gap_mm
-    diffuser = (bright, bright + measures.diffuser_mm + fit)
-    long = diffuser[1] + wall
-    tab = HOLDER_TAB_MM
-    outline = polygon(
-        [
-            *((0.0, deep), (0.0, -tab), (wall, -tab), (wall, -wall), (long, -wall), (long, deep), (diffuser[1], deep), (diffuser[1], 0.0)),
-            *((diffuser[0], 0.0), (diffuser[0], deep), (diffuser[0] - wall, deep), (diffuser[0] - wall, 0.0), (board[1] + wall, 0.0)),
-            *((board[1] + wall, deep), (board[1], deep), (board[1], 0.0), (board[0], 0.0), (board[0], deep)),
-        ]
-    )
-    middle = HOLDER_LONG_MM / 2.0
-    screws = union(teardrop(M3_MM, (-tab / 2.0 - wall / 2.0 + s * 1.5 * CLIP_SCREWS_MM, middle)) for s in (-1, 1))
-    through = screws.extrude(wall + 2.0).transform(np.array([[0.0, 0.0, 1.0, -1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
-    places = []
-    x = -scene.lights.backlight_distance_mm - _holder_back_mm(measures)
-    for y, z in clip_places_mm(scene):
-        up = -np.sign(z - scene.lights.backlight_z_mm)  # the channel opens towards the panel's middle
-        axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-        places.append(np.asarray(frames.translation(x, y + up * middle, z) @ axes))
-    return Part(
-        name="panel_holder",
-        about="Holds the LEDs' board and, before it, the diffuser at the upper and lower edge of the panel.",
-        solid=raised(outline, 0.0, HOLDER_LONG_MM) - through,
-        rig_from_part=tuple(places),
-        apart_mm=(-20.0, 0.0, 0.0),
-        dimensions=(
-            Dimension(name="board to diffuser", from_mm=(board[1], deep, HOLDER_LONG_MM), to_mm=(diffuser[0], deep, HOLDER_LONG_MM)),
-            Dimension(name="length", from_mm=(0.0, -wall, 0.0), to_mm=(long, -wall, 0.0)),
-        ),
-        numbers=(
-            ("board_slot_mm", board[1] - board[0], "panel_board_mm + fit_mm"),
-            ("diffuser_slot_mm", diffuser[1] - diffuser[0], "diffuser_mm + fit_mm"),
-            ("between_mm", diffuser[0] - board[1], "diffuser_gap_mm"),
-            ("pieces", float(len(places)), "as many as clips"),
         ),
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
-from rhizotwin.building import mounts, pot, table, tank
+from rhizotwin.building import lightbox, mounts, pot, table, tank
 from rhizotwin.building.measures import Measures
 from rhizotwin.building.part import Part
 from rhizotwin.building.shapes import circle, joined, raised, rectangle, union
@@ -57,8 +57,9 @@ def parts_of(scene: Scene, *, rig: RigFile, measures: Measures, board: CharucoBo
         table.pinion(under, measures),
         table.table_base(under, measures),
         table.table_foot(under, measures, floor_mm),
-        mounts.lightbox_clip(scene, measures),
-        mounts.panel_holder(scene, measures),
+        lightbox.lightbox_clip(scene, measures),
+        lightbox.panel_holder(scene, measures),
+        *lightbox.lightbox_walls(scene, measures),
         mounts.board_stand(scene, board, measures, floor_mm),
         *tank.parts(scene, measures, floor_mm),
     ]

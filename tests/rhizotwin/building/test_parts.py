@@ -186,3 +186,27 @@ def test_a_tanks_magnets_face_each_other_through_its_floor_and_nothing_touches_i
         tank.parts(wet, MEASURES, -300.0)
     with pytest.raises(UserError, match=r"leaves the tank's posts"):
         tank.parts(TANK, MEASURES, -160.0)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_the_lightbox_is_closed_all_round(scene: Scene) -> None:
+    """Walls and holders stand beside each other along all four edges, with no more between them than the play of a piece."""
+    panel = [part for part in PARTS[scene.name] if part.name.startswith(("lightbox_wall", "lightbox_side", "panel_holder"))]
+    boxes = [solid.bounding_box() for part in panel for solid in part.placed()]
+    wide, high = scene.lights.backlight_wh_mm
+    middle = scene.lights.backlight_z_mm
+    for axis, edge, length in (
+        (1, middle + high / 2.0, wide),
+        (1, middle - high / 2.0, wide),
+        (2, wide / 2.0, high),
+        (2, -wide / 2.0, high),
+    ):
+        across = 3 - axis
+        along = sorted(
+            (box[axis], box[axis + 3]) for box in boxes if box[across] <= edge <= box[across + 3] and box[axis + 3] - box[axis] > 11.0
+        )
+        middle_along = 0.0 if axis == 1 else middle
+        steps = [(low, end) for low, end in along if low > middle_along - length and end < middle_along + length]
+        ends = [middle_along - length / 2.0, *(x for step in steps for x in step), middle_along + length / 2.0]
+        gaps = np.diff(ends)[::2]
+        assert np.abs(gaps).max() < 2.0 * MEASURES.fit_mm, (axis, edge, gaps)

@@ -1,0 +1,218 @@
+"""The lightbox (E.1): clips on the frame, holders, and walls that close the room between the LEDs and the diffuser."""
+
+from itertools import pairwise
+
+import numpy as np
+from manifold3d import CrossSection
+
+from rhizotwin.building.measures import Measures
+from rhizotwin.building.mounts import M3_MM
+from rhizotwin.building.part import Dimension, Part
+from rhizotwin.building.shapes import polygon, raised, rectangle, rounded, teardrop, union
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.model import Scene
+
+CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
+CLIP_SCREWS_MM = 10.0
+"""Half the distance of the two screws that hold a panel holder on a clip."""
+HOLDER_LONG_MM, HOLDER_WALL_MM, HOLDER_DEEP_MM = 40.0, 4.0, 10.0
+HOLDER_TAB_MM = 40.0
+"""Length of the tab that is screwed on the clip."""
+HOLDER_EVERY_MM = 250.0
+"""One holder for so much of the panel's upper and lower edges."""
+WALL_LONG_MM = 200.0
+"""Longest piece of the lightbox's walls."""
+
+
+def _clip_outline(measures: Measures) -> CrossSection:
+    """Return a clip's outline: a C about a profile whose middle is the origin, open towards -y, its back towards +y."""
+    half, wall, fit = measures.profile_mm / 2.0, CLIP_WALL_MM, measures.fit_mm / 2.0
+    gap = half + fit
+    nose = measures.slot_mm / 2.0 - fit
+    lip = min(measures.slot_lip_mm, nose)
+    body = rounded(2.0 * (gap + wall), 2.0 * (gap + wall), 1.0) - CrossSection.square((2.0 * gap, 2.0 * gap), center=True)
+    mouth = CrossSection.square((2.0 * (gap - wall), 4.0 * wall)).translate((-(gap - wall), -gap - 3.0 * wall))
+    noses = [polygon([(side * (gap + 0.1), -nose), (side * (gap + 0.1), nose), (side * (gap - lip), 0.0)]) for side in (-1, 1)]
+    back = CrossSection.square((4.0 * CLIP_SCREWS_MM + 4.0, wall + 2.0)).translate((-(2.0 * CLIP_SCREWS_MM + 2.0), gap))
+    return union([body - mouth, *noses, back])
+
+
+def clip_places_mm(scene: Scene) -> list[tuple[float, float]]:
+    """Return where along the panel's edges, y and z in the rig's frame, clips and holders sit."""
+    wide, high = scene.lights.backlight_wh_mm
+    count = max(2, int(np.ceil(wide / HOLDER_EVERY_MM)))
+    across = (np.arange(count) + 0.5) / count * wide - wide / 2.0
+    z = scene.lights.backlight_z_mm
+    return [(float(y), z + side * high / 2.0) for side in (-1, 1) for y in across]
+
+
+def lightbox_clip(scene: Scene, measures: Measures) -> Part:
+    """Return the clip that snaps on a profile and carries a panel holder; the profile runs along its z."""
+    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0
+    thick = CLIP_WALL_MM + 2.0
+    drop = union(teardrop(M3_MM, (x, CLIP_WIDE_MM / 2.0)) for x in (-1.5 * CLIP_SCREWS_MM, 1.5 * CLIP_SCREWS_MM))
+    through = drop.extrude(thick + 2.0).transform(np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, back - 1.0], [0.0, 1.0, 0.0, 0.0]]))
+    # the profile runs along y, behind the panel; the clip's back, to which the holder is screwed, looks to the canister
+    rig_axes = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    places = []
+    for y, z in clip_places_mm(scene):
+        side = np.sign(z - scene.lights.backlight_z_mm)
+        at = frames.translation(_bar_x_mm(scene, measures), y - CLIP_WIDE_MM / 2.0, z + side * _bar_beyond_mm())
+        places.append(np.asarray(at @ rig_axes))
+    return Part(
+        name="lightbox_clip",
+        about="Snaps on a 2020 profile by two noses in its slots; a panel holder is screwed to its back.",
+        solid=raised(_clip_outline(measures), 0.0, CLIP_WIDE_MM) - through,
+        rig_from_part=tuple(places),
+        apart_mm=(-60.0, 0.0, 0.0),
+        dimensions=(
+            Dimension(name="round the profile", from_mm=(-back, 0.0, CLIP_WIDE_MM), to_mm=(back, 0.0, CLIP_WIDE_MM)),
+            Dimension(name="screws", from_mm=(-1.5 * CLIP_SCREWS_MM, back, 0.0), to_mm=(1.5 * CLIP_SCREWS_MM, back, 0.0)),
+        ),
+        numbers=(
+            ("opening_mm", 2.0 * back, "profile_mm + fit_mm"),
+            ("screws_apart_mm", 3.0 * CLIP_SCREWS_MM, ""),
+            ("pieces", float(len(places)), f"one every {HOLDER_EVERY_MM:g} mm of the panel's upper and lower edge"),
+        ),
+    )
+
+
+def _holder_back_mm(measures: Measures) -> float:
+    """Return from the holder's back to the panel's bright face, the diffuser's."""
+    return (
+        HOLDER_WALL_MM + measures.panel_board_mm + measures.fit_mm + measures.diffuser_gap_mm + measures.diffuser_mm + measures.fit_mm / 2.0
+    )
+
+
+def _bar_x_mm(scene: Scene, measures: Measures) -> float:
+    back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + 2.0
+    return -scene.lights.backlight_distance_mm - _holder_back_mm(measures) - back
+
+
+def _bar_beyond_mm() -> float:
+    """Return how far the profile's middle is beyond the panel's edge.
+
+    Where the middle of the holder's two screws is.
+    """
+    return (HOLDER_TAB_MM + HOLDER_WALL_MM) / 2.0
+
+
+def _slots(measures: Measures) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return where the slots of LED board and diffuser begin and end, from the channel's back."""
+    wall, fit = HOLDER_WALL_MM, measures.fit_mm
+    board = (wall, wall + measures.panel_board_mm + fit)
+    bright = board[1] + measures.diffuser_gap_mm
+    return board, (bright, bright + measures.diffuser_mm + fit)
+
+
+def _channel(measures: Measures, deep: float = HOLDER_DEEP_MM) -> CrossSection:
+    """Return the outline of the channel at an edge of the panel: its floor below y = 0, fins beside the slots above."""
+    wall = HOLDER_WALL_MM
+    slots = _slots(measures)
+    floor = rectangle((0.0, -wall), (slots[1][1] + wall, 0.0))
+    fins = [rectangle((x, -wall), (x + wall, deep)) for begin, end in slots for x in (begin - wall, end)]
+    return union([floor, *fins])
+
+
+def panel_holder(scene: Scene, measures: Measures) -> Part:
+    """Return the channel that holds LED board and diffuser at one edge of the panel.
+
+    Its back at x = 0, the edge's floor at y = 0.
+    """
+    wall, deep, tab = HOLDER_WALL_MM, HOLDER_DEEP_MM, HOLDER_TAB_MM
+    board, diffuser = _slots(measures)
+    long = diffuser[1] + wall
+    outline = union([_channel(measures), rectangle((0.0, -tab), (wall, 0.0))])
+    middle = HOLDER_LONG_MM / 2.0
+    screws = union(teardrop(M3_MM, (-tab / 2.0 - wall / 2.0 + s * 1.5 * CLIP_SCREWS_MM, middle)) for s in (-1, 1))
+    through = screws.extrude(wall + 2.0).transform(np.array([[0.0, 0.0, 1.0, -1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
+    places = []
+    x = -scene.lights.backlight_distance_mm - _holder_back_mm(measures)
+    for y, z in clip_places_mm(scene):
+        up = -np.sign(z - scene.lights.backlight_z_mm)  # the channel opens towards the panel's middle
+        axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        places.append(np.asarray(frames.translation(x, y + up * middle, z) @ axes))
+    return Part(
+        name="panel_holder",
+        about="Holds the LEDs' board and, before it, the diffuser at the upper and lower edge of the panel.",
+        solid=raised(outline, 0.0, HOLDER_LONG_MM) - through,
+        rig_from_part=tuple(places),
+        apart_mm=(-20.0, 0.0, 0.0),
+        dimensions=(
+            Dimension(name="board to diffuser", from_mm=(board[1], deep, HOLDER_LONG_MM), to_mm=(diffuser[0], deep, HOLDER_LONG_MM)),
+            Dimension(name="length", from_mm=(0.0, -wall, 0.0), to_mm=(long, -wall, 0.0)),
+        ),
+        numbers=(
+            ("board_slot_mm", board[1] - board[0], "panel_board_mm + fit_mm"),
+            ("diffuser_slot_mm", diffuser[1] - diffuser[0], "diffuser_mm + fit_mm"),
+            ("between_mm", diffuser[0] - board[1], "diffuser_gap_mm"),
+            ("pieces", float(len(places)), "as many as clips"),
+        ),
+    )
+
+
+def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
+    """Return the pieces that close the box between the holders, and at its sides."""
+    wide = scene.lights.backlight_wh_mm[0]
+    centres = sorted({y for y, _ in clip_places_mm(scene)})
+    half = HOLDER_LONG_MM / 2.0
+    gaps = [(-wide / 2.0, centres[0] - half), *((a + half, b - half) for a, b in pairwise(centres)), (centres[-1] + half, wide / 2.0)]
+    by_length: dict[float, list[float]] = {}
+    for low, end in gaps:
+        count = int(np.ceil((end - low) / WALL_LONG_MM))
+        long = round((end - low) / count, 3)
+        by_length.setdefault(long, []).extend(low + (k + 0.5) * long for k in range(count))
+    edges = [_edge_piece(scene, measures, number, long, middles) for number, (long, middles) in enumerate(by_length.items(), start=1)]
+    return [*edges, _side_piece(scene, measures)]
+
+
+def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, middles_mm: list[float]) -> Part:
+    """Return a piece of the upper and lower walls."""
+    z, high = scene.lights.backlight_z_mm, scene.lights.backlight_wh_mm[1]
+    x, cut = _panel_x_mm(scene, measures), long_mm - measures.fit_mm
+    places = []
+    for y in middles_mm:
+        for up in (1.0, -1.0):
+            axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+            places.append(np.asarray(frames.translation(x, y + up * cut / 2.0, z - up * high / 2.0) @ axes))
+    return Part(
+        name=f"lightbox_wall_{number}",
+        about="Closes the lightbox between two holders at its upper and lower edge; glue it to the board.",
+        solid=raised(_channel(measures), 0.0, cut),
+        rig_from_part=tuple(places),
+        apart_mm=(-40.0, 0.0, 0.0),
+        dimensions=(Dimension(name="length", from_mm=(0.0, -HOLDER_WALL_MM, 0.0), to_mm=(0.0, -HOLDER_WALL_MM, cut)),),
+        numbers=(("length_mm", cut, "between the holders, less fit_mm"), ("pieces", float(len(places)), "")),
+    )
+
+
+def _side_piece(scene: Scene, measures: Measures) -> Part:
+    """Return a piece of the left and right walls; its fins end before the corners, where those of the edges are."""
+    wide, high = scene.lights.backlight_wh_mm
+    count = int(np.ceil(high / WALL_LONG_MM))
+    long = high / count - measures.fit_mm
+    clear = HOLDER_DEEP_MM + measures.fit_mm
+    floor = raised(_channel(measures, deep=0.0), 0.0, long)
+    solid = floor + raised(_channel(measures), clear, long - clear)
+    x, low = _panel_x_mm(scene, measures), scene.lights.backlight_z_mm - high / 2.0
+    places = []
+    for side in (-1.0, 1.0):  # opens towards the panel's middle
+        axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -side, 0.0, 0.0], [0.0, 0.0, -side, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        for k in range(count):
+            begin = low + (k + 0.5) * high / count + side * long / 2.0
+            places.append(np.asarray(frames.translation(x, side * wide / 2.0, begin) @ axes))
+    return Part(
+        name="lightbox_side",
+        about="Closes the lightbox at its left and right; glue it to the board.",
+        solid=solid,
+        bed_from_part=np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
+        rig_from_part=tuple(places),
+        apart_mm=(-40.0, 0.0, 0.0),
+        dimensions=(Dimension(name="length", from_mm=(0.0, -HOLDER_WALL_MM, 0.0), to_mm=(0.0, -HOLDER_WALL_MM, long)),),
+        numbers=(("length_mm", long, "lights.backlight_wh_mm's height, less fit_mm"), ("pieces", float(len(places)), "")),
+    )
+
+
+def _panel_x_mm(scene: Scene, measures: Measures) -> float:
+    """Return x of the channels' back in the rig frame."""
+    return -scene.lights.backlight_distance_mm - _holder_back_mm(measures)
