@@ -97,7 +97,7 @@ def _publish(sources: list[Path], folder: Path, study: Path | None, progress: Pr
 
     if study is None:
         raise missing_study(folder)
-    told = read_study(study)
+    described = read_study(study)
     with progress.bar(copy=1.0) as bar:
-        publish(sources, folder, told, monitor=bar)
+        publish(sources, folder, described, monitor=bar)
     print(f"wrote {folder}: read its README.md, look at contact_sheet.png, then upload the folder")

@@ -63,8 +63,8 @@ def write(folder: Path, study: Study, scans: Sequence[Scan], results: Sequence[F
     software = crate.add_jsonld(program)
     for found in results:
         result = crate.add_dataset(dest_path=found.place, properties=_result(found))
-        told: dict[str, Any] = {"@id": f"#reconstruct-{found.name}", "@type": "CreateAction", "name": f"Reconstruction of {found.name}"}
-        action = crate.add_jsonld({**told, "description": f"rhizotwin {found.summary['versions'].get('rhizotwin', version)}"})
+        plain: dict[str, Any] = {"@id": f"#reconstruct-{found.name}", "@type": "CreateAction", "name": f"Reconstruction of {found.name}"}
+        action = crate.add_jsonld({**plain, "description": f"rhizotwin {found.summary['versions'].get('rhizotwin', version)}"})
         action["instrument"], action["result"] = software, result
         if found.scan is not None:
             action["object"] = entities[found.scan.name]

@@ -71,20 +71,21 @@ def find(sources: Sequence[Path]) -> tuple[list[Scan], list[Found]]:
     for source in sources:
         if not source.is_dir():
             raise UserError(f"{source}: there is no such folder; give datasets, results, or folders of them")
+        folders.refuse_links(source)
         inside = sorted(path for path in source.rglob("*.json") if path.name in folders.HEADS and not _is_hidden(path, source))
         if not inside:
             raise UserError(f"{source}: holds no dataset and no result (dataset.json, result.json)")
         scans += [path.parent for path in inside if path.name == "dataset.json"]
         results += [path.parent for path in inside if path.name == "result.json"]
     scans, results = (list(dict.fromkeys(path.resolve() for path in found)) for found in (scans, results))
-    taken = [Scan(name=name, dataset=load_dataset(path)) for name, path in zip(named([str(p) for p in scans]), scans, strict=True)]
-    by_hash = {scan.dataset.sha256: scan for scan in taken}
-    told = []
+    datasets = [Scan(name=name, dataset=load_dataset(path)) for name, path in zip(named([str(p) for p in scans]), scans, strict=True)]
+    by_hash = {scan.dataset.sha256: scan for scan in datasets}
+    reconstructions = []
     for name, path in zip(named([str(p) for p in results]), results, strict=True):
         summary = result_files.read_summary(path)
         scan = by_hash.get(str(summary["dataset_sha256"]))
-        told.append(Found(name=name, folder=path, summary=summary, traits=stored_traits.read(path), scan=scan))
-    return taken, told
+        reconstructions.append(Found(name=name, folder=path, summary=summary, traits=stored_traits.read(path), scan=scan))
+    return datasets, reconstructions
 
 
 def copy(scans: Sequence[Scan], results: Sequence[Found], folder: Path, *, monitor: Monitor) -> None:

@@ -89,6 +89,8 @@ def test_a_damaged_picture_a_link_and_missing_words_leave_nothing(made: Path, st
     command.fails("export", study.parent / "nothing", "--publish", goal, "--study", study, named=["there is no such folder"])
     (tmp_path / "empty").mkdir()
     command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["holds no dataset"])
+    (tmp_path / "empty" / "elsewhere").symlink_to(made)
+    command.fails("export", tmp_path / "empty", "--publish", goal, "--study", study, named=["is a link"])
     copy = tmp_path / "copy"
     shutil.copytree(made, copy)
     picture = sorted((copy / "images").iterdir())[0]
