@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from rhizotwin.recon.coverage.silhouettes import Silhouette
@@ -82,14 +82,16 @@ def _connect(kept: Leaves, free: Leaves, objection: Array, added: NDArray[np.boo
     part = Scattered.of(solid).parts()
     sizes = np.bincount(part)
     rest = np.flatnonzero(~added)
-    node = np.concatenate([part, len(sizes) + np.arange(len(rest))])
+    node = np.concatenate([part, len(sizes) + np.arange(len(rest))]).astype(np.int32)
     cost = np.concatenate([np.full(len(sizes), _INSIDE), _STEP + objection[rest]])
     ends = [[node[there] for there in pair] for _, *pair in Scattered.of(np.concatenate([solid, free.index[rest]])).neighbours()]
     here, there = (np.concatenate(side) for side in zip(*ends, strict=True))
     some = here != there
     here, there = np.concatenate([here[some], there[some]]), np.concatenate([there[some], here[some]])
-    _, alone = np.unique(here * len(cost) + there, return_index=True)  # parallel edges of a sparse matrix would be summed
-    graph = coo_matrix((cost[there[alone]], (here[alone], there[alone])), shape=(len(cost),) * 2).tocsr()
+    there = there[np.argsort(here, kind="stable")]
+    begin = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=len(cost)))])
+    # by hand: a matrix made from pairs would add up the edges between two nodes, of which there may be many
+    graph = csr_matrix((cost[there], there, begin.astype(np.int32)), shape=(len(cost),) * 2)
     before = dijkstra(graph, indices=int(sizes.argmax()), return_predecessors=True)[1]
     way = np.zeros(len(cost), bool)
     last = np.arange(len(sizes))
