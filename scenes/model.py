@@ -230,10 +230,10 @@ class Turntable:
 
 @dataclass(frozen=True, kw_only=True)
 class Ring:
-    """One turn of the table before a camera at rest."""
+    """One turn of the table, or a part of one, before a camera at rest."""
 
     views: int = bounded(40, 1, 10000)
-    """Pictures in one turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the
+    """Pictures in the turn; an odd number tells about as much as twice as many, since opposite pictures see nearly the
     same outline."""
     height_mm: float = bounded(-42.0, -2000.0, 2000.0)
     """z of the camera in the rig frame."""
@@ -242,7 +242,9 @@ class Ring:
     tilt_deg: float = bounded(0.0, -89.0, 89.0)
     """Optical axis below the horizon."""
     first_deg: float = bounded(0.0, -360.0, 360.0)
-    """Table angle of the first view; the others follow evenly over the turn."""
+    """Table angle of the first view; the others follow evenly over `span_deg`."""
+    span_deg: float = bounded(360.0, 1.0, 360.0)
+    """How far the table turns: a part of a turn is a patch of close pictures beside a ring that goes round."""
     jitter_mm: float = bounded(0.0, 0.0, 50.0)
     """Standard deviation of a commanded per-view change of the camera's position, each axis."""
     jitter_deg: float = bounded(0.0, 0.0, 20.0)

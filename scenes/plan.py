@@ -46,7 +46,7 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
                     index=len(found),
                     ring=ring_index,
                     kind=ring.kind,
-                    table_deg=ring.first_deg + 360.0 * k / ring.views,
+                    table_deg=ring.first_deg + ring.span_deg * k / ring.views,
                     cam_from_rig=cam_from_rig,
                 )
             )

@@ -10,6 +10,7 @@ from benchmarks import cases
 from rhizotwin import command_line, plan_report, planning, plans
 from rhizotwin.plans import Height
 from rhizotwin.scenes import files, frames
+from rhizotwin.scenes import plan as capture
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
 from rhizotwin.scenes.plan import marker_warnings
 from tests.command import Command
@@ -118,3 +119,9 @@ def test_a_ring_that_sees_no_strip_is_said_before_pictures_are_taken(height_mm: 
     assert bool(found) == blind
     assert not blind or found[0].startswith(f"ring 2 (200 mm away, height {height_mm:g} mm) sees fewer than 4 whole markers")
     assert marker_warnings(replace(scene, strip=replace(scene.strip, rows=0))) == []
+
+
+def test_a_patch_is_a_part_of_a_turn():
+    patch = Ring(views=3, distance_mm=200.0, first_deg=30.0, span_deg=90.0)
+    scene = replace(Scene(), plan=CapturePlan(rings=(Ring(views=4), patch)))
+    assert [view.table_deg for view in capture.views(scene)] == pytest.approx([0.0, 90.0, 180.0, 270.0, 30.0, 60.0, 90.0])
