@@ -202,10 +202,9 @@ def generous_outline(silhouette: Silhouette) -> Image:
 
 
 def core_outline(silhouette: Silhouette) -> Image:
-    """Return a signed distance (2 H, 2 W) in pixels, positive only deep inside full coverage, bright spots closed."""
+    """Return a signed distance (2 H, 2 W) in pixels, positive only deep inside full coverage."""
     # what is not seen may be root, up to its rim
-    full = np.where(silhouette.seen & ~bright_spots(silhouette), silhouette.coverage, np.float32(1.0))
-    return _distance(silhouette, full, _FULL) - np.float32(CORE_PX)
+    return _distance(silhouette, np.where(silhouette.seen, silhouette.coverage, np.float32(1.0)), _FULL) - np.float32(CORE_PX)
 
 
 def bright_spots(silhouette: Silhouette) -> Mask:

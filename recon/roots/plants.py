@@ -59,14 +59,9 @@ def give(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
     owners = [_owner(tree, at_mm) for tree in trees]
     missing = tuple(plant.plant for k, plant in enumerate(plants) if k not in owners)
     owners, uncertain = _nearest(trees, owners, at_mm)
-    made: list[Root] = []
-    unsure: list[bool] = []
-    for tree, owner, is_open in zip(trees, owners, uncertain, strict=True):
-        arranged = hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots
-        first = len(made)
-        made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1, plant=plants[owner].plant) for root in arranged]
-        unsure += [is_open] * len(arranged)
-    return Planted(tuple(made), tuple(unsure), missing)
+    arranged = [hierarchy.arrange(tree.roots) if tree.is_turned else tree.roots for tree in trees]
+    given = [[replace(root, plant=plants[owner].plant) for root in own] for own, owner in zip(arranged, owners, strict=True)]
+    return _planted(given, uncertain, missing)
 
 
 def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) -> Planted:
@@ -80,13 +75,17 @@ def keep(roots: Sequence[Root], plants: Sequence[Plant], *, grid_z_mm: float) ->
     at_mm = np.array([[*plant.at_mm, grid_z_mm] for plant in plants])
     trees = Tree.of(roots)
     uncertain = _nearest(trees, [_owner(tree, at_mm) for tree in trees], at_mm)[1]
+    names = {root.plant for root in roots}
+    return _planted([tree.roots for tree in trees], uncertain, tuple(one.plant for one in plants if one.plant not in names))
+
+
+def _planted(trees: Sequence[Sequence[Root]], uncertain: Sequence[bool], missing: tuple[str, ...]) -> Planted:
+    """Return the roots of trees, whose parents are numbers within their tree, one tree after the other."""
     made: list[Root] = []
     for tree in trees:
         first = len(made)
-        made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in tree.roots]
-    unsure = [is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree.roots]
-    names = {root.plant for root in roots}
-    return Planted(tuple(made), tuple(unsure), tuple(one.plant for one in plants if one.plant not in names))
+        made += [replace(root, parent=root.parent + first if root.parent >= 0 else -1) for root in tree]
+    return Planted(tuple(made), tuple(is_open for tree, is_open in zip(trees, uncertain, strict=True) for _ in tree), missing)
 
 
 def _bases(tree: Tree, at_mm: Array) -> dict[int, tuple[int, int]]:

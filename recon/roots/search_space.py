@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,14 +61,16 @@ def carve_cells(seen: Evidence, water: Water, px_a_mm: float, *, monitor: Monito
             break
         size_mm *= 1.26 ** math.ceil(math.log2(len(cells.index) / _MOST_CELLS))  # each 1.26 halves their number
     del generous
-    deep = DistanceMaps.drawn(seen.silhouettes, "core", monitor, evidence.core_outline)
-    core = density.even_cells(_carve(seen, deep, grid, water))
-    return cells, core.chosen(~_often_bright(seen, core))
-
-
-def _often_bright(seen: Evidence, core: Cells) -> NDArray[np.bool_]:
-    """Return which cells (N,) more views see in a bright spot than spots before a thick root explain."""
     spots = [evidence.bright_spots(one) for one in seen.silhouettes]
+    pairs = zip(seen.silhouettes, spots, strict=True)
+    closed = [replace(one, coverage=np.where(spot, np.float32(1.0), one.coverage)) for one, spot in pairs]
+    deep = DistanceMaps.drawn(closed, "core", monitor, evidence.core_outline)
+    core = density.even_cells(_carve(seen, deep, grid, water))
+    return cells, core.chosen(~_often_bright(seen, core, spots))
+
+
+def _often_bright(seen: Evidence, core: Cells, spots: Sequence[Mask]) -> NDArray[np.bool_]:
+    """Return which cells (N,) more views see in a bright spot than spots before a thick root explain."""
     views = [k for k, one in enumerate(spots) if one.any()]
     bright = np.zeros(len(core.index), np.int64)
     if views and len(core.index):
