@@ -9,7 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from rhizotwin.batch.jobs import Job
 from rhizotwin.recon.results import assessments, result_traits
@@ -18,7 +17,6 @@ from rhizotwin.report import words
 from rhizotwin.scenes import atomic, subject, trait_table
 from rhizotwin.scenes.assessment import Assessment
 from rhizotwin.scenes.errors import UserError
-from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
 from rhizotwin.scenes.traits import Traits
 from rhizotwin.stored import result_files, stored_traits
 
@@ -79,10 +77,7 @@ def write(folder: Path, done: Sequence[Job], failed: Sequence[tuple[Job, str]]) 
 
 
 def _thumbnail(result: Path) -> bytes | None:
-    file = result / "pictures" / "shape.png"
-    data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
-    # from bytes: OpenCV ends the process at a name that is no UTF-8
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    image = result_files.read_shape_picture(result)
     if image is None:
         return None
     scale = THUMBNAIL_PX / image.shape[0]

@@ -1,6 +1,5 @@
 """Write datasets and results as a folder with licence, authors, metadata, checksums and an overview."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -14,13 +13,12 @@ from rhizotwin.publishing import crate, miappe, published
 from rhizotwin.publishing.published import Found, Scan
 from rhizotwin.publishing.study import LICENCES, Study
 from rhizotwin.scenes import atomic
-from rhizotwin.scenes.dataset import read_image
+from rhizotwin.scenes.dataset import read_image, sha256_of
 from rhizotwin.scenes.figures import figure, png
 from rhizotwin.scenes.folders import new_folder
 from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.provenance import versions
-from rhizotwin.scenes.reading import MOST_PICTURE_MIB, read_file
-from rhizotwin.stored import stored_traits
+from rhizotwin.stored import result_files, stored_traits
 
 CHECKSUMS = "checksums-sha256.txt"
 Image = NDArray[np.uint8 | np.uint16]
@@ -77,24 +75,18 @@ def publish(sources: Sequence[Path], output: Path, study: Study, *, monitor: Mon
 
 def _checksums(folder: Path) -> str:
     """Return a line for each file, as sha256sum writes and checks it."""
-    lines = []
-    for path in sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")):
-        name = path.relative_to(folder).as_posix()
-        if name != CHECKSUMS:
-            with path.open("rb") as file:
-                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
-    return "".join(lines)
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+    names = {path.relative_to(folder).as_posix(): path for path in files}
+    return "".join(f"{sha256_of(path)}  {name}\n" for name, path in names.items() if name != CHECKSUMS)
 
 
 def _contact_sheet(scans: Sequence[Scan], results: Sequence[Found]) -> bytes:
     """Return the middle picture of each scan and the shape of each result."""
     shown = [(scan.name, _small(read_image(scan.dataset, scan.dataset.frames[len(scan.dataset.frames) // 2]))) for scan in scans]
     for found in results:
-        file = found.folder / "pictures" / "shape.png"
-        data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-        if picture is not None:
-            shown.append((f"{found.name}: shape", _small(picture)))
+        shape = result_files.read_shape_picture(found.folder)
+        if shape is not None:
+            shown.append((f"{found.name}: shape", _small(cv2.cvtColor(shape, cv2.COLOR_BGR2GRAY))))
     across = max(1, min(_ACROSS, len(shown)))
     rows = max(1, -(-len(shown) // across))
     drawn = figure(3.0 * across, 2.6 * rows)

@@ -74,6 +74,17 @@ def results_in(folders: Sequence[Path]) -> list[Path]:
     return found
 
 
+def read_shape_picture(folder: Path) -> NDArray[np.uint8] | None:
+    """Return the drawing of a result's shape, (H, W, 3) BGR; None where there is none that can be decoded."""
+    import cv2  # not for those who look at no picture
+
+    file = folder / "pictures" / "shape.png"
+    data = np.frombuffer(read_file(file, most_mib=MOST_PICTURE_MIB) if file.is_file() else b"", np.uint8)
+    # from bytes: OpenCV ends the process at a name that is no UTF-8
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    return None if image is None else image.astype(np.uint8)
+
+
 def read_strip(folder: Path, summary: Json) -> MarkerStrip | None:
     """Return the marker strip that a result was measured by.
 
