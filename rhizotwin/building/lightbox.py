@@ -10,6 +10,7 @@ from rhizotwin.building.mounts import M3_MM
 from rhizotwin.building.part import Dimension, Part
 from rhizotwin.building.shapes import polygon, raised, rectangle, rounded, teardrop, union
 from rhizotwin.scenes import frames
+from rhizotwin.scenes.frames import Array
 from rhizotwin.scenes.model import Scene
 
 CLIP_WIDE_MM, CLIP_WALL_MM = 20.0, 2.4
@@ -78,15 +79,13 @@ def lightbox_clip(scene: Scene, measures: Measures) -> Part:
 
 
 def _holder_back_mm(measures: Measures) -> float:
-    """Return from the holder's back to the panel's bright face, the diffuser's."""
-    return (
-        HOLDER_WALL_MM + measures.panel_board_mm + measures.fit_mm + measures.diffuser_gap_mm + measures.diffuser_mm + measures.fit_mm / 2.0
-    )
+    """Return from the holder's back to the panel's bright face, the diffuser's, in the middle of its play."""
+    return _slots(measures)[1][1] - measures.fit_mm / 2.0
 
 
 def _bar_x_mm(scene: Scene, measures: Measures) -> float:
     back = measures.profile_mm / 2.0 + measures.fit_mm / 2.0 + CLIP_WALL_MM + 2.0
-    return -scene.lights.backlight_distance_mm - _holder_back_mm(measures) - back
+    return _panel_x_mm(scene, measures) - back
 
 
 def _bar_beyond_mm() -> float:
@@ -127,11 +126,10 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
     screws = union(teardrop(M3_MM, (-tab / 2.0 - wall / 2.0 + s * 1.5 * CLIP_SCREWS_MM, middle)) for s in (-1, 1))
     through = screws.extrude(wall + 2.0).transform(np.array([[0.0, 0.0, 1.0, -1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]))
     places = []
-    x = -scene.lights.backlight_distance_mm - _holder_back_mm(measures)
+    x = _panel_x_mm(scene, measures)
     for y, z in clip_places_mm(scene):
         up = -np.sign(z - scene.lights.backlight_z_mm)  # the channel opens towards the panel's middle
-        axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-        places.append(np.asarray(frames.translation(x, y + up * middle, z) @ axes))
+        places.append(_at_edge((x, y, z), up, HOLDER_LONG_MM))
     return Part(
         name="panel_holder",
         about="Holds the LEDs' board and, before it, the diffuser at the upper and lower edge of the panel.",
@@ -149,6 +147,13 @@ def panel_holder(scene: Scene, measures: Measures) -> Part:
             ("pieces", float(len(places)), "as many as clips"),
         ),
     )
+
+
+def _at_edge(middle_mm: tuple[float, float, float], up: float, long_mm: float) -> Array:
+    """Return the place (4, 4) of a piece at the upper (``up`` is -1) or lower edge, from its middle there."""
+    x, y, z = middle_mm
+    axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    return np.asarray(frames.translation(x, y + up * long_mm / 2.0, z) @ axes)
 
 
 def lightbox_walls(scene: Scene, measures: Measures) -> list[Part]:
@@ -173,8 +178,7 @@ def _edge_piece(scene: Scene, measures: Measures, number: int, long_mm: float, m
     places = []
     for y in middles_mm:
         for up in (1.0, -1.0):
-            axes = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -up, 0.0], [0.0, up, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-            places.append(np.asarray(frames.translation(x, y + up * cut / 2.0, z - up * high / 2.0) @ axes))
+            places.append(_at_edge((x, y, z - up * high / 2.0), up, cut))
     return Part(
         name=f"lightbox_wall_{number}",
         about="Closes the lightbox between two holders at its upper and lower edge; glue it to the board.",
