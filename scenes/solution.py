@@ -9,7 +9,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -163,27 +162,6 @@ def headings(many: Sequence[Mapping[str, float]]) -> dict[str, str]:
         Concentrations as of `Solution.ions_mmol_per_l`.
     """
     return {ion: f"{ion} ({UNIT})" for ion in IONS if any(own.get(ion) for own in many)}
-
-
-def ions_of_cells(cells: Mapping[str, str], where: str) -> dict[str, float]:
-    """Return the concentrations in a row of a table, mmol/l by ion; empty where it has none.
-
-    Raises
-    ------
-    UserError
-        For a cell that is not a number of 0 or more.
-    """
-    found = {}
-    for ion in IONS:
-        text = (cells.get(f"{ion} ({UNIT})") or "").strip()
-        if text:
-            try:
-                found[ion] = float(text)
-            except ValueError:
-                found[ion] = -1.0
-            if not 0.0 <= found[ion] < inf:
-                raise UserError(f"{where}: {ion} ({UNIT}) is {text!r}, but must be a number of 0 or more")
-    return found
 
 
 def read_solution(text: str) -> Solution:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rhizotwin.experiment.compare import Difference, Point, Seen, differences, means, relative_rates, too_few
-from rhizotwin.experiment.doses import Response, fit_responses, read_doses
+from rhizotwin.experiment.doses import Response, fit_responses, group_ions, read_doses
 from rhizotwin.experiment.matching import Day, Followed, follow
 from rhizotwin.experiment.measured import Measured, by_plant, left_out
 from rhizotwin.scenes import atomic, neighbours, rsml, solution
@@ -68,6 +68,9 @@ def measure(found: Sequence[Measured]) -> Growth:
     notes += [f"{trait}: treatments are not compared: {why}" for trait, values in seen.items() if (why := too_few(values))]
     doses = read_doses(plants)
     responses = {trait: fitted for trait, values in seen.items() if (fitted := fit_responses(values, doses))}
+    if group_ions(doses):
+        why = f"{len(doses)} plants are too few, or their ions depend on each other"
+        notes += [f"{trait}: no dose response: {why}" for trait in seen if trait not in responses]
     if doses and len(doses) < len(plants):
         notes.append(
             f"{len(plants) - len(doses)} of {len(plants)} plants have no known nutrient solution and are left out of the dose response"

@@ -169,10 +169,19 @@ def _of_row(row: tables.Row) -> Measured:
     return Measured(
         name=row.cells.get("result") or row.where,
         subject=subject.of_cells(row.cells, row.where),
-        ions=solution.ions_of_cells(row.cells, row.where),
+        ions=_ions(row),
         traits=traits,
         assessed={name: _assessment(row, name, numbers) for name in traits},
     )
+
+
+def _ions(row: tables.Row) -> dict[str, float]:
+    """Return the concentrations in a row, mmol/l by ion; empty where it has none."""
+    headings = {ion: f"{ion} ({solution.UNIT})" for ion in solution.IONS}
+    found = {ion: value for ion, heading in headings.items() if (value := tables.number(row, heading)) is not None}
+    if low := [ion for ion, value in found.items() if value < 0.0]:
+        raise UserError(f"{row.where}: {headings[low[0]]} is {found[low[0]]:g}, but must be 0 or more")
+    return found
 
 
 def _assessment(row: tables.Row, name: str, numbers: Mapping[str, float]) -> Assessment:

@@ -7,7 +7,7 @@ import pytest
 from rhizotwin.scenes import files, solution
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.schema import Place
-from rhizotwin.scenes.solution import IONS, Solution, check_solution, headings, ions_of_cells, read_solution
+from rhizotwin.scenes.solution import IONS, Solution, check_solution, headings, read_solution
 
 KLIMAN = {
     # molar masses by hand: IUPAC 2021 atomic weights, H 1.008, N 14.007, O 15.999, P 30.974, S 32.06, K 39.098, Ca 40.078, Mg 24.305
@@ -96,10 +96,6 @@ def test_columns_of_tables() -> None:
     heads = headings([ions, {}])
     assert list(heads)[:3] == ["NO3", "NH4", "H2PO4"]
     assert "Cl" not in heads
-    cells = {heads[ion]: f"{ions[ion]:.7g}" for ion in heads}
-    assert ions_of_cells(cells, "t.csv") == pytest.approx({ion: ions[ion] for ion in heads}, rel=1e-6)
-    with pytest.raises(UserError, match="number of 0 or more"):
-        ions_of_cells({"K (mmol/l)": "-1"}, "t.csv, line 2")
     assert solution.of_summary({}, "result.json") == Solution()
 
 

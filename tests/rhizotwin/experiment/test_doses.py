@@ -115,6 +115,21 @@ def test_the_command_reads_columns_and_writes_doses(tmp_path: Path, command: Com
     assert "K (mmol/l)" in (out / "traits.csv").read_text(encoding="utf-8").splitlines()[0]
 
 
+@pytest.mark.parametrize(("cell", "named"), [("-1", "must be 0 or more"), ("5 mmol/l", "is no number"), ("inf", "no finite number")])
+def test_a_wrong_concentration_is_one_sentence(cell: str, named: str, tmp_path: Path) -> None:
+    path = tmp_path / "traits.csv"
+    path.write_text(f"plant,day,total_length (mm),K (mmol/l)\np1,5,10,{cell}\n", encoding="utf-8")
+    with pytest.raises(UserError, match=named):
+        read_all([path])
+
+
+def test_a_trait_without_a_response_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "traits.csv"
+    path.write_text("plant,day,total_length (mm),K (mmol/l)\np1,5,10,1\np2,5,20,2\n", encoding="utf-8")
+    notes = growth.measure(read_all([path])).notes
+    assert "total_length: no dose response: 2 plants are too few, or their ions depend on each other" in notes
+
+
 def test_a_plant_in_two_solutions_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"plant p0 is in two nutrient solutions, .* differ in"):
         growth.measure(read_all([table(tmp_path, change=True)]))
