@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -136,7 +137,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
         Score, times and memory.
     """
     from benchmarks import perturb
-    from rhizotwin.baselines import reconstruct_thesis
+    from rhizotwin.baselines import reconstruct_baseline
     from rhizotwin.recon.reconstruct import reconstruct
     from rhizotwin.recon.settings import Settings
     from rhizotwin.scenes import memory
@@ -149,7 +150,7 @@ def score(dataset_folder: Path, method: str, voxel_mm: float, change: str, worki
         write = perturb.rounded if kind == "rounded" else perturb.lossy
         dataset_folder = write(dataset_folder, working / "dataset", seed=int(seed)).folder
     began, busy = time.perf_counter(), time.process_time()
-    find = reconstruct_thesis if method == "thesis" else reconstruct
+    find = partial(reconstruct_baseline, method="thesis") if method == "thesis" else reconstruct
     find(dataset_folder, settings=Settings(voxel_mm=voxel_mm)).save(working / "result")
     taken = {
         "wall_s": time.perf_counter() - began,

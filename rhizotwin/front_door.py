@@ -186,11 +186,11 @@ def reconstruct(
         checked = from_plain(Settings, {"voxel_mm": voxel_mm}, Place("the call of reconstruct"))
         settings = replace(settings or checked, voxel_mm=checked.voxel_mm)
     if method != "ours":
-        from rhizotwin.baselines import METHODS
+        from rhizotwin.baselines import reconstruct_baseline
 
         if keep_stages is not None or mass_g is not None:
             raise UserError(f"--method {method} keeps no stages and has no traits of mass; leave out --keep-stages and --mass-g")
-        return _shown(METHODS[method](dataset, settings=settings, monitor=monitor))
+        return _shown(reconstruct_baseline(dataset, method, settings=settings, monitor=monitor))
     return _shown(find(dataset, settings=settings, mass_g=mass_g, keep_stages=keep_stages, monitor=monitor))
 
 
