@@ -3,7 +3,7 @@
 The paths from every cell to the top (Dijkstra), with a cost a millimetre that falls with the density, form a tree.
 Branches are read off it as TEASAR does (Sato et al. 2000, Pacific Graphics): the path from the farthest cell that no
 branch has claimed yet is a branch down to where it meets another; it claims the cells about it; and so on until no
-dense cell is left. Gaps are bridged where the search space allows it, at a cost.
+dense cell is left. Gaps are bridged where the search space allows it, or the net pot hides them, at a cost.
 """
 
 from __future__ import annotations
@@ -119,6 +119,7 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
         plant = number[part == np.bincount(part, weights=cells.shadow_mm2[body]).argmax()]
         members = {-1: plant[dense[plant]]}
     starts = {top: _start(plant, centre[:, 2], density, depth_mm) for top, plant in members.items()}
+    joined = joined + _behind_net_pot(cells, dense, np.array(list(starts.values())))
     cost, before, _ = dijkstra(joined, directed=False, indices=list(starts.values()), min_only=True, return_predecessors=True)
     length = lengths(cost, before, centre)
     claim = np.where(depth_mm > 0, depth_mm + _CORE_CLAIM_MM, CLAIM_CELLS * cells.grid.size_mm)
@@ -135,6 +136,23 @@ def trace(cells: Cells, depth_mm: Array) -> list[Path]:
     hung = [(int(line[0]), path.points_mm, path.shadow_mm2) for line, path in zip(lines, paths, strict=True)]
     under = {starts[top]: cells.tops_mm[top] for top in members if top >= 0}
     return [Path(*path) for path in crown.hang(hung, under, cells.grid.size_mm)] if under else paths
+
+
+def _behind_net_pot(cells: Cells, dense: NDArray[np.bool_], starts: Index) -> csr_matrix:
+    """Join parts of the search space that meet only where the net pot hides them, at the cost of empty cells: (N, N).
+
+    A part whose dense cells come as near to the top of a plant as the hidden base of one may reach is joined there.
+    """
+    centre, part = cells.centre_mm, Scattered.of(cells.index).parts()
+    begun, top_mm = np.isin(part, part[starts]), centre[starts, 2].min()
+    heads = np.flatnonzero(dense & begun & (centre[:, 2] > top_mm - _TOP_MM))
+    high = np.flatnonzero(dense & ~begun & (centre[:, 2] > top_mm - crown.HIDDEN_MM))
+    away, nearest = cKDTree(centre[heads]).query(centre[high], distance_upper_bound=crown.HIDDEN_MM)
+    order = np.argsort(away, kind="stable")
+    order = order[np.isfinite(away[order])]
+    first = order[np.unique(part[high[order]], return_index=True)[1]]
+    shape = (len(centre), len(centre))
+    return coo_matrix(((away[first] / _BRIDGE).astype(np.float32), (heads[nearest[first]], high[first])), shape=shape).tocsr()
 
 
 def _start(plant: Index, height_mm: Array, density: Array, depth_mm: Array) -> int:

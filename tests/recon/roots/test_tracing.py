@@ -34,6 +34,16 @@ def test_density_and_tracing_find_thin_roots():
     assert (score.tip_recall, score.tips) == (1.0, 2)
 
 
+def test_roots_that_meet_behind_the_net_pot_are_traced_and_those_far_from_it_are_not():
+    beside, far = np.add(TRUNK[:200], (2.4, 0.0, -0.4)), np.add(TRUNK[:200], (8.8, 0.0, 0.0))
+    index = np.unique(np.floor((np.concatenate([TRUNK, beside, far]) - GRID.origin_mm) / 0.4).astype(np.int32), axis=0)
+    found = Cells(GRID, index, np.full(len(index), 0.2, np.float32))
+    paths = tracing.trace(found, np.full(len(index), -1.0))
+    assert len(paths) == 2
+    score = score_roots.compare_roots([root(path.points_mm) for path in paths], [root(TRUNK), root(beside)])
+    assert min(score.recall, score.precision) > 0.9
+
+
 def test_what_tubes_leave_unexplained_is_hung_on_them():
     true = strung(TRUNK, TWIG)
     seen = pictured(true)
