@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Any, Literal
 
+from rhizotwin.recon.bands import measure_bands
 from rhizotwin.recon.settings import PictureSettings
 from rhizotwin.scenes import transfer
 from rhizotwin.scenes.dataset import Dataset, Frame, read_image, sha256_of
@@ -60,6 +61,9 @@ class Pictures:
     """(F,) pictures (H, W), linear in light."""
     curve: CurveFound | None = None
     """By what curve they were read; None: no edges were asked."""
+    bands: Mapping[str, float] = field(default_factory=dict)
+    """Signal-to-noise ratio in each band of the camera, the band of these pictures first; empty: the camera has none,
+    or the settings name the band."""
     warnings: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     """Frames that the dataset lists and whose pictures are not read."""
@@ -68,7 +72,11 @@ class Pictures:
 
 
 def read_pictures(
-    dataset: Dataset, *, kind: Literal["root", "shoot"] = "root", settings: PictureSettings = PictureSettings(), monitor: Monitor
+    dataset: Dataset,
+    *,
+    kind: Literal["root", "shoot"] = "root",
+    settings: PictureSettings = PictureSettings(),
+    monitor: Monitor,
 ) -> Pictures:
     """Read a dataset's pictures of the root, or of the shoot.
 
@@ -79,7 +87,8 @@ def read_pictures(
     kind : {"root", "shoot"}
         Of which the pictures are.
     settings : PictureSettings
-        Which pictures are left out.
+        Which pictures are left out, and the band of those of the root; without one it is the band with the largest
+        signal-to-noise ratio.
     monitor : Monitor
         Hears how far the work is.
 
@@ -89,9 +98,13 @@ def read_pictures(
         Where there are none, a picture to leave out is not listed, or one is missing or damaged and the settings are
         not tolerant.
     """
-    listed = tuple(frame for frame in dataset.frames if frame.kind == kind)
+    given = settings.band if kind == "root" else ""
+    ratios = {} if given else measure_bands(dataset, kind, monitor=monitor)
+    band = given or next(iter(ratios), "")
+    listed = tuple(frame for frame in dataset.frames if frame.kind == kind and frame.band == band)
     if not listed:
-        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}; take or import some.")
+        taken = f" in the band {band}" if band else ""
+        raise UserError(f"{dataset.folder / 'dataset.json'} lists no pictures of the {kind}{taken}; take or import some.")
     unwanted = _unwanted(dataset, settings.leave_out)
     with monitor.stage("read"):
         read = monitor.each(lambda frame: _read(dataset, frame, settings.tolerant), "read", [f for f in listed if f.file not in unwanted])
@@ -104,7 +117,7 @@ def read_pictures(
     said = [f"{frame.file} is left out: {reason}" for frame, reason in left_out]
     said += () if dataset.masks else _contradictions(dataset, frames)
     images = tuple(image for _, image in known)
-    return Pictures(dataset=dataset, frames=frames, images=images, warnings=tuple(said), left_out=tuple(left_out))
+    return Pictures(dataset=dataset, frames=frames, images=images, bands=ratios, warnings=tuple(said), left_out=tuple(left_out))
 
 
 def _unwanted(dataset: Dataset, names: Sequence[str]) -> set[str]:

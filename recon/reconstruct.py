@@ -104,7 +104,7 @@ def reconstruct(
     solid, of_plants, plants_said = _by_plant(_judged(solid, checked), dataset.scene)
     shoot, shoot_said = find_shoot(dataset, settings=settings, monitor=monitor)
     warnings = (*pictures.warnings, *cameras.warnings, *_said(solid, roots), *plants_said, *shoot_said)
-    found = gather(dataset, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
+    found = gather(pictures, cameras, coverage, solid, warnings=warnings, checked=checked, settings=to_plain(settings), monitor=monitor)
     return replace(found, mass_g=mass_g, estimates=_estimates(hull, solid, monitor), plants=of_plants, shoot=shoot)
 
 
@@ -227,7 +227,7 @@ def _checks(pictures: Pictures, cameras: Cameras, coverage: Coverage, trust: Tru
 
 
 def gather(
-    dataset: Dataset,
+    pictures: Pictures,
     cameras: Cameras,
     coverage: Coverage,
     solid: Solid,
@@ -241,8 +241,8 @@ def gather(
 
     Parameters
     ----------
-    dataset : Dataset
-        Scene and frames.
+    pictures : Pictures
+        Their dataset, and the band they were taken in.
     cameras, coverage, solid : Cameras, Coverage, Solid
         What the stages made.
     warnings, checked : tuple of str, tuple of Check
@@ -257,7 +257,7 @@ def gather(
     Result
         The result, not saved.
     """
-    files = [camera.file for camera in cameras.all]
+    dataset, files = pictures.dataset, [camera.file for camera in cameras.all]
     used = {camera.file for camera in cameras.all if camera.used}  # others may have no file that can be read
     contents = {frame.file: content_of(dataset, frame) for frame in dataset.frames if frame.sha256 or frame.file in used}
     fill = {files[k]: share for k in range(len(files)) if (share := coverage.fill(k)) is not None}
@@ -271,6 +271,7 @@ def gather(
         solid=solid,
         cameras=tuple(replace(camera, sha256=contents.get(camera.file, "")) for camera in cameras.all),
         fill=fill,
+        bands=pictures.bands,
         rig=calibrated.of_cameras(cameras),
         warnings=warnings,
         checks=checked,

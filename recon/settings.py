@@ -74,10 +74,15 @@ class PictureSettings:
     """Pictures to leave out, by their files as the dataset lists them, or the ends of these names."""
     tolerant: bool = False
     """Leave out pictures that are missing or cannot be read, instead of stopping at the first."""
+    band: str = ""
+    """Name of the camera's band whose pictures show the roots; empty: the one with the largest signal-to-noise
+    ratio."""
 
     def joined(self, other: PictureSettings) -> PictureSettings:
         """Return what leaves out the pictures of both, tolerant where one is."""
-        return PictureSettings(leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant)
+        return PictureSettings(
+            leave_out=(*self.leave_out, *other.leave_out), tolerant=self.tolerant or other.tolerant, band=self.band or other.band
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

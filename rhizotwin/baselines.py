@@ -163,7 +163,7 @@ def _result(method: Baseline, shape: _Shape, *, settings: Settings, monitor: Mon
     solid = replace(solid, volume=solid.volume.distrusted([reason]))
     recorded = {"method": method, "voxel_mm": settings.voxel_mm}
     return gather(
-        pictures.dataset,
+        pictures,
         cameras,
         coverage,
         solid,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -87,7 +87,9 @@ def import_pictures(
     if cameras is not None:
         scene, given = _given(scene, cameras)
         paths = _with_cameras(paths, given, cameras, notes)
-    table = _table_angles(scene, len(paths), given, notes)
+    bands = _bands_of(paths, scene)
+    angles = _table_angles(scene, 1 + max(view for view, _ in bands), given, notes)
+    table = [(view, band, *angles[view]) for view, band in bands]
     white = _white_level(paths, scene) if masks else None
     notes += [_curve_note(paths, scene, raw=raw)] if white is None else []
     origin: dict[str, Any] = {"program": "rhizotwin import", "pictures": str(folder), "cameras": cameras and str(cameras)}
@@ -97,6 +99,25 @@ def import_pictures(
         origin |= {"clipped": copying.clipped, "versions": versions()}
         dataset = save_dataset(Dataset(folder=building, scene=scene, frames=frames, masks=masks, origin=origin))
     return Imported(dataset=replace(dataset, folder=out), notes=(*notes, *copying.notes()))
+
+
+def _bands_of(paths: list[Path], scene: Scene) -> list[tuple[int, str]]:
+    """Return the number of the view and the band of each picture.
+
+    Where the camera has bands, the names of a view's pictures differ by ``_BAND`` at their end.
+    """
+    names = [band.name for band in scene.camera.bands]
+    if not names:
+        return [(number, "") for number in range(len(paths))]
+    found, views = [], dict[str, int]()
+    for path in paths:
+        ends = [name for name in names if path.stem.endswith(f"_{name}")]
+        if not ends:
+            example = f"{path.stem}_{names[0]}{path.suffix}"
+            raise UserError(f"{path}: its name ends with none of the camera's bands: call it {example}, for example")
+        band = max(ends, key=len)
+        found.append((views.setdefault(path.stem.removesuffix(f"_{band}"), len(views)), band))
+    return found
 
 
 def _refuse_options(scene: Scene, cameras: Path | None, *, masks: bool, no_strip: bool) -> None:
@@ -120,6 +141,12 @@ def _pictures_in(folder: Path, *, masks: bool) -> tuple[list[Path], bool]:
         other = next(path for path in paths if path not in raw)
         raise UserError(f"{folder} holds raw pictures ({raw[0].name}) beside others ({other.name}); put one kind into a folder of its own")
     return paths, bool(raw)
+
+
+Alike: TypeAlias = tuple[int, str]
+"""Ring and band: pictures of one ring in one band are alike."""
+Placed: TypeAlias = tuple[int, str, int, float | None]
+"""View, band, ring and table angle of a picture."""
 
 
 class _Copying:
@@ -148,19 +175,20 @@ class _Copying:
         self.clipped: dict[str, float] = {}
         """Share of full pixels of the pictures that are too bright."""
 
-    def copied(self, paths: list[Path], table: list[tuple[int, float | None]], monitor: Monitor) -> tuple[Frame, ...]:
-        """Copy all pictures, with ring and table angle of each; refuse damaged ones."""
+    def copied(self, paths: list[Path], table: list[Placed], monitor: Monitor) -> tuple[Frame, ...]:
+        """Copy all pictures, with view, band, ring and table angle of each; refuse damaged ones."""
         found = []
         with monitor.stage("copy"), monitor.steps("copy", len(paths), "picture") as step:
-            for path, (ring, table_deg) in zip(paths, table, strict=True):
-                found.append(self._copy(path, ring, table_deg))
+            for path, placed in zip(paths, table, strict=True):
+                found.append(self._copy(path, placed))
                 step()
         self._turns.refuse_damaged()
         self._count = len(found)
         return tuple(found)
 
-    def _copy(self, path: Path, ring: int, table_deg: float | None) -> Frame:
+    def _copy(self, path: Path, placed: Placed) -> Frame:
         """Write a picture into the dataset, and look at it."""
+        view, band, ring, table_deg = placed
         if self._raw:
             light, self._gains = raw_pictures.read_raw(path, image_wh=self._scene.camera.image_wh, gains=self._gains)
             data = encode_light_png(light)
@@ -170,7 +198,7 @@ class _Copying:
         write_bytes(self._folder / name, data)
         if self._white is None:
             grey = decode_grey(data, where=str(path))
-            self._turns.add(path, ring, grey, sealed=self._raw or is_sealed(data))
+            self._turns.add(path, (ring, band), grey, sealed=self._raw or is_sealed(data))
             if (share := _clipped(grey)) > MOST_CLIPPED:
                 self.clipped[name] = round(share, 4)
         pose = None if self._given is None else _pose_of(path, self._given)
@@ -178,6 +206,8 @@ class _Copying:
             file=name,
             sha256=sha256_of(self._folder / name),
             kind=self._scene.plan.rings[ring].kind,
+            band=band,
+            view=view if band else None,
             ring=ring,
             table_deg=table_deg,
             cam_from_canister=None if pose is None else tuple(tuple(float(value) for value in row) for row in pose),
@@ -282,11 +312,11 @@ class _Turns:
     """The pictures of each ring, of which some have no checksum: damage in those is sought by their neighbours."""
 
     def __init__(self) -> None:
-        self._turns: dict[int, Turn] = {}
-        self._open: dict[str, int] = {}  # pictures without a checksum, with their ring
+        self._turns: dict[Alike, Turn] = {}
+        self._open: dict[str, Alike] = {}  # pictures without a checksum, with their ring and band
         self._folder = Path()
 
-    def add(self, path: Path, ring: int, grey: Grey, *, sealed: bool) -> None:
+    def add(self, path: Path, ring: Alike, grey: Grey, *, sealed: bool) -> None:
         """Take a picture in."""
         self._folder = path.parent
         self._turns.setdefault(ring, Turn()).add(path.name, grey)

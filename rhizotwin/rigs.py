@@ -17,6 +17,7 @@ from rhizotwin.scenes import files
 from rhizotwin.scenes.checks import check_scene
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import CapturePlan, Scene
+from rhizotwin.scenes.schema import Place, from_plain
 
 if TYPE_CHECKING:
     from rhizotwin.rig.devices import Camera
@@ -121,7 +122,7 @@ def open_bench(rig: str, scene: str | None, *, errors: TwinErrors, plan: str | N
         steps.start_engine(errors.device)
     from rhizotwin.rig.twin.twin import Twin, default_rig
 
-    rig_file = default_rig()
+    rig_file = default_rig(scene=known)
     if errors.profile == "real":  # whose roots swing
         rig_file = replace(rig_file, turntable=replace(rig_file.turntable, rest="measured"))
     emulated = Twin(known, seed=errors.seed, profile_name=errors.profile, pictures=pictures, rig=rig_file)
@@ -133,9 +134,13 @@ def _with_plan(scene: Scene, plan: str | None) -> Scene:
     if plan is None:
         return scene
     path = Path(plan)
-    if path.suffix == ".toml" and "plan" not in files.read_toml(path)[0]:
-        raise UserError(f"{path}: has no [[plan.rings]]; give a file that has, or the name of a scene")
-    changed = replace(scene, plan=CapturePlan(rings=files.load_scene(plan).plan.rings))
+    if path.suffix == ".toml":
+        table, text = files.read_toml(path)
+        if "plan" not in table:
+            raise UserError(f"{path}: has no [[plan.rings]]; give a file that has, or the name of a scene")
+        changed = replace(scene, plan=from_plain(CapturePlan, table["plan"], Place(str(path), text).at("plan")))
+    else:
+        changed = replace(scene, plan=files.load_scene(plan).plan)
     check_scene(changed, where=f"scene {scene.name} with the plan of {plan}")
     return changed
 

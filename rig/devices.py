@@ -7,6 +7,7 @@ spirit: whoever opened one calls ``close`` on every way out.
 from dataclasses import dataclass
 from typing import Protocol
 
+from rhizotwin.rig.rig_file import BandPart
 from rhizotwin.scenes.pictures import Grey
 
 LEAST_DEG, MOST_DEG = -90.0, 720.0
@@ -59,13 +60,24 @@ class Turntable(Protocol):
 
 
 class Lights(Protocol):
-    """The backlight panel and the front light; levels are fractions 0 to 1 of what the rig file calls full."""
+    """The backlight panel, the front light and lamps of bands.
 
-    def set(self, *, panel: float, front: float) -> None:
-        """Set both lamps."""
+    Levels are fractions 0 to 1 of what the rig file calls full.
+    """
+
+    def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
+        """Set all lamps and wait until they burn steadily.
+
+        Parameters
+        ----------
+        panel, front : float
+            Levels of the panel and the front light.
+        band : BandPart or None
+            Colours and switched output of a band; None: those of ``[lights]``, and no output.
+        """
 
     def off(self) -> None:
-        """Switch both off."""
+        """Switch all off."""
 
 
 def check_levels(*, panel: float, front: float) -> None:
@@ -104,6 +116,9 @@ class Arm(Protocol):
 
     def move_to(self, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
         """Move all joints at once at a limited speed, wait, verify; return the angles read back."""
+
+    def turn_filter(self, angle_deg: float) -> None:
+        """Turn the filter wheel before the lens."""
 
     def health(self) -> None:
         """Raise `UnsafeError` when a servo is too warm or the voltage is out of its range."""

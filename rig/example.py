@@ -58,6 +58,8 @@ max_volt = 8.4
 max_celsius = 65.0
 correct = true  # look at the markers and correct the camera's place
 
+# [arm.filter]  # the end effector's motor, where it turns a filter wheel before the lens: the keys of a joint
+
 [[arm.joints]]  # base
 servo = 6
 zero_counts = 500.0  # servo position with all links in line along the base's axis
@@ -105,6 +107,7 @@ exposure_s = 0.01  # so that the panel reaches about 75 % of full scale: 'rhizot
 gain = 1.0
 colour_gains = [2.0, 2.0]  # fixed white balance: red, blue (picamera2)
 white_balance_kelvin = 5000  # fixed white balance (v4l2)
+bands = []  # for a scene with [[camera.bands]]: [{name = "nir", panel_level = 0.0, front_level = 0.0, output = 0}], see docs/bands.md
 
 [clearance]  # what the arm's ways are checked against, besides the scene's canister and net pot
 margin_mm = 15.0

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rhizotwin.rig import bands
 from rhizotwin.rig.arm.clearance import check_path, plan_path
 from rhizotwin.rig.arm.kinematics import cam_from_rig as camera_at
 from rhizotwin.rig.arm.placing import arm_of, camera_wanted, corrected_joints, joints_for, joints_looking, place_of, within_limits
@@ -49,6 +50,7 @@ class Jog:
             "table": Word(usage="table +9 | table 90", does="turn by an angle with a sign, or to one without", run=self._table),
             "home": Word(usage="home [DEG]", does="find the table's angle by the markers, or say that it stands at DEG", run=self._home),
             "lights": Word(usage="lights PANEL [FRONT]", does="levels from 0 to 1", run=self._lights),
+            "band": Word(usage="band NAME", does="set lamps and filter as a band of the camera needs them", run=self._band),
             "joint": Word(usage="joint 2 +5 | joint 2 30", does="move joint 1 to 5 by or to an angle", run=self._joint),
             "go": Word(usage="go DISTANCE HEIGHT [TILT]", does="bring the camera so far from the axis and above the rim", run=self._go),
             "look": Word(
@@ -178,6 +180,17 @@ class Jog:
             raise ValueError(words)
         self._board()
         self._devices.lights.set(panel=panel, front=front)
+
+    def _band(self, words: list[str]) -> None:
+        (name,) = words
+        part = bands.part_of(self._devices.rig, name)
+        if part is None:
+            known = ", ".join(one.name for one in self._devices.rig.camera.bands) or "none"
+            raise UserError(f"the rig file has no band {name!r}; it has {known}")
+        self._board()
+        bands.light(self._devices.lights, self._devices.rig, name)
+        if part.filter_deg is not None:
+            self._arm().turn_filter(part.filter_deg)
 
     def _joint(self, words: list[str]) -> None:
         number, text = words

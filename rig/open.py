@@ -118,9 +118,9 @@ def open_board(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) 
         except BaseException:
             pins.close()
             raise
-        return HatTurntable(pins, hat, part, clock), HatLights(pixels, rig.lights, clock)
+        return HatTurntable(pins, hat, part, clock), HatLights(pixels, pins, rig.lights, clock, bands=rig.camera.bands)
     link = MarlinLink(Port(part.port, baud=part.baud, clock=clock, device="turntable", recorder=recorder))
-    return MarlinTurntable(link, part, clock), MarlinLights(link, rig.lights, clock)
+    return MarlinTurntable(link, part, clock), MarlinLights(link, rig.lights, clock, bands=rig.camera.bands)
 
 
 def open_arm(rig: RigFile, *, clock: Clock, recorder: Recorder | None = None) -> Arm | None:

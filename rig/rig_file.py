@@ -3,7 +3,7 @@
 TOML, validated, unknown keys refused.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -132,11 +132,34 @@ class ArmPart:
     settle_s: float = bounded(1.0, 0.0, 60.0)
     park_deg: tuple[float, float, float, float, float] = bounded((0.0, -60.0, 80.0, 70.0, 0.0), -360.0, 360.0)
     """Where the arm rests before its torque goes off; the way to the first ring begins and ends here."""
+    filter: Joint | None = None
+    """The end effector's motor, where it turns a filter wheel before the lens."""
     min_volt: float = bounded(6.5, 4.5, 12.0)
     max_volt: float = bounded(8.4, 4.5, 12.0)
     max_celsius: float = bounded(65.0, 20.0, 85.0)
     correct: bool = True
     """After placing the camera for a ring, look at the markers and correct the placing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BandPart:
+    """How lamps and filter are set for one of the scene's bands."""
+
+    name: str = ""
+    """As in the scene."""
+    panel_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
+    """Colour of the panel at level 1. None: as in ``[lights]``."""
+    front_rgb: tuple[int, int, int] | None = field(default=None, metadata={"limits": (0, 255)})
+    """Colour of the front light at level 1. None: as in ``[lights]``."""
+    panel_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
+    """Level of the panel. None: as in ``[lights]``."""
+    front_level: float | None = field(default=None, metadata={"limits": (0.0, 1.0)})
+    """Level of the front light. None: as in ``[lights]``."""
+    output: int | None = field(default=None, metadata={"limits": (0, 27)})
+    """Switched output of a lamp that is on in this band alone, such as near infrared LEDs: number of the Marlin board's
+    fan output (M106), or of a Raspberry Pi's GPIO pin (hat)."""
+    filter_deg: float | None = field(default=None, metadata={"limits": (-360.0, 360.0)})
+    """Angle of the filter wheel, which the end effector's motor (``arm.filter``) turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +178,8 @@ class CameraPart:
     """Fixed white balance: red, blue (picamera2)."""
     white_balance_kelvin: int = bounded(5000, 1000, 20000)
     """Fixed white balance (v4l2)."""
+    bands: tuple[BandPart, ...] = ()
+    """How each of the scene's ``[[camera.bands]]`` is set."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,6 +255,7 @@ def check_rig(rig: RigFile, place: Place) -> None:
             "must differ from panel_strip: each lamp is a strip of its own", rig.lights.front_strip
         )
     _check_hat(rig.hat, place.at("hat"))
+    _check_bands(rig, place.at("camera"))
     for i, bar in enumerate(rig.clearance.bars):
         if any(low >= high for low, high in zip(bar.low_mm, bar.high_mm, strict=True)):
             raise place.at("clearance", "bars", i, "high_mm").error("must be above low_mm on every axis", list(bar.high_mm))
@@ -254,11 +280,30 @@ def _check_hat(hat: HatPart, place: Place) -> None:
         raise place.at("microsteps").error("must be 1, 2, 4, 8, 16 or 32", hat.microsteps)
 
 
+def _check_bands(rig: RigFile, place: Place) -> None:
+    wheel = None if rig.arm is None else rig.arm.filter
+    taken = [] if rig.turntable.kind != "hat" else [value for name, value in vars(rig.hat).items() if name.endswith("_pin")]
+    names = [band.name for band in rig.camera.bands]
+    for i, band in enumerate(rig.camera.bands):
+        here = place.at("bands", i)
+        if not band.name or band.name in names[:i]:
+            raise here.at("name").error("must be the name of one of the scene's bands, no two the same", band.name)
+        if band.output in taken:
+            raise here.at("output").error("is a pin that [hat] uses already", band.output)
+        if band.filter_deg is not None and wheel is None:
+            raise here.at("filter_deg").error("needs [arm.filter], the motor that turns the filter wheel", band.filter_deg)
+        if band.filter_deg is not None and wheel is not None and not wheel.min_deg <= band.filter_deg <= wheel.max_deg:
+            must = f"must be between arm.filter's {wheel.min_deg:g} and {wheel.max_deg:g} deg"
+            raise here.at("filter_deg").error(must, band.filter_deg)
+
+
 def _check_arm(arm: ArmPart, place: Place) -> None:
     if len(arm.joints) != JOINTS:
         raise place.at("joints").error(f"must be {JOINTS}: base, shoulder, elbow, wrist pitch, wrist roll", len(arm.joints))
     if len({joint.servo for joint in arm.joints}) != JOINTS:
         raise place.at("joints").error("must have a servo number each, no two the same", [joint.servo for joint in arm.joints])
+    if arm.filter is not None and arm.filter.servo in {joint.servo for joint in arm.joints}:
+        raise place.at("filter", "servo").error("must be none of the joints' servos", arm.filter.servo)
     for i, (joint, rest) in enumerate(zip(arm.joints, arm.park_deg, strict=True)):
         if joint.min_deg >= joint.max_deg:
             raise place.at("joints", i, "max_deg").error(f"must be above min_deg {joint.min_deg:g}", joint.max_deg)

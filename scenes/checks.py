@@ -45,6 +45,7 @@ def check_scene(scene: Scene, *, where: str = "scene", text: str = "") -> None:
     _check_tank(scene, place)
     _check_strip(scene, place)
     _check_camera(scene.camera, scene, place)
+    _check_bands(scene, place)
     _check_plan(scene, place)
     check_plants(scene.plants, scene.subject, radius_mm=scene.canister.inner_radius_mm, place=place)
     if scene.specimen is not None and scene.plants:
@@ -211,6 +212,32 @@ def _check_camera(camera: Camera, scene: Scene, place: Place) -> None:
     _check_distortion(camera, own, place.at("camera", "distortion"))
     if extra.any():
         _check_distortion(camera, own + extra, place.at("disturbances", "distortion"))
+
+
+def _check_bands(scene: Scene, place: Place) -> None:
+    """Check the names of bands, and that each ring has one with both lights on."""
+    names = [band.name for band in scene.camera.bands]
+    for i, name in enumerate(names):
+        if not (name.isascii() and name.isidentifier() and name == name.lower()) or name in names[:i]:
+            raise place.at("camera", "bands", i, "name").error("must be one lower-case word, no two the same", name)
+    lit = {name for name in names if scene.is_lit(name)}
+    for i, ring in enumerate(scene.plan.rings):
+        here = place.at("plan", "rings", i, "bands")
+        for j, name in enumerate(ring.bands):
+            if name not in names or name in ring.bands[:j]:
+                must = f"must be bands of the camera, no two the same; it has {', '.join(names)}" if names else "needs [[camera.bands]]"
+                raise here.error(must, name)
+        if names and not lit & set(ring.bands or names):
+            raise here.error("needs a band in which panel and front light are on: it shows outlines and markers", list(ring.bands))
+    if scene.shoot is not None:
+        _check_spectrum(scene.shoot.spectrum, place.at("shoot", "spectrum"))
+
+
+def _check_spectrum(spectrum: tuple[tuple[float, float], ...], place: Place) -> None:
+    if not spectrum or any(not 0.0 <= share <= 1.0 for _, share in spectrum):
+        raise place.error("must be pairs of a wavelength in nm and a reflectance from 0 to 1", spectrum)
+    if any(low[0] >= high[0] for low, high in pairwise(spectrum)):
+        raise place.error("must have wavelengths that rise", spectrum)
 
 
 def _check_distortion(camera: Camera, distortion: "NDArray[np.float64]", place: Place) -> None:

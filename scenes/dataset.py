@@ -37,6 +37,10 @@ class Frame:
     sha256: str
     """Of the file, in hexadecimal; empty: not recorded."""
     kind: str = "root"
+    band: str = ""
+    """Name of the camera's band; empty: the camera has none."""
+    view: int | None = None
+    """Number of the view, which pictures in several bands share; None: the picture is a view of its own."""
     ring: int = 0
     table_deg: float | None = None
     """Commanded table angle; None when nobody commanded one (imported pictures)."""
@@ -116,7 +120,9 @@ def load_dataset(folder: Path | str) -> Dataset:
         raise place.at("frames").error("has no frames; a dataset needs at least one picture")
     for i, frame in enumerate(manifest.frames):
         _check_frame(frame, len(manifest.scene.plan.rings), place.at("frames", i))
+        _check_band(frame, manifest, place.at("frames", i))
     _check_names(manifest.frames, place)
+    _check_views(manifest.frames, place)
     _check_poses(manifest.frames, place)
     return Dataset(
         folder=folder,
@@ -261,6 +267,18 @@ def _check_frame(frame: Frame, rings: int, place: Place) -> None:
         check_rigid(frame.cam_from_canister, place.at("cam_from_canister"))
 
 
+def _check_band(frame: Frame, manifest: _Manifest, place: Place) -> None:
+    """Check that a frame has one of the camera's bands where it has any."""
+    names = [band.name for band in manifest.scene.camera.bands]
+    if frame.band not in (names or [""]):
+        known = f"must be one of the camera's bands, {', '.join(names)}" if names else "must be left out: the scene's camera has no bands"
+        raise place.at("band").error(known, frame.band)
+    if names and frame.view is None:
+        raise place.at("view").error("is missing; it tells which pictures of different bands show the same view")
+    if names and manifest.masks:
+        raise place.at("band").error("must be left out: silhouettes have no bands", frame.band)
+
+
 def _is_utf8(text: str) -> bool:
     try:
         text.encode()
@@ -280,6 +298,17 @@ def _check_names(frames: tuple[Frame, ...], place: Place) -> None:
             must = f"differs from {by_stem[stem]} in folder or suffix only, so that their results would have one name; rename one"
             raise place.at("frames", i, "file").error(must, frame.file)
         by_stem[stem] = frame.file
+
+
+def _check_views(frames: tuple[Frame, ...], place: Place) -> None:
+    """Refuse two pictures of one view in the same band."""
+    known: dict[tuple[int, str], str] = {}
+    for i, frame in enumerate(frames):
+        if frame.view is None:
+            continue
+        if (frame.view, frame.band) in known:
+            raise place.at("frames", i, "view").error(f"must differ from that of {known[frame.view, frame.band]}", frame.view)
+        known[frame.view, frame.band] = frame.file
 
 
 def _check_poses(frames: tuple[Frame, ...], place: Place) -> None:

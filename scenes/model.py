@@ -6,6 +6,7 @@ A field's unit is in its name. ``limits`` in a field's metadata are inclusive bo
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
+from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.limits import bounded
 from rhizotwin.scenes.plants import Plant
 from rhizotwin.scenes.shoots import Shoot
@@ -51,6 +52,8 @@ class Water:
     """z of the surface; above the net pot's grid."""
     n_water: float = bounded(1.333, 1.0, 2.0)
     """Refractive index of what the roots stand in: water 1.333; an error of 0.001 moves a root by 0.03 mm at 40 mm."""
+    absorption_per_mm: float = bounded(0.0, 0.0, 0.1)
+    """Light that the water absorbs; next to nothing in the visible, 0.004 per mm at 850 nm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +162,8 @@ class Camera:
     transfer_table: tuple[float, ...] = bounded((), 0.0, 1.0)
     """Light, of full scale, at equal steps of the number from 0 to full scale (`rhizotwin calibrate transfer` writes
     it)."""
+    bands: tuple[Band, ...] = ()
+    """Bands in which every view is taken, in this order; none: one picture a view, of all light."""
 
     def resized(self, image_wh: tuple[int, int]) -> "Camera":
         """Return the same lens on a sensor with ``image_wh`` pixels over the same field of view (horizontally)."""
@@ -251,6 +256,8 @@ class Ring:
     """Standard deviation of a commanded per-view change of the camera's orientation, each axis."""
     kind: Literal["root", "shoot"] = "root"
     """What the ring looks at: the roots through the water, or the shoot in the air."""
+    bands: tuple[str, ...] = ()
+    """Names of the camera's bands in which its views are taken; none: in all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,6 +386,21 @@ class Scene:
     shoot: Shoot | None = None
     """What grows above the net pot; None: nothing, or not known."""
     disturbances: Disturbances = Disturbances()
+
+    def lights_in(self, band: str) -> Lights:
+        """Return the lights as they are in the camera's band of that name; for an empty name, as given."""
+        lights = self.lights
+        for one in self.camera.bands:
+            if one.name == band:
+                panel = lights.backlight_level if one.panel_level is None else one.panel_level
+                front = lights.front_level if one.front_level is None else one.front_level
+                return replace(lights, backlight_level=panel, front_level=front)
+        return lights
+
+    def is_lit(self, band: str) -> bool:
+        """Tell whether panel and front light are both on in a band: only then pictures show outlines and markers."""
+        lights = self.lights_in(band)
+        return lights.backlight_level > 0.0 and lights.front_level > 0.0
 
     @property
     def is_planted(self) -> bool:

@@ -53,6 +53,21 @@ def views(scene: Scene, *, seed: int = 0) -> list[View]:
     return found
 
 
+def bands_of(scene: Scene, ring: int) -> tuple[str, ...]:
+    """Return the names of the bands in which the views of a ring are taken; one empty name where there are none."""
+    return scene.plan.rings[ring].bands or tuple(band.name for band in scene.camera.bands) or ("",)
+
+
+def main_band(scene: Scene, ring: int) -> str:
+    """Return the band of a ring's views that shows outlines and markers: the first with both lights on."""
+    return next(band for band in bands_of(scene, ring) if not band or scene.is_lit(band))
+
+
+def picture_name(view: int, band: str) -> str:
+    """Return the name of a view's picture in a band, without folder and suffix."""
+    return f"view_{view:03d}_{band}" if band else f"view_{view:03d}"
+
+
 def rig_from_table(scene: Scene, table_deg: float) -> frames.Array:
     """Return the 4x4 transform from the turning table to the rig at a table angle."""
     return frames.rotation_z(scene.turntable.direction * np.deg2rad(table_deg))

@@ -4,6 +4,23 @@ from dataclasses import dataclass
 
 from rhizotwin.scenes.limits import bounded
 
+GREEN_LEAF = (
+    (450.0, 0.05),
+    (500.0, 0.06),
+    (550.0, 0.12),
+    (600.0, 0.08),
+    (650.0, 0.06),
+    (675.0, 0.05),
+    (700.0, 0.13),
+    (720.0, 0.28),
+    (750.0, 0.43),
+    (800.0, 0.47),
+    (900.0, 0.48),
+    (1000.0, 0.47),
+)
+"""Reflectance of a healthy leaf by wavelength (nm): typical values, rounded, after Gates et al. 1965 (Appl. Opt.
+4:11)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shoot:
@@ -51,3 +68,5 @@ class Shoot:
     """Angle by which the two halves of a blade rise from its midrib."""
     reflectance: float = bounded(0.12, 0.0, 1.0)
     """Share of visible light that a green leaf sends back (0.05 in the blue and red, 0.15 to 0.2 in the green)."""
+    spectrum: tuple[tuple[float, float], ...] = GREEN_LEAF
+    """Wavelength (nm) and reflectance of the leaves, for a camera with bands; between two it is interpolated."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rhizotwin.scenes.assessment import NOT_ASSESSED, Assessment
+from rhizotwin.scenes.bands import RANGES_NM
 from rhizotwin.scenes.traits import DEPTH_BIN_MM, DIAMETER_BIN_MM, Traits
 
 Number = float | int | None
@@ -87,6 +88,19 @@ SHOOT = (
     Definition("convex_mm3", "shoot_convex_volume", "mm3", "volume of the shoot's convex hull"),
 )
 """Of what grows above the net pot; the fields are those of ``shoot`` in ``result.json``."""
+
+COLOUR = (
+    Definition("ndvi", "ndvi", "", "normalised difference of the leaves' reflectance in near infrared and red"),
+    Definition("ndre", "ndre", "", "the same of near infrared and red edge"),
+    *(
+        Definition(
+            f"reflectance_{name}", f"reflectance_{name}", "", f"light of the leaves over that of white paper, {low:g} to {high:g} nm"
+        )
+        for name, (low, _, high) in RANGES_NM.items()
+    ),
+)
+"""Of the leaves, where the camera has bands; the fields are those of ``shoot`` in ``result.json``."""
+COLOURS = tuple(d.field for d in COLOUR)
 
 HISTOGRAMS = (
     Histogram("length_by_depth_mm", "length_by_depth", "length in each bin of depth below the highest point", "mm", DEPTH_BIN_MM),
@@ -193,15 +207,16 @@ def said(one: Assessment) -> str:
 
 
 def shoot_numbers(shoot: Mapping[str, Any] | None) -> dict[str, Number]:
-    """Return the traits of ``shoot`` in ``result.json`` by name; None where one is not known."""
-    return {d.name: None if shoot is None else shoot.get(d.field) for d in SHOOT}
+    """Return the traits of ``shoot`` in ``result.json`` by name, colours where it has them; None: not known."""
+    known = shoot or {}
+    return {d.name: known.get(d.field) for d in (*SHOOT, *COLOUR) if d in SHOOT or d.field in known}
 
 
 def shoot_lines(shoot: Mapping[str, Any]) -> list[str]:
     """Return a shoot's traits as aligned lines, as `lines` does a root's."""
     width = max(len(d.name) for d in DEFINITIONS) + 2
     found = shoot_numbers(shoot)
-    return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in SHOOT]
+    return [f"{d.name:<{width}}{shown(found[d.name]):>12} {d.unit:<5} {d.meaning}".rstrip() for d in (*SHOOT, *COLOUR) if d.name in found]
 
 
 def shown(value: Number) -> str:

@@ -49,8 +49,8 @@ class Truth:
     """Of several plants in the canister, by name: ``volume_mm3`` of each alone (where two touch, their sum is above the
     whole) and its ``traits``; empty: there is one."""
     shoot: dict[str, float] = field(default_factory=dict)
-    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot; empty: nothing
-    does."""
+    """Volume, one-sided leaf area, number of leaves, height and widths of what grows above the net pot, and where the
+    camera has bands its reflectances and vegetation indices; empty: nothing does."""
     drawn: dict[str, Any] = field(default_factory=dict)
     """Every other random draw that went into the pictures, the specimen's description and the notes on it."""
 

@@ -327,11 +327,12 @@ def _tubes(fibres: tuple[dirt.Fibre, ...], *, sides: int = 6) -> tuple[NDArray[n
 
 
 def _water_medium(scene: Scene) -> Any:
-    sigma_t = scene.disturbances.turbidity_per_mm
+    turbidity = scene.disturbances.turbidity_per_mm
+    sigma_t = turbidity + scene.water.absorption_per_mm
     if sigma_t == 0.0:
         return None
     phase = {"type": "hg", "g": TURBID_FORWARD}
-    return mi.load_dict({"type": "homogeneous", "albedo": TURBID_ALBEDO, "sigma_t": sigma_t, "phase": phase})
+    return mi.load_dict({"type": "homogeneous", "albedo": TURBID_ALBEDO * turbidity / sigma_t, "sigma_t": sigma_t, "phase": phase})
 
 
 def _cylinder(radius_mm: float, low_mm: float, high_mm: float, bsdf: dict[str, Any], seat: frames.Array | None = None) -> dict[str, Any]:

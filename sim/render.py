@@ -96,7 +96,7 @@ class Renderer:
         if solid is not None and wrong.sway_mm > 0.0:
             parts = {optics.SPECIMEN: solid.vertices} | ({} if hairs is None else {optics.HAIRS: hairs.vertices})
             self.hanging = [hanging.Hanging.of(name, vertices, solid) for name, vertices in parts.items()]
-        media = wrong.turbidity_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
+        media = wrong.turbidity_per_mm > 0.0 or scene.water.absorption_per_mm > 0.0 or wrong.root_mu_per_mm is not None or hairs is not None
         if fidelity == "path":
             self.lit_scene = optics.build(scene, world, solid, hairs)
             self.path = mi.load_dict({"type": "volpath" if media else "path", "max_depth": PATH_DEPTH, "rr_depth": 64})

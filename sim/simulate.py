@@ -19,11 +19,12 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.monitor import Listener, Monitor
 from rhizotwin.scenes.provenance import versions
 from rhizotwin.scenes.truth import save_truth
+from rhizotwin.sim.bands import scene_in_band
 from rhizotwin.sim.exposure import expose, mask_picture
 from rhizotwin.sim.render import Fidelity, Image, Renderer, checked_samples
 from rhizotwin.sim.specimen import SpecimenSolid, build_specimen
 from rhizotwin.sim.truth import truth_of, write_specimen
-from rhizotwin.sim.world import World, as_given, draw_world
+from rhizotwin.sim.world import TrueCamera, World, as_given, draw_world
 
 PROGRESS_FILE = "truth/simulate.json"
 """What the set is made with and which frames are done; it is what a second start compares and continues."""
@@ -92,7 +93,7 @@ def simulate(
         world = draw_world(scene, seed=seed)
         write_specimen(folder, solid)
         frames = _render_frames(folder, scene, world, solid, settings, done, monitor=monitor)
-        save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), world.cameras, strict=True)))
+        save_truth(folder, truth_of(world, solid, zip((frame.file for frame in frames), _cameras(scene, world), strict=True)))
         origin = {"program": "rhizotwin simulate", **settings}
         return save_dataset(Dataset(folder=folder, scene=as_given(scene), frames=frames, seed=seed, origin=origin))
 
@@ -107,41 +108,59 @@ def _render_frames(
     *,
     monitor: Monitor,
 ) -> tuple[Frame, ...]:
-    renderer: Renderer | None = None
+    renderers: dict[str, Renderer] = {}
     quality = scene.disturbances.jpeg_quality
     suffix = ".png" if quality is None else ".jpg"
-    views = {f"view_{view.index:03d}{suffix}": view for view in plan.views(scene, seed=world.seed)}
+    bands = ("", *(band.name for band in scene.camera.bands))
+    taken = [(view, band) for view in plan.views(scene, seed=world.seed) for band in plan.bands_of(scene, view.ring)]
+    pictures = {plan.picture_name(view.index, band) + suffix: (view, band) for view, band in taken}
 
     def paths_of(name: str) -> tuple[Path, Path]:
         return folder / "images" / name, (folder / "truth" / "masks" / name).with_suffix(".png")
 
-    def keep(index: int, name: str, light: Image, coverage: Image) -> None:
-        rng = np.random.default_rng([world.seed, _NOISE, index])
+    def keep(index: int, band: str, name: str, light: Image, coverage: Image) -> None:
+        rng = np.random.default_rng([world.seed, _NOISE, index, *([bands.index(band)] if band else [])])
         image_path, mask_path = paths_of(name)
-        write_image(image_path, expose(light, scene.camera, scene.disturbances, rng=rng), jpeg_quality=quality)
+        wrong = renderers[band].scene.disturbances
+        write_image(image_path, expose(light, scene.camera, wrong, rng=rng), jpeg_quality=quality)
         write_image(mask_path, mask_picture(coverage))
         done[name] = _hashes(image_path, mask_path)
         write_json(folder / PROGRESS_FILE, {"settings": settings, "frames": done})
 
     # One picture is exposed and written while the next is rendered.
-    with monitor.stage("render"), monitor.steps("render", len(views), "view") as step, ThreadPoolExecutor(1) as writer:
+    with monitor.stage("render"), monitor.steps("render", len(pictures), "picture") as step, ThreadPoolExecutor(1) as writer:
         kept: Future[None] | None = None
-        for name, view in views.items():
+        for name, (view, band) in pictures.items():
             image_path, mask_path = paths_of(name)
             hashes = done.get(name)
             if hashes is None or not image_path.is_file() or not mask_path.is_file() or _hashes(image_path, mask_path) != hashes:
-                renderer = renderer or Renderer(scene, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
-                light, coverage = renderer.view(view.index)
+                if band not in renderers:
+                    lit = scene_in_band(scene, band)
+                    renderers[band] = Renderer(lit, world, solid, fidelity=settings["fidelity"], samples=settings["samples"])
+                light, coverage = renderers[band].view(view.index)
                 if kept is not None:
                     kept.result()
-                kept = writer.submit(keep, view.index, name, light, coverage)
+                kept = writer.submit(keep, view.index, band, name, light, coverage)
             step()
         if kept is not None:
             kept.result()
     return tuple(
-        Frame(file=f"images/{name}", sha256=done[name][0], kind=view.kind, ring=view.ring, table_deg=view.table_deg)
-        for name, view in views.items()
+        Frame(
+            file=f"images/{name}",
+            sha256=done[name][0],
+            kind=view.kind,
+            band=band,
+            view=view.index if band else None,
+            ring=view.ring,
+            table_deg=view.table_deg,
+        )
+        for name, (view, band) in pictures.items()
     )
+
+
+def _cameras(scene: Scene, world: World) -> list[TrueCamera]:
+    """Return the camera of each picture: those of one view in several bands have the same."""
+    return [world.cameras[view.index] for view in plan.views(scene, seed=world.seed) for _ in plan.bands_of(scene, view.ring)]
 
 
 def _take_up(folder: Path, settings: dict[str, Any]) -> dict[str, list[str]]:

@@ -11,6 +11,7 @@ from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.files import scene_to_dict
 from rhizotwin.scenes.rsml import write_rsml
 from rhizotwin.scenes.truth import TrueView, Truth
+from rhizotwin.sim.bands import true_colour
 from rhizotwin.sim.specimen import SpecimenSolid
 from rhizotwin.sim.world import TrueCamera, World
 
@@ -54,7 +55,7 @@ def truth_of(world: World, solid: SpecimenSolid, taken: Iterable[tuple[str, True
         ),
         traits=dict(solid.traits),
         plants=dict(solid.plants),
-        shoot={} if solid.shoot is None else solid.shoot.truth(),
+        shoot={} if solid.shoot is None else solid.shoot.truth() | true_colour(world.scene),
         drawn={
             **world.drawn(),
             "focal_error": world.scene.disturbances.focal_error,

@@ -127,6 +127,9 @@ class Result:
     """Of every picture of the root."""
     shoot: Shoot | None = None
     """What stands above the net pot; None where no picture shows it."""
+    bands: Mapping[str, float] = field(default_factory=dict)
+    """Signal-to-noise ratio of the roots in each band of the camera, the band that was used first; empty: the camera
+    has none, or the settings name the band."""
     fill: Mapping[str, float]
     """Share of the seen water that roots cover, by the frame's file."""
     rig: Json
@@ -234,6 +237,7 @@ class Result:
             "extents_max_mm": solid.extents_max_mm,
             "views": [self._view(camera) for camera in self.cameras],
             "shoot": None if self.shoot is None else self.shoot.summary(),
+            "bands": dict(self.bands),
             "rig": self.rig,
             "warnings": list(self.warnings),
             "timings_s": self.timings_s,

@@ -10,6 +10,7 @@ from rhizotwin.recon.pictures import Pictures, read_pictures
 from rhizotwin.recon.settings import Settings
 from rhizotwin.recon.shoots import blades, shoot_hull, shoot_silhouettes
 from rhizotwin.recon.shoots.shoot import Shoot
+from rhizotwin.recon.shoots.shoot_colour import measure_colour
 from rhizotwin.scenes.dataset import Dataset
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
@@ -49,6 +50,7 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         views = cameras.by_frame
         hull, mesh = shoot_hull.find(list(drawn.values()), [views[k] for k in drawn], dataset.scene, finest_mm=FINEST_MM, monitor=monitor)
         told = blades.find(mesh)
+        colour = measure_colour(pictures, drawn, views)
     covered = sum(float(one.coverage.sum()) for one in drawn.values())
     hidden = sum(float(one.coverage[~one.seen].sum()) for one in drawn.values()) / max(covered, 1e-9)
     enclosed = shoot_hull.enclosed_share(hull, told)
@@ -68,7 +70,8 @@ def _found(dataset: Dataset, settings: Settings, monitor: Monitor) -> Shoot:
         mm2_per_px={pictures.frames[k].file: _mm2_per_px(views[k]) for k in drawn},
         hidden_share=hidden,
         enclosed_share=enclosed,
-        warnings=(*pictures.warnings, *said),
+        colour=colour.fields(),
+        warnings=(*pictures.warnings, *said, *colour.warnings),
     )
 
 

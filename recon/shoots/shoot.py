@@ -39,6 +39,9 @@ class Shoot:
     """Share of the covered pixels before the pot or beside the panel, where the hull is not told."""
     enclosed_share: float
     """Share of the hull's volume that lies deeper in it than leaves and stalks do."""
+    colour: Mapping[str, float] = field(default_factory=dict)
+    """Reflectance of the leaves in each range of wavelengths, relative to white paper, and vegetation indices, by the
+    field's name in `scenes.trait_table.COLOURS`; empty where the shoot was taken in one band."""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -104,4 +107,5 @@ class Shoot:
             "pot_top_mm": self.pot_top_mm,
             "hidden_share": self.hidden_share,
             "enclosed_share": self.enclosed_share,
+            **self.colour,
         }

@@ -81,6 +81,6 @@ def twin(
         profile_name=ports.profile,
         faults=[parse_fault(text) for text in ports.fault],
         pictures=ports.fidelity,
-        rig=default_rig(ports.protocol),
+        rig=default_rig(ports.protocol, scene=emulated),
     )
     run_twin(made, speed=ports.speed, write_rig=rig_file, say=print, camera_port=ports.camera_port or 0)

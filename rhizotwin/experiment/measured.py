@@ -151,7 +151,7 @@ def left_out(found: Sequence[Measured], traits: Iterable[str]) -> list[str]:
 
 
 def _of_row(row: tables.Row) -> Measured:
-    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT)}
+    known = {d.name for d in (*trait_table.DEFINITIONS, *trait_table.SHOOT, *trait_table.COLOUR)}
     columns = known | {f"{name}_{end}" for name in known for end in ("low", "high")}
     numbers: dict[str, float] = {}
     for column in row.cells:

@@ -1,6 +1,6 @@
 """Compare a shoot with the truth of a simulated dataset."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,8 @@ class ShootScore:
     """None where nobody measured how thick leaves are."""
     volume_true_mm3: float
     volume_error: float | None
+    colour: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """NDVI and NDRE, found and true; empty where the shoot was taken in one band."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the table's lines."""
@@ -50,6 +52,7 @@ class ShootScore:
             ("  leaves", f"{self.leaves}, true {self.leaves_true}"),
             ("  projected area", f"median {100.0 * self.projected_error:+.2f} %, worst {100.0 * self.projected_error_max:.2f} %"),
             ("  volume", self._volume()),
+            *((f"  {name}", f"{found:.3f}, true {true:.3f}: {found - true:+.3f}") for name, (found, true) in self.colour.items()),
             ("  hull", f"{self.hull_mm3:.0f} mm3, {self.hull_mm3 / self.volume_true_mm3:.2f} times the true volume"),
         ]
 
@@ -91,4 +94,5 @@ def compare_shoot(found: Shoot | None, truth: dict[str, float], folder: Path) ->
         volume_mm3=found.volume_mm3,
         volume_true_mm3=truth["volume_mm3"],
         volume_error=None if found.volume_mm3 is None else found.volume_mm3 / truth["volume_mm3"] - 1.0,
+        colour={name: (found.colour[name], truth[name]) for name in ("ndvi", "ndre") if name in found.colour and name in truth},
     )

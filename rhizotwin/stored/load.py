@@ -20,7 +20,7 @@ from rhizotwin.recon.results.result import POSES, Result, Solid, triple
 from rhizotwin.recon.shoots.shoot import Shoot
 from rhizotwin.recon.uncertainty.budget import Term, Volume
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
-from rhizotwin.scenes import rsml, solution, subject
+from rhizotwin.scenes import rsml, solution, subject, trait_table
 from rhizotwin.stored import result_files
 
 
@@ -48,6 +48,7 @@ def load_result(folder: Path | str) -> Result:
         mass_g=summary.get("mass_g"),
         cameras=tuple(_camera(view) for view in views),
         shoot=_shoot(folder, summary.get("shoot")),
+        bands=summary.get("bands") or {},
         fill={view["file"]: view["fill"] for view in views if view.get("fill") is not None},
         rig=summary.get("rig") or {},
         warnings=tuple(summary["warnings"]),
@@ -109,6 +110,7 @@ def _shoot(folder: Path, summary: Json | None) -> Shoot | None:
         mm2_per_px={str(file): float(area) for file, area in summary["mm2_per_px"].items()},
         hidden_share=float(summary["hidden_share"]),
         enclosed_share=float(summary.get("enclosed_share", 0.0)),
+        colour={name: float(summary[name]) for name in trait_table.COLOURS if name in summary},
     )
 
 

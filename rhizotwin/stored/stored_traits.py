@@ -64,7 +64,8 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     rows : sequence of tuple of str
         (name, summary, traits) of each result.
     """
-    above = trait_table.SHOOT if any(summary.get("shoot") for _, summary, _ in rows) else ()
+    shoots = [shoot for _, summary, _ in rows if (shoot := of_shoot(summary))]
+    above = [*trait_table.SHOOT, *(d for d in trait_table.COLOUR if any(d.field in shoot for shoot in shoots))] if shoots else []
     found = [(name, summary, one) for name, summary, traits in rows for one in each(name, summary, traits)]
     ranged = [d for d in trait_table.DEFINITIONS if any(one.assessed[d.field].interval is not None for _, _, one in found)]
     intervals = [f"{d.name}_{end}{f' ({d.unit})' if d.unit else ''}" for d in ranged for end in ("low", "high")]
@@ -76,7 +77,8 @@ def spreadsheet(rows: Sequence[tuple[str, Json, Traits]]) -> str:
     table: list[Sequence[Any]] = [head]
     for (name, summary, one), own in zip(found, ions, strict=True):
         values = [getattr(one.traits, d.field) for d in trait_table.DEFINITIONS]
-        values += list(trait_table.shoot_numbers(of_shoot(summary)).values()) if above else []
+        shoot = trait_table.shoot_numbers(of_shoot(summary))
+        values += [shoot.get(d.name) for d in above]
         values += [end for d in ranged for end in one.assessed[d.field].interval or (None, None)]
         numbers = [trait_table.written(value) for value in [*(own.get(ion) for ion in dissolved), *values]]
         judged = [one.assessed[d.field].verdict for d in trait_table.DEFINITIONS]

@@ -7,6 +7,7 @@ from typing import Any, TypeAlias, get_args
 from rhizotwin.recon.passes import Pass
 from rhizotwin.recon.results.parts import Json
 from rhizotwin.recon.uncertainty.checks import Check, Estimate
+from rhizotwin.scenes import trait_table
 
 Fits: TypeAlias = Callable[[Any], bool]
 LARGEST = 1e15
@@ -151,6 +152,7 @@ _MAYBE: dict[str, Fits] = {
     "rig": _or_none(_RIG),
     "settings": _with({}, {"finest_mm": _positive}),
     "versions": _with({}),
+    "bands": lambda value: isinstance(value, dict) and all(_number(item) for item in value.values()),
     "checks": _list(_CHECK),
     "estimates": _list(_ESTIMATE),
     "shoot": _or_none(
@@ -159,6 +161,7 @@ _MAYBE: dict[str, Fits] = {
             {
                 **dict.fromkeys(("stalks_mm3", "surface_area_mm2", "projected_mean_mm2", "leaves", "enclosed_share"), _number),
                 **dict.fromkeys(("leaf_area_mm2", "leaf_thickness_mm", "volume_mm3"), _or_none(_number)),
+                **dict.fromkeys(trait_table.COLOURS, _number),
                 "blades_mm2": _list(_number),
             },
         )

@@ -167,6 +167,33 @@ class ServoArm:
         self._rests_at = here
         return self._joints_deg(here)
 
+    def turn_filter(self, angle_deg: float) -> None:
+        """Turn the filter wheel before the lens and check that it is there.
+
+        Raises
+        ------
+        UnsafeError
+            For an angle beyond the wheel's limits, before anything is sent, or when the wheel does not arrive.
+        LostError
+            When the arm was not prepared.
+        """
+        wheel = self._part.filter
+        if wheel is None or not wheel.min_deg <= angle_deg <= wheel.max_deg:
+            raise UnsafeError(f"arm: the filter wheel cannot go to {angle_deg:g} deg; correct [arm.filter] or the band's filter_deg")
+        if not self._prepared:
+            raise LostError("arm: its torque is off; prepare it before its filter wheel is turned")
+        goal = round(wheel.zero_counts + wheel.sign * angle_deg * wheel.counts_per_deg)
+        way_deg = abs(goal - self._bus.positions((wheel.servo,))[wheel.servo]) / wheel.counts_per_deg
+        duration_s = min(MAX_MOVE_S, max(way_deg / self._part.max_speed_deg_per_s, self._bus.least_move_s))
+        self._bus.move({wheel.servo: goal}, duration_s)
+        self._clock.sleep(duration_s + _STILL_PAUSE_S)
+        there = self._bus.positions((wheel.servo,))[wheel.servo]
+        if abs(there - goal) / wheel.counts_per_deg > self._part.tolerance_deg:
+            raise UnsafeError(
+                f"arm: the filter wheel (servo {wheel.servo}) was sent to {angle_deg:g} deg but stands at {_to_deg(wheel, there):.1f} deg: "
+                "it is blocked, or its cable is loose"
+            )
+
     def health(self) -> None:
         """Check the supply, the temperatures, and that no servo has lost its torque.
 
@@ -184,7 +211,8 @@ class ServoArm:
         """Switch the torque off: the arm drops unless it rests on something."""
         self._prepared = False
         self._rests_at = None
-        self._bus.load(self._ids, False)
+        wheel = self._part.filter
+        self._bus.load(self._ids if wheel is None else (*self._ids, wheel.servo), False)
 
     def close(self) -> None:
         """Close the port; the torque stays as it is."""

@@ -7,10 +7,12 @@ stops the scan with its cause. What was taken stays, and a later run takes only 
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
+from rhizotwin.rig import bands
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, Shot
 from rhizotwin.rig.errors import RigError
 from rhizotwin.rig.open import Devices
@@ -38,6 +40,7 @@ DIMMER, BRIGHTER = 0.6, 1.6
 """A picture whose panel is beyond this factor of its ring's first one was taken with failing lights."""
 
 T = TypeVar("T")
+Picture: TypeAlias = tuple[Frame, Grey]
 
 
 def scan(
@@ -88,6 +91,7 @@ def scan(
     folder, audience = Path(folder), audience or Audience()
     planned = plan.views(scene)
     _refuse_plan(scene, planned)
+    bands.refuse_unknown(devices.rig, scene)
     with held(folder):
         session = take_up(folder, scene, planned, rig=devices.rig, settings=settings or {}, seed=seed, resume=resume)
         try:
@@ -134,7 +138,7 @@ class _Scan:
         try:
             self._onlooker.on_plan(len(planned), len(planned) - len(remaining))
             with self._monitor.stage("devices"):
-                self._preflight(len(remaining))
+                self._preflight(sum(len(plan.bands_of(self._scene, view.ring)) for view in remaining))
             with self._monitor.stage("pictures"), self._monitor.steps("pictures", len(remaining), "view") as step:
                 for ring in rings:
                     self._take_ring(ring, [view for view in remaining if view.ring == ring], step)
@@ -177,6 +181,7 @@ class _Scan:
 
     def _take_ring(self, index: int, views: list[View], step: Callable[[], None]) -> None:
         ring = self._scene.plan.rings[index]
+        self._select(plan.main_band(self._scene, index))
         self._turning.camera_moved()
         self._stand.place(ring)
         self._cured(lambda: self._look_about(index, views[0].table_deg), near_deg=views[0].table_deg)
@@ -185,9 +190,10 @@ class _Scan:
         self._watch.begin_ring()
         for view in views:
             self._wait()
-            frame, image, again = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
+            (frame, image), others, again = self._cured(partial(self._shoot, view), near_deg=view.table_deg)
             self._refuse_still()
-            self._session.record(frame, image)
+            for one in ((frame, image), *others):
+                self._session.record(*one)
             self._turning.remember_picture(view.table_deg, self._session.folder / frame.file)
             self._watch.begin_look(frame, image, again)
             step()
@@ -269,11 +275,21 @@ class _Scan:
                     self._turning.lost = True
                     raise
 
-    def _shoot(self, view: View) -> tuple[Frame, Grey, Grey | None]:
+    def _select(self, band: str) -> None:
+        """Set lamps and filter as a band of the camera needs them, unless they are."""
+        if band == self._turning.band:
+            return
+        self._turning.light(band)
+        part = bands.part_of(self._devices.rig, band)
+        if part is not None and part.filter_deg is not None and self._devices.arm is not None:
+            self._devices.arm.turn_filter(part.filter_deg)
+
+    def _shoot(self, view: View) -> tuple[Picture, list[Picture], Grey | None]:
         """Turn, wait, take the picture, and make sure that the table still stands where it went.
 
-        Again for one who watches motion.
+        Then the same view in the camera's other bands, and again for one who watches motion.
         """
+        main = plan.main_band(self._scene, view.ring)
         clock = self._devices.clock
         read_deg = self._turning.turn(view.table_deg)
         moved_s = clock.now_s()
@@ -281,9 +297,11 @@ class _Scan:
         clock.sleep(self._rest_s - (clock.now_s() - moved_s))
         shot = self._lit_picture(view.table_deg)
         frame = Frame(
-            file=file_of(view),
+            file=file_of(view, main),
             sha256="",
             kind=view.kind,
+            band=main,
+            view=view.index if main else None,
             ring=view.ring,
             table_deg=view.table_deg,
             table_read_deg=read_deg,
@@ -295,7 +313,23 @@ class _Scan:
             time_s=round(self._now_s(), 6),
         )
         again = self._eye.picture().image if self._onlooker.watches_motion else None
-        return frame, shot.image, again
+        return (frame, shot.image), self._other_bands(view, frame), again
+
+    def _other_bands(self, view: View, frame: Frame) -> list[Picture]:
+        """Take the same view in the camera's other bands, and set the first one again."""
+        taken: list[Picture] = []
+        for band in plan.bands_of(self._scene, view.ring):
+            if band == frame.band:
+                continue
+            self._select(band)
+            shot = self._eye.picture()
+            self._turning.verify(view.table_deg)
+            now_s = round(self._now_s(), 6)
+            own = replace(frame, file=file_of(view, band), band=band, exposure_s=shot.exposure_s, gain=shot.gain, time_s=now_s)
+            taken.append((own, shot.image))
+        if taken:
+            self._select(frame.band)
+        return taken
 
     def _lit_picture(self, angle_deg: float) -> Shot:
         """Take a picture; prove that the table still stands, and that the lamps are as bright as they were.

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rhizotwin.rig.rig_file import RigFile
+from rhizotwin.scenes import plan
 from rhizotwin.scenes.atomic import write_bytes
 from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset, sha256_of
 from rhizotwin.scenes.errors import UserError
@@ -54,23 +55,26 @@ class Session:
         return self._begun_s
 
     def last_station(self) -> list[Frame]:
-        """Return the frames that the camera took from the place where it stood last, in the order they were taken."""
+        """Return the frames that the camera took from the place where it stood last, in the order they were taken.
+
+        Of a view in several bands, the one with both lights on.
+        """
         taken = sorted(self._frames.values(), key=lambda frame: frame.time_s or 0.0)
-        return [frame for frame in taken if frame.station == taken[-1].station]
+        return [frame for frame in taken if frame.station == taken[-1].station and self._is_main(frame)]
 
     def remaining(self) -> list[View]:
         """Return the views that have no picture yet."""
         self.flush()
-        return [view for view in self._planned if file_of(view) not in self._frames]
+        return [view for view in self._planned if any(file not in self._frames for file in self._files_of(view))]
 
     def next_placement(self, ring: int) -> int:
         """Return the number of a new placement of the camera in a ring."""
         return 1 + max((frame.placement for frame in self._frames.values() if frame.ring == ring), default=-1)
 
     def frames_of(self, ring: int) -> list[Frame]:
-        """Return a ring's frames that are on the disk."""
+        """Return a ring's frames that are on the disk; of a view in several bands, the one with both lights on."""
         self.flush()
-        return [frame for frame in self._frames.values() if frame.ring == ring]
+        return [frame for frame in self._frames.values() if frame.ring == ring and self._is_main(frame)]
 
     def dataset(self) -> Dataset:
         """Return the dataset as it is, frames in the order of the plan."""
@@ -99,9 +103,13 @@ class Session:
         self._pending = self._writer.submit(self._write, frame, image)
 
     def drop(self, files: Sequence[str]) -> None:
-        """Take pictures out that turned out wrong; they are taken again."""
+        """Take pictures out that turned out wrong, in all bands of their views; they are taken again."""
         self.flush()
-        for file in files:  # before the list: a listed picture that is missing is taken again as well
+        views = {self._frames[file].view for file in files if file in self._frames} - {None}
+        for file in {
+            *files,
+            *(frame.file for frame in self._frames.values() if frame.view in views),
+        }:  # before the list: a listed picture that is missing is taken again as well
             (self.folder / file).unlink(missing_ok=True)
             self._frames.pop(file, None)
         if self._frames:
@@ -144,8 +152,14 @@ class Session:
         write_bytes(self.folder / frame.file, data)
 
     def _snapshot(self) -> Dataset:
-        found = (self._frames.get(file_of(view)) for view in self._planned)
+        found = (self._frames.get(file) for view in self._planned for file in self._files_of(view))
         return replace(self._dataset, frames=tuple(frame for frame in found if frame is not None))
+
+    def _files_of(self, view: View) -> list[str]:
+        return [file_of(view, band) for band in plan.bands_of(self._dataset.scene, view.ring)]
+
+    def _is_main(self, frame: Frame) -> bool:
+        return frame.band == plan.main_band(self._dataset.scene, frame.ring)
 
 
 def _stopped(folder: Path, resume: bool) -> Dataset:
@@ -214,16 +228,16 @@ def take_up(
     before = _stopped(folder, resume)
     _refuse_differences(before, new)
     kept = tuple(frame for frame in before.frames if _is_whole(folder, frame))
-    strange = {frame.file for frame in kept} - {file_of(view) for view in planned}
+    strange = {frame.file for frame in kept} - {file_of(view, band) for view in planned for band in plan.bands_of(known, view.ring)}
     if strange:
         raise UserError(f"{folder} holds {sorted(strange)[0]}, which the plan does not have: choose a new folder for the scan")
-    complete = bool(before.origin.get("complete")) and len(kept) == len(planned)
+    complete = bool(before.origin.get("complete")) and len(kept) == sum(len(plan.bands_of(known, view.ring)) for view in planned)
     return Session(replace(before, frames=kept, origin={**origin, **before.origin, "rig": origin["rig"], "complete": complete}), planned)
 
 
-def file_of(view: View) -> str:
+def file_of(view: View, band: str = "") -> str:
     """Return the path of a view's picture in the dataset."""
-    return f"images/view_{view.index:03d}.png"
+    return f"images/{plan.picture_name(view.index, band)}.png"
 
 
 def _is_whole(folder: Path, frame: Frame) -> bool:

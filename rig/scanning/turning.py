@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from rhizotwin.rig import bands
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
 from rhizotwin.rig.open import Devices
 from rhizotwin.rig.scanning.eye import Eye
@@ -70,6 +71,8 @@ class Turning:
         self.pictures: list[Taken] = []
         """Pictures of the scan that the camera took where it stands."""
         self._acceleration: float | None = None  # chosen; None: as the rig file says
+        self.band = ""
+        """The band that the lamps are set for."""
         self.lost = False
         """Whether the board was lost and has not come back."""
 
@@ -173,11 +176,11 @@ class Turning:
             read_deg = self._devices.table.position_deg()
         self._compare(angle_deg, read_deg)
 
-    def light(self) -> None:
-        """Switch the lights on, as the rig file says."""
-        part = self._devices.rig.lights
+    def light(self, band: str | None = None) -> None:
+        """Switch the lights on as a band of the camera needs them; None: as before."""
+        self.band = self.band if band is None else band
         with board_watched():
-            self._devices.lights.set(panel=part.panel_level, front=part.front_level)
+            bands.light(self._devices.lights, self._devices.rig, self.band)
 
     def recover(self, fault: BoardFaultError, *, near_deg: float, again: bool) -> bool:
         """Connect the board anew and make the angle known again; return whether it had to be found anew.
@@ -283,8 +286,7 @@ class Turning:
                 self._devices.table.prepare()
                 if self._acceleration is not None:
                     self._devices.table.accelerate(self._acceleration)
-                part = self._devices.rig.lights
-                self._devices.lights.set(panel=part.panel_level, front=part.front_level)
+                bands.light(self._devices.lights, self._devices.rig, self.band)
             except RigError as error:
                 if clock.now_s() >= until_s:
                     raise type(cause)(f"{cause}; it did not come back within {WAIT_S:.0f} s ({error})") from error

@@ -4,12 +4,14 @@ Nothing can be read back: the angle is the number of steps that were sent. It is
 loses its current, and never by a program that has just started; then the markers tell it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import LEAST_DEG, MOST_DEG, check_levels
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
-from rhizotwin.rig.rig_file import HatPart, LightsPart, TurntablePart
+from rhizotwin.rig.rig_file import BandPart, HatPart, LightsPart, TurntablePart
 from rhizotwin.rig.table.hat_pins import Pins, Pixels
 from rhizotwin.rig.table.ramp import step_times_s
 
@@ -150,25 +152,37 @@ class HatTurntable:
 class HatLights:
     """A `rig.devices.Lights`."""
 
-    def __init__(self, pixels: Pixels, part: LightsPart, clock: Clock) -> None:
-        self._pixels, self._part, self._clock = pixels, part, clock
+    def __init__(self, pixels: Pixels, pins: Pins, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
+        self._pixels, self._pins, self._part, self._clock = pixels, pins, part, clock
+        self._outputs = sorted({band.output for band in bands if band.output is not None})
 
-    def set(self, *, panel: float, front: float) -> None:
-        """Set both lamps, as fractions 0 to 1 of the rig file's colours, and wait until they burn steadily."""
+    def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
+        """Set all lamps and wait until they burn steadily.
+
+        Parameters
+        ----------
+        panel, front : float
+            0 to 1, as fractions of the colours in the rig file.
+        band : BandPart or None
+            Colours and output of a band; None: those of ``[lights]``, and no output.
+        """
         check_levels(panel=panel, front=front)
-        self._fill(panel, front)
+        self._fill(panel, front, band)
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
-        """Switch both off."""
+        """Switch all off."""
         self._fill(0.0, 0.0)
 
-    def _fill(self, panel: float, front: float) -> None:
+    def _fill(self, panel: float, front: float, band: BandPart | None = None) -> None:
+        part, band = self._part, band or BandPart()
+        for output in self._outputs:
+            self._pins.output(output, int(output == band.output))
         for strip, level, colour in (
-            (self._part.panel_strip, panel, self._part.panel_rgb),
-            (self._part.front_strip, front, self._part.front_rgb),
+            (part.panel_strip, panel, band.panel_rgb or part.panel_rgb),
+            (part.front_strip, front, band.front_rgb or part.front_rgb),
         ):
-            red, green, blue = (round(level * part) for part in colour)
+            red, green, blue = (round(level * share) for share in colour)
             try:
                 self._pixels.fill(strip, (red, green, blue))
             except OSError as error:

@@ -1,9 +1,11 @@
-"""The lamps: two NeoPixel strips of a Marlin board."""
+"""The lamps: two NeoPixel strips of a Marlin board, and what hangs on its fan outputs."""
+
+from collections.abc import Sequence
 
 from rhizotwin.rig.clock import Clock
 from rhizotwin.rig.devices import check_levels
 from rhizotwin.rig.errors import LostError, NoAnswerError
-from rhizotwin.rig.rig_file import LightsPart
+from rhizotwin.rig.rig_file import BandPart, LightsPart
 from rhizotwin.rig.table.marlin import MarlinLink
 from rhizotwin.rig.table.marlin_lines import POSITION
 
@@ -13,23 +15,26 @@ _FULL = 255
 class MarlinLights:
     """A `rig.devices.Lights`; shares its link with the turntable."""
 
-    def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock) -> None:
+    def __init__(self, link: MarlinLink, part: LightsPart, clock: Clock, *, bands: Sequence[BandPart] = ()) -> None:
         self._link = link
         self._part = part
         self._clock = clock
+        self._outputs = sorted({band.output for band in bands if band.output is not None})
 
-    def set(self, *, panel: float, front: float) -> None:
-        """Set both lamps and wait until they burn steadily.
+    def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
+        """Set the lamps and wait until they burn steadily.
 
         Parameters
         ----------
         panel, front : float
             0 to 1, as fractions of the colours in the rig file.
+        band : BandPart or None
+            Colours and output of a band; None: those of ``[lights]``, and no output.
         """
         check_levels(panel=panel, front=front)
         if not self._link.ready:
             self._link.start()
-        self._show(panel, front)
+        self._show(panel, front, band)
         self._clock.sleep(self._part.settle_s)
 
     def off(self) -> None:
@@ -45,7 +50,8 @@ class MarlinLights:
         try:
             self._surely_off()
         except NoAnswerError:
-            self._link.send_unheard(*(f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip)))
+            strips = (f"M150 S{strip} R0 U0 B0 P0" for strip in (self._part.panel_strip, self._part.front_strip))
+            self._link.send_unheard(*strips, *(f"M107 P{output}" for output in self._outputs))
             raise
 
     def close(self) -> None:
@@ -61,12 +67,15 @@ class MarlinLights:
             self._link.start()
             self._show(0.0, 0.0)
 
-    def _show(self, panel: float, front: float) -> None:
+    def _show(self, panel: float, front: float, band: BandPart | None = None) -> None:
+        part, band = self._part, band or BandPart()
         self._link.command("M400")  # M150 does not wait for moves, and its interrupt lock would disturb their steps
         for strip, rgb, level in (
-            (self._part.panel_strip, self._part.panel_rgb, panel),
-            (self._part.front_strip, self._part.front_rgb, front),
+            (part.panel_strip, band.panel_rgb or part.panel_rgb, panel),
+            (part.front_strip, band.front_rgb or part.front_rgb, front),
         ):
             red, green, blue = rgb if level > 0.0 else (0, 0, 0)
             self._link.command(f"M150 S{strip} R{red} U{green} B{blue} P{round(_FULL * level)}")
+        for output in self._outputs:
+            self._link.command(f"M106 P{output} S{_FULL}" if output == band.output else f"M107 P{output}")
         self._link.ask("M114", POSITION)  # what was sent before is done when this is answered

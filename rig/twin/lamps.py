@@ -26,7 +26,8 @@ class Lamp:
 
     def __init__(self, *, full_rgb: Rgb, imperfections: Imperfections, key: Key) -> None:
         error = float(np.random.default_rng(key).uniform(-1.0, 1.0)) * imperfections.lamp_level_error
-        self._full = max(sum(full_rgb), 1) / (1.0 + error)
+        self._sum = max(sum(full_rgb), 1)
+        self._full = self._sum / (1.0 + error)
         self._ramp_s = imperfections.lamp_ramp_s
         self._rgb = [(0, 0, 0)] * LEDS
         self._brightness = 255
@@ -41,6 +42,11 @@ class Lamp:
     def goal(self) -> float:
         """The level that the lamp has or is on its way to."""
         return sum(sum(rgb) for rgb in self._rgb) / LEDS * self._brightness / 255.0 / self._full
+
+    def share_of(self, rgb: Rgb) -> float | None:
+        """Return the factor to levels of which this colour is full; None where it shows another colour or is dark."""
+        shown = self._brightness > 0 and all(led == rgb for led in self._rgb) and sum(rgb) > 0
+        return self._sum / sum(rgb) if shown else None
 
     def show(self, rgb: Rgb, *, led: int | None = None) -> None:
         """Give all LEDs (or one, if there is such a one) a colour, 0-255 each."""

@@ -39,18 +39,23 @@ class MarlinAdapter:
         Axis X.
     strips
         The LED strips 0 and 1.
+    outputs_on
+        Fan outputs that are on; None: there are none.
     ok_after_resend
         Whether ``Resend:`` is followed by an ``ok``; some 2.0.x versions leave it out.
     """
 
-    def __init__(self, motor: Motor, strips: tuple[Strip, Strip], *, ok_after_resend: bool = True) -> None:
+    def __init__(
+        self, motor: Motor, strips: tuple[Strip, Strip], *, outputs_on: set[int] | None = None, ok_after_resend: bool = True
+    ) -> None:
         self._motor = motor
+        self._outputs_on = set() if outputs_on is None else outputs_on
         self._strips = strips
         self._ok_after_resend = ok_after_resend
         self._start_anew()
 
     def _start_anew(self) -> None:
-        self.commands = MarlinCommands(self._motor, self._strips)
+        self.commands = MarlinCommands(self._motor, self._strips, self._outputs_on)
         self.halted = False
         self._partial = bytearray()
         self._lines: deque[str] = deque()

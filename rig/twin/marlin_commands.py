@@ -38,8 +38,9 @@ class Answer:
 class MarlinCommands:
     """The state of the board behind its commands."""
 
-    def __init__(self, motor: Motor, strips: tuple[Strip, Strip]) -> None:
+    def __init__(self, motor: Motor, strips: tuple[Strip, Strip], outputs_on: set[int]) -> None:
         self._motor = motor
+        self._outputs_on = outputs_on
         self._strips = strips
         self._firmware_steps = motor.steps_per_deg
         self._offset_deg = 0.0  # logical X minus the motor's count
@@ -61,6 +62,8 @@ class MarlinCommands:
             "M18": self._release,
             "M84": self._release,
             "M92": self._steps,
+            "M106": self._switch,
+            "M107": self._switch_off,
             "M114": self._position,
             "M115": self._about,
             "M150": self._light,
@@ -72,6 +75,7 @@ class MarlinCommands:
     def power_up(self) -> None:
         """Put the devices into the state after a reset."""
         self._motor.power_up()
+        self._outputs_on.clear()
         for strip in self._strips:
             strip.power_up()
 
@@ -199,6 +203,16 @@ class MarlinCommands:
             else:
                 self._colours[i] = (red, green, blue)
                 self._strips[i].show((red, green, blue))
+        return Answer()
+
+    def _switch(self, words: Words, _now_s: float) -> Answer:
+        """M106: a fan output by its number, 255 where no level is given."""
+        level, output = words.get("S", 255.0), int(words.get("P") or 0)
+        (self._outputs_on.add if level is None or level > 0.0 else self._outputs_on.discard)(output)
+        return Answer()
+
+    def _switch_off(self, words: Words, _now_s: float) -> Answer:
+        self._outputs_on.discard(int(words.get("P") or 0))
         return Answer()
 
     def _restart(self, _words: Words, _now_s: float) -> Answer:

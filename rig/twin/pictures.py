@@ -90,7 +90,7 @@ class Rendered:
         self._samples = samples
         self._world: World | None = None
         self._solid: SpecimenSolid | None = None
-        self._renderers: dict[tuple[bool, bool], Renderer] = {}
+        self._renderers: dict[tuple[bool, bool, str], Renderer] = {}
         self._pictures: OrderedDict[bytes, Grey] = OrderedDict()
         self._masks: dict[bytes, bytes] = {}  # compressed
 
@@ -143,22 +143,24 @@ class Rendered:
         """Render with one lamp or both at full; keep the mask."""
         from rhizotwin.sim.exposure import mask_picture
 
-        renderer = self._renderer(panel=panel, front=front)
+        renderer = self._renderer(panel=panel, front=front, band=sight.band)
         image, coverage = renderer.look(_camera(sight), ring=self._nearest_ring(sight), twist_deg=sight.twist_deg)
         if sight.place_key not in self._masks:
             self._masks[sight.place_key] = zlib.compress(mask_picture(coverage).tobytes(), 1)
         return image
 
-    def _renderer(self, *, panel: bool, front: bool) -> Renderer:
+    def _renderer(self, *, panel: bool, front: bool, band: str) -> Renderer:
+        from rhizotwin.sim.bands import scene_in_band
         from rhizotwin.sim.render import Renderer
 
-        if (panel, front) not in self._renderers:
+        if (panel, front, band) not in self._renderers:
             world = self._drawn()
-            lights = self._scene.lights
+            scene = scene_in_band(self._scene, band)
+            lights = scene.lights
             lit = replace(lights, backlight_level=lights.backlight_level * panel, front_level=lights.front_level * front)
-            scene = replace(self._scene, lights=lit)
-            self._renderers[panel, front] = Renderer(scene, replace(world, scene=scene), self._solid, samples=self._samples)
-        return self._renderers[panel, front]
+            scene = replace(scene, lights=lit)
+            self._renderers[panel, front, band] = Renderer(scene, replace(world, scene=scene), self._solid, samples=self._samples)
+        return self._renderers[panel, front, band]
 
     def _drawn(self) -> World:
         from rhizotwin.sim.specimen import build_specimen

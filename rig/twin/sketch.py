@@ -63,7 +63,7 @@ class Sketch:
     def light(self, sight: Sight) -> Light:
         """Return the picture (H, W) in linear light, 1 being full scale."""
         width, height = self._scene.camera.image_wh
-        lights = self._scene.lights
+        lights = self._scene.lights_in(sight.band)
         panel = np.float32(sight.panel * lights.backlight_level)
         light = np.full((height, width), panel, np.float32)
         cam_from_canister = sight.cam_from_rig @ sight.rig_from_canister

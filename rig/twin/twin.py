@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 import serial
 
 from rhizotwin.rig.clock import Clock
-from rhizotwin.rig.rig_file import ArmPart, CameraPart, RigFile
+from rhizotwin.rig.rig_file import ArmPart, BandPart, CameraPart, RigFile
 from rhizotwin.rig.twin import pictures as rendering
 from rhizotwin.rig.twin import protocol_twin
 from rhizotwin.rig.twin.adapter import Adapter
@@ -84,7 +84,7 @@ class Twin:
             serial.protocol_handler_packages.append(protocol_twin.PACKAGE)
         self.scene = scene
         self.seed = seed
-        self.rig = _with_ports(rig or default_rig(), f"twin://{next(_NUMBERS)}")
+        self.rig = _with_ports(rig or default_rig(scene=scene), f"twin://{next(_NUMBERS)}")
         self.clock = VirtualClock()
         self.pending = Pending(tuple(faults))
         self.record = Record()
@@ -96,7 +96,7 @@ class Twin:
         self.put_camera(0)
         self._rendered = rendering.Rendered(scene, seed=seed, samples=samples) if pictures == "render" else None
         self._painter: Painter = self._rendered or Sketch(scene, distortion=drawn.distortion, canister_from_strip=drawn.canister_from_strip)
-        self.board = MarlinAdapter(self.world.table, (self.world.lamp(0), self.world.lamp(1)))
+        self.board = MarlinAdapter(self.world.table, (self.world.lamp(0), self.world.lamp(1)), outputs_on=self.world.outputs_on)
         self._resets_on_open = resets_on_open
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._was_s = 0.0
@@ -252,10 +252,24 @@ class Twin:
         return [self.rig.turntable.port, *([self.rig.arm.port] if self.rig.arm is not None else [])]
 
 
-def default_rig(protocol: ArmProtocol = "lx") -> RigFile:
-    """Return the rig that a twin is when nothing else is said."""
+def default_rig(protocol: ArmProtocol = "lx", *, scene: Scene | None = None) -> RigFile:
+    """Return the rig that a twin is when nothing else is said.
+
+    Parameters
+    ----------
+    protocol : {"lx", "lsc"}
+        Of the arm's servos.
+    scene : Scene or None
+        Of its bands the first with both lights on is white light, and each other has a lamp of its own.
+    """
     arm = ArmPart(protocol="lsc", baud=LSC_BAUD) if protocol == "lsc" else ArmPart()
-    return RigFile(name="twin", description="an emulated rig", arm=arm)
+    names = [] if scene is None else [band.name for band in scene.camera.bands]
+    main = next((name for name in names if scene is not None and scene.is_lit(name)), "")
+    bands = tuple(
+        BandPart(name=name) if name == main else BandPart(name=name, panel_level=0.0, front_level=0.0, output=number)
+        for number, name in enumerate(names)
+    )
+    return RigFile(name="twin", description="an emulated rig", arm=arm, camera=CameraPart(bands=bands))
 
 
 def _with_ports(rig: RigFile, base: str) -> RigFile:

@@ -21,6 +21,8 @@ from rhizotwin.scenes.model import Scene
 # One number a device: the second key of its random streams. Those of `sim.world` are below 100.
 _SERVO, _SUPPLY, _TABLE, _LAMP, _START = 101, 102, 103, 104, 105
 
+FILTER_DEG = 5.0
+"""How far the filter wheel may be from a band's angle: filters are wider than the light's path by more."""
 GRIPPER = 1
 GRIPPER_CELSIUS = 47.0
 _WEIGHTS = np.array([0.06, 0.06, 0.12])
@@ -41,6 +43,8 @@ class Sight:
     """Levels of the lamps, fractions of the scene's."""
     exposure: float = 1.0
     """Exposure time and gain against the nominal ones."""
+    band: str = ""
+    """Band of the camera that lamps and filter are set for; empty: none."""
     twist_deg: float = 0.0
     """How far the lowest tips are turned against the pot; what is higher less, in proportion."""
 
@@ -52,7 +56,8 @@ class Sight:
     @property
     def key(self) -> bytes:
         """Digest of everything."""
-        return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist)
+        band = np.frombuffer(self.band.encode(), np.uint8).astype(np.float64)
+        return _digest(self.cam_from_rig, self.rig_from_canister, np.array([self.panel, self.front, self.exposure]), *self._twist, band)
 
     @property
     def _twist(self) -> list[frames.Array]:
@@ -89,15 +94,17 @@ class TwinWorld:
         lights = rig.lights
         self.panel = Lamp(full_rgb=lights.panel_rgb, imperfections=imperfections, key=(seed, _LAMP, 0))
         self.front = Lamp(full_rgb=lights.front_rgb, imperfections=imperfections, key=(seed, _LAMP, 1))
+        self.outputs_on: set[int] = set()
+        """Switched outputs of the board that are on."""
         self.supply = Supply(key=(seed, _SUPPLY))
         self.servos: dict[int, Servo] = {}
         if rig.arm is not None:
             for joint, rest_deg in _rest(rig):
                 start = _counts(joint, rest_deg)
                 self.servos[joint.servo] = Servo(start_counts=start, imperfections=imperfections, key=(seed, _SERVO, joint.servo))
-            if GRIPPER not in self.servos:
-                self.servos[GRIPPER] = Servo(start_counts=500.0, imperfections=imperfections, key=(seed, _SERVO, GRIPPER))
-                self.servos[GRIPPER].heat(GRIPPER_CELSIUS)
+            for servo in {GRIPPER, *(() if rig.arm.filter is None else (rig.arm.filter.servo,))} - self.servos.keys():
+                self.servos[servo] = Servo(start_counts=500.0, imperfections=imperfections, key=(seed, _SERVO, servo))
+                self.servos[servo].heat(GRIPPER_CELSIUS)
             self._weigh()
 
     def lamp(self, strip: int) -> Lamp:
@@ -161,15 +168,48 @@ class TwinWorld:
 
     def sight(self, *, exposure: float = 1.0) -> Sight:
         """Return what a picture taken now depends on."""
+        band, panel, front = self._light()
         return Sight(
             cam_from_rig=self.cam_from_rig,
             rig_from_canister=self.rig_from_canister,
             table_deg=self.table_deg,
-            panel=self.panel.level,
-            front=self.front.level,
+            panel=panel,
+            front=front,
             exposure=exposure,
+            band=band,
             twist_deg=self.swing.twist_deg,
         )
+
+    def _light(self) -> tuple[str, float, float]:
+        """Return the band that lamps, outputs and filter are set for, and the levels of panel and front light in it.
+
+        A band's own lamp lights panel and front fully. What fits no band is white light.
+        """
+        for part in self.rig.camera.bands:
+            if self.outputs_on != ({part.output} - {None}) or not self._filter_is_at(part.filter_deg):
+                continue
+            if part.output is not None:
+                return part.name, 1.0, 1.0
+            lights = self.rig.lights
+            panel = self._in_colour(self.panel, part.panel_rgb or lights.panel_rgb, part.panel_level)
+            front = self._in_colour(self.front, part.front_rgb or lights.front_rgb, part.front_level)
+            if panel is not None and front is not None:
+                return part.name, panel, front
+        return "", self.panel.level, self.front.level
+
+    def _in_colour(self, lamp: Lamp, rgb: tuple[int, int, int], level: float | None) -> float | None:
+        """Return a lamp's level in a band's colour; None where it shows another one."""
+        if level == 0.0 or lamp.goal == 0.0:
+            return lamp.level if level == 0.0 and lamp.goal == 0.0 else None
+        share = lamp.share_of(rgb)
+        return None if share is None else lamp.level * share
+
+    def _filter_is_at(self, angle_deg: float | None) -> bool:
+        """Tell whether the filter wheel stands where a band wants it."""
+        wheel = None if self.rig.arm is None else self.rig.arm.filter
+        if angle_deg is None or wheel is None:
+            return angle_deg is None
+        return abs(wheel.sign * (self.servos[wheel.servo].true_counts - wheel.zero_counts) / wheel.counts_per_deg - angle_deg) < FILTER_DEG
 
     def _angles(self, arm: ArmPart, counts: list[float]) -> tuple[float, ...]:
         return tuple(joint.sign * (at - joint.zero_counts) / joint.counts_per_deg for joint, at in zip(arm.joints, counts, strict=True))

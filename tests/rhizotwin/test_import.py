@@ -17,6 +17,7 @@ from rhizotwin.nerfstudio import read_cameras
 from rhizotwin.picture_files import list_pictures, natural_key
 from rhizotwin.scenes import files, frames, plan, transfer
 from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.bands import Band
 from rhizotwin.scenes.dataset import Dataset, load_dataset, read_image
 from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
@@ -238,3 +239,20 @@ def test_overexposed_pictures_are_said_and_recorded(tmp_path: Path, scene: Scene
     made = import_pictures(tmp_path / "in", scene, tmp_path / "out")
     assert any("warning: 1 of 2 pictures are overexposed, images/b.png worst with 50 %" in note for note in made.notes)
     assert list(load_dataset(tmp_path / "out").origin["clipped"]) == ["images/b.png"]
+
+
+def test_pictures_in_bands_are_views_by_the_ends_of_their_names(scene: Scene, tmp_path: Path) -> None:
+    bands = (Band(name="white"), Band(name="nir", wavelength_nm=850.0, panel_level=0.0))
+    banded = replace(scene, camera=replace(scene.camera, bands=bands), plan=CapturePlan(rings=(Ring(views=2, first_deg=10.0),)))
+    pictures = write_pictures(tmp_path / "p", "b_2_nir.png", "b_2_white.png", "b_10_nir.png", "b_10_white.png")
+    made = import_pictures(pictures, scene=banded, out=tmp_path / "d").dataset
+    assert [(frame.view, frame.band, frame.table_deg) for frame in made.frames] == [
+        (0, "nir", 10.0),
+        (0, "white", 10.0),
+        (1, "nir", 190.0),
+        (1, "white", 190.0),
+    ]
+    assert load_dataset(tmp_path / "d") == made
+    write_pictures(tmp_path / "q", "a.png")
+    with pytest.raises(UserError, match=r"ends with none of the camera's bands: call it a_white\.png"):
+        import_pictures(tmp_path / "q", scene=banded, out=tmp_path / "e")

@@ -11,7 +11,7 @@ from rhizotwin.rig.arm import kinematics
 from rhizotwin.rig.devices import Shot
 from rhizotwin.rig.errors import LostError
 from rhizotwin.rig.open import Devices
-from rhizotwin.rig.rig_file import ArmPart, RigFile
+from rhizotwin.rig.rig_file import ArmPart, BandPart, RigFile
 from rhizotwin.rig.scanning.audience import Audience
 from rhizotwin.rig.scanning.homing import Ask
 from rhizotwin.rig.scanning.onlooker import Onlooker
@@ -45,6 +45,7 @@ class World:
     panel: float = 0.0
     front: float = 0.0
     now_s: float = 0.0
+    band: str = ""
     motor: bool = False
     acceleration_deg_per_s2: float = 60.0
     joints_deg: tuple[float, ...] | None = None
@@ -144,9 +145,9 @@ class _FakeBoard:
         self.world.call("table.release")
         self.world.motor = False
 
-    def set(self, *, panel: float, front: float) -> None:
+    def set(self, *, panel: float, front: float, band: BandPart | None = None) -> None:
         self.world.call("lights.set")
-        self.world.panel, self.world.front = panel, front
+        self.world.panel, self.world.front, self.world.band = panel, front, "" if band is None else band.name
 
     def off(self) -> None:
         self.world.call("lights.off")

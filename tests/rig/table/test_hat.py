@@ -1,7 +1,7 @@
 """The thesis's hat, driven through libraries of the same names that emulate a DRV8825 and two strips."""
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +11,7 @@ import pytest
 
 from rhizotwin.rig.errors import LostError, RigError, UnsafeError
 from rhizotwin.rig.open import open_board
-from rhizotwin.rig.rig_file import HatPart, RigFile, TurntablePart, load_rig
+from rhizotwin.rig.rig_file import BandPart, HatPart, RigFile, TurntablePart, load_rig
 from rhizotwin.rig.table.hat import HatLights, HatTurntable
 from rhizotwin.rig.table.ramp import step_times_s
 from rhizotwin.rig.twin.clock import VirtualClock
@@ -171,6 +171,17 @@ def test_lamps(bench: Any) -> None:
     assert front.shown == dict.fromkeys(range(18), (255, 255, 255))
     lights.off()
     assert set(panel.shown.values()) | set(front.shown.values()) == {(0, 0, 0)}
+
+
+def test_a_band_has_its_colours_and_its_own_pin(bench: Any) -> None:
+    _, _, driver, strips = bench
+    rig = replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="nir", panel_rgb=(255, 0, 0), output=5),)))
+    lights = open_board(rig, clock=driver.clock)[1]
+    lights.set(panel=1.0, front=0.0, band=rig.camera.bands[0])
+    assert strips[-2].shown == dict.fromkeys(range(300), (255, 0, 0))
+    assert driver.level[5] == 1
+    lights.off()
+    assert driver.level[5] == 0
 
 
 def test_a_pin_in_use_and_a_missing_library_are_named(monkeypatch: pytest.MonkeyPatch, bench: Any) -> None:

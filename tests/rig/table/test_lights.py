@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rhizotwin.rig.errors import LostError, NoAnswerError, RigError
-from rhizotwin.rig.rig_file import LightsPart
+from rhizotwin.rig.rig_file import BandPart, LightsPart
 from rhizotwin.rig.table.lights import MarlinLights
 from rhizotwin.rig.table.marlin import MarlinLink
 
@@ -94,3 +94,18 @@ def test_lamps_are_only_taken_for_set_when_they_are(board: Any, lights: MarlinLi
     assert board.strips[1] == {"R": 255, "U": 250, "B": 240, "P": 255}
     lights.close()
     assert board.closed == 1
+
+
+def test_a_band_has_its_colours_and_alone_its_output(board: Any) -> None:
+    red, nir = BandPart(name="red", front_rgb=(255, 0, 0)), BandPart(name="nir", output=1)
+    lights = MarlinLights(MarlinLink(board), PART, board.clock, bands=(red, nir, BandPart(name="uv", output=3)))
+    lights.set(panel=0.0, front=1.0, band=red)
+    assert board.strips == {1: OFF, 0: {"R": 255, "U": 0, "B": 0, "P": 255}}
+    assert board.outputs == {1: 0, 3: 0}
+    lights.set(panel=0.0, front=0.0, band=nir)
+    assert board.outputs == {1: 255, 3: 0}
+    lights.set(panel=1.0, front=1.0)
+    assert board.outputs == {1: 0, 3: 0}
+    lights.set(panel=0.0, front=0.0, band=nir)
+    lights.off()
+    assert board.outputs == {1: 0, 3: 0}

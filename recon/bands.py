@@ -1,0 +1,93 @@
+"""Signal-to-noise ratio of roots, or of a shoot, in each band of the camera, by which the band to use is chosen."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhizotwin.recon.robust import MAD
+from rhizotwin.scenes import frames
+from rhizotwin.scenes.dataset import Dataset, Frame, read_image
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Scene
+from rhizotwin.scenes.monitor import Monitor
+
+_VIEWS = 6
+"""Views that are compared, evenly over the scan."""
+_WIDEST = 20
+"""Structures up to this fraction (one over it) of the picture's width are counted."""
+_SIGMAS = 4.0
+"""Structures count from this many standard deviations of the noise on, as for silhouettes."""
+
+
+def measure_bands(dataset: Dataset, kind: str, *, monitor: Monitor) -> dict[str, float]:
+    """Return the signal-to-noise ratio of each band in which all views of a kind were taken with both lights on.
+
+    The signal is the Euclidean norm of what is darker than its surroundings and narrow, over all pixels: that of a
+    matched filter in white noise (Kay 1998, Detection Theory, section 4.3).
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Scene and frames.
+    kind : {"root", "shoot"}
+        Of which the pictures are.
+    monitor : Monitor
+        Hears how far the work is.
+
+    Returns
+    -------
+    dict of float
+        By name, the best first; empty where the camera has no bands.
+
+    Raises
+    ------
+    UserError
+        Where the camera has bands and none of them can be used.
+    """
+    scene, listed = dataset.scene, [frame for frame in dataset.frames if frame.kind == kind]
+    if not scene.camera.bands or not listed:
+        return {}
+    views = sorted({frame.view for frame in listed}, key=lambda view: view or 0)
+    by_band = {band.name: {f.view: f for f in listed if f.band == band.name} for band in scene.camera.bands if scene.is_lit(band.name)}
+    complete = {name: taken for name, taken in by_band.items() if len(taken) == len(views)}
+    if not complete:
+        raise UserError(
+            f"{dataset.folder / 'dataset.json'}: no band with panel and front light on has a picture of every view of the {kind}: add the "
+            "missing pictures, or correct panel_level and front_level of [[camera.bands]]"
+        )
+    chosen = views[:: max(1, len(views) // _VIEWS)]
+    with monitor.stage("bands"):
+        ratios = {name: float(np.median([_ratio(dataset, taken[view]) for view in chosen])) for name, taken in complete.items()}
+    return dict(sorted(ratios.items(), key=lambda item: -item[1]))
+
+
+def _ratio(dataset: Dataset, frame: Frame) -> float:
+    """Return the signal-to-noise ratio of one picture; 0 where it cannot be read, which is said elsewhere."""
+    try:
+        picture = read_image(dataset, frame)
+    except UserError:
+        return 0.0
+    light = picture[_rows(dataset.scene, frame)].astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
+    side = max(3, light.shape[1] // _WIDEST) | 1
+    dark = cv2.morphologyEx(light, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) - light
+    dark -= np.median(dark)  # closing takes the brightest of the noise nearby
+    step = np.diff(light, axis=1)
+    least = 2.0**-dataset.scene.camera.bits / 12.0**0.5  # of rounding
+    noise = max(MAD * float(np.median(np.abs(step - np.median(step)))) / 2.0**0.5, least)
+    return float(np.linalg.norm(dark[dark > _SIGMAS * noise])) / noise
+
+
+def _rows(scene: Scene, frame: Frame) -> slice:
+    """Return the rows of a picture that show roots below the net pot, or the shoot above it, by the planned camera."""
+    ring, pot = scene.plan.rings[frame.ring], scene.net_pot
+    z_mm = pot.skirt_bottom_mm if frame.kind == "root" else pot.top_mm
+    rim = np.array([[pot.outer_radius_mm, 0.0, z_mm], [-pot.outer_radius_mm, 0.0, z_mm]])
+    level = frames.level_camera(distance_mm=ring.distance_mm, height_mm=ring.height_mm, tilt_deg=ring.tilt_deg)
+    points: NDArray[np.float64] = frames.apply(level, rim)
+    rows = scene.camera.focal_px[1] * points[:, 1] / points[:, 2] + scene.camera.principal_px[1]
+    height = scene.camera.image_wh[1]
+    edge = int(np.clip(rows.max() if frame.kind == "root" else rows.min(), 0, height))
+    found = slice(edge, height) if frame.kind == "root" else slice(0, edge)
+    return found if found.stop - found.start >= height // 8 else slice(0, height)

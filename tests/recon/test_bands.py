@@ -1,0 +1,55 @@
+"""The choice of a band: the one in which thin dark things stand out of the noise."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhizotwin.recon.pictures import read_pictures
+from rhizotwin.recon.settings import PictureSettings
+from rhizotwin.scenes.atomic import write_image
+from rhizotwin.scenes.bands import Band
+from rhizotwin.scenes.dataset import Dataset, Frame
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import Camera, Scene
+from rhizotwin.scenes.monitor import Monitor
+
+BANDS = (Band(name="faint"), Band(name="clear"), Band(name="noisy"), Band(name="dark", panel_level=0.0))
+DEPTH = {"faint": 0.03, "clear": 0.4, "noisy": 0.4, "dark": 0.7}
+NOISE = {"faint": 0.005, "clear": 0.005, "noisy": 0.05, "dark": 0.001}
+
+
+def dataset_in(folder: Path, *bands: str) -> Dataset:
+    """Draw upright lines two pixels wide before an even panel, three views in each band."""
+    scene = Scene(camera=replace(Camera().resized((200, 150)), bands=BANDS))
+    frames, rng = [], np.random.default_rng(0)
+    for view in range(3):
+        for band in bands:
+            light = np.full((150, 200), 0.75)
+            for x in range(40, 160, 12):
+                light[60:, x : x + 2] *= 1.0 - DEPTH[band]
+            light += rng.normal(0.0, NOISE[band], light.shape)
+            write_image(folder / f"{view}_{band}.png", (np.clip(light, 0.0, 1.0) * 65535).astype(np.uint16))
+            frames.append(Frame(file=f"{view}_{band}.png", sha256="", band=band, view=view))
+    return Dataset(folder=folder, scene=scene, frames=tuple(frames))
+
+
+def test_the_band_with_the_largest_ratio_is_read(tmp_path: Path) -> None:
+    dataset = dataset_in(tmp_path, "faint", "noisy", "clear", "dark")
+    pictures = read_pictures(dataset, monitor=Monitor())
+    assert [frame.file for frame in pictures.frames] == [f"{view}_clear.png" for view in range(3)]
+    assert list(pictures.bands) == ["clear", "noisy", "faint"], "without its panel a band shows no outlines"
+    assert pictures.bands["clear"] / pictures.bands["noisy"] == pytest.approx(10.0, rel=0.15), "as the noise"
+    chosen = read_pictures(dataset, settings=PictureSettings(band="faint"), monitor=Monitor())
+    assert {frame.band for frame in chosen.frames} == {"faint"}
+    with pytest.raises(UserError, match="no pictures of the root in the band blue"):
+        read_pictures(dataset, settings=PictureSettings(band="blue"), monitor=Monitor())
+
+
+def test_a_band_that_lacks_a_view_is_not_chosen(tmp_path: Path) -> None:
+    dataset = dataset_in(tmp_path, "faint", "clear")
+    fewer = replace(dataset, frames=dataset.frames[:-1])
+    assert list(read_pictures(fewer, monitor=Monitor()).bands) == ["faint"]
+    with pytest.raises(UserError, match="no band with panel and front light on has a picture of every view"):
+        read_pictures(replace(dataset, frames=(dataset.frames[0], dataset.frames[3])), monitor=Monitor())

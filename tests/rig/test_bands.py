@@ -1,0 +1,128 @@
+"""Bands on the emulated rig: lamps, outputs and filter of each, a scan in all of them, and what is taken again."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rhizotwin.rig import bands
+from rhizotwin.rig.open import open_devices
+from rhizotwin.rig.rig_file import ArmPart, BandPart, Joint, RigFile, check_rig
+from rhizotwin.rig.scanning.audience import Audience
+from rhizotwin.rig.scanning.scan import scan
+from rhizotwin.rig.twin.twin import Twin, default_rig
+from rhizotwin.scenes.bands import Band
+from rhizotwin.scenes.dataset import Dataset, load_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.model import CapturePlan, Ring, Scene
+from rhizotwin.scenes.schema import Place
+from tests.rig.fake_devices import LENS, STRIP, World, run
+
+BANDS = (Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="white"), Band(name="nir", wavelength_nm=850.0))
+SCENE = Scene(
+    camera=replace(LENS, bands=BANDS),
+    strip=STRIP,
+    plan=CapturePlan(rings=(Ring(views=2, height_mm=-20.0), Ring(views=2, height_mm=0.0, bands=("white",)))),
+)
+WHEEL = ArmPart(filter=Joint(servo=1, min_deg=-90.0, max_deg=90.0))
+RIG = RigFile(
+    arm=WHEEL,
+    camera=replace(
+        default_rig().camera,
+        bands=(
+            BandPart(name="red", panel_level=0.0, front_rgb=(255, 0, 0), filter_deg=-45.0),
+            BandPart(name="white", filter_deg=45.0),
+            BandPart(name="nir", panel_level=0.0, front_level=0.0, output=2, filter_deg=45.0),
+        ),
+    ),
+)
+
+
+def scanned(twin: Twin, folder: Path, **options) -> Dataset:
+    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
+    try:
+        return scan(devices, twin.calibrated_scene(), folder, audience=Audience(say=lambda _: None), **options)
+    finally:
+        devices.close()
+
+
+def bands_shown(twin: Twin, dataset: Dataset) -> list[tuple[str, str]]:
+    """Return the band of each frame and the one that lamps and filter were set for when its picture was taken."""
+    by_time = sorted(dataset.frames, key=lambda frame: frame.time_s)
+    taken = [shot.sight.band for shot in twin.record.shots]
+    return [(frame.band, taken[-1 - k]) for k, frame in enumerate(reversed(by_time))]
+
+
+@pytest.mark.slow
+def test_a_scan_takes_every_view_in_all_bands_of_its_ring_and_takes_missing_ones_again(tmp_path: Path) -> None:
+    twin = Twin(SCENE, seed=1, profile_name="bench", pictures="sketch", rig=RIG)
+    made = scanned(twin, tmp_path / "d")
+    assert [(frame.view, frame.band) for frame in made.frames] == [
+        *((view, band) for view in (0, 1) for band in ("red", "white", "nir")),
+        (2, "white"),
+        (3, "white"),
+    ]
+    assert load_dataset(tmp_path / "d") == made
+    views = {frame.view: frame.table_read_deg for frame in made.frames}
+    assert all(frame.table_read_deg == views[frame.view] for frame in made.frames), "the table stands still for all bands of a view"
+    assert not twin.world.outputs_on
+    (tmp_path / "d" / "images" / "view_001_nir.png").unlink()
+    again = scanned(twin, tmp_path / "d", resume=True)
+    assert [frame.file for frame in again.frames] == [frame.file for frame in made.frames]
+    assert again.frames[0].sha256 == made.frames[0].sha256
+
+
+def test_lamps_outputs_and_filter_decide_which_band_the_twin_shows() -> None:
+    twin = Twin(SCENE, seed=1, profile_name="clean", pictures="sketch", rig=RIG)
+    devices = open_devices(twin.rig, twin.calibrated_scene(), clock=twin.clock, camera=twin.open_camera())
+    devices.arm.prepare()
+    shown = {}
+    for part in RIG.camera.bands:
+        bands.light(devices.lights, twin.rig, part.name)
+        devices.arm.turn_filter(part.filter_deg)
+        sight = twin.world.sight()
+        shown[part.name] = (sight.band, round(sight.panel, 3), round(sight.front, 3))
+    assert shown == {"red": ("red", 0.0, 1.0), "white": ("white", 1.0, 1.0), "nir": ("nir", 1.0, 1.0)}
+    bands.light(devices.lights, twin.rig, "red")
+    assert twin.world.sight().band == "", "the filter is that of another band"
+    devices.lights.off()
+    assert not twin.world.outputs_on
+    devices.close()
+
+
+def test_each_band_of_the_default_twin_can_be_set() -> None:
+    rig = default_rig(scene=SCENE)
+    check_rig(rig, Place("rig"))
+    bands.refuse_unknown(rig, SCENE)
+    assert bands.part_of(rig, "white") == BandPart(name="white")
+    assert bands.part_of(rig, "") is None
+    assert {part.output for part in rig.camera.bands} == {None, 0, 2}
+
+
+def test_a_scene_with_a_band_that_the_rig_lacks_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"has the band 'red'.*add \[\[camera.bands\]\] with name = \"red\""):
+        run(World(scene=SCENE), tmp_path / "d")
+
+
+HAT = RIG.hat
+WRONG = {
+    "no wheel": (replace(RIG, arm=ArmPart()), r"filter_deg = -45.0.*needs \[arm.filter\]"),
+    "beyond the wheel": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=1, max_deg=20.0))), "between arm.filter's -90 and 20 deg"),
+    "a joint's servo": (replace(RIG, arm=replace(WHEEL, filter=Joint(servo=6))), "none of the joints' servos"),
+    "a pin in use": (
+        replace(
+            RIG,
+            turntable=replace(RIG.turntable, kind="hat"),
+            camera=replace(RIG.camera, bands=(BandPart(name="nir", output=HAT.step_pin),)),
+        ),
+        r"output = 23.*\[hat\] uses already",
+    ),
+    "twice": (replace(RIG, camera=replace(RIG.camera, bands=(BandPart(name="a"), BandPart(name="a")))), "no two the same"),
+}
+
+
+@pytest.mark.parametrize(("rig", "says"), WRONG.values(), ids=WRONG)
+def test_bands_that_the_rig_cannot_set_are_refused(rig: RigFile, says: str) -> None:
+    check_rig(RIG, Place("rig"))
+    with pytest.raises(UserError, match=says):
+        check_rig(rig, Place("rig"))

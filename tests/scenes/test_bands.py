@@ -1,0 +1,81 @@
+"""Bands of a camera: which are refused, which stand for which range, and how pictures of one view belong together."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rhizotwin.scenes import plan
+from rhizotwin.scenes.bands import Band, by_range, vegetation_indices
+from rhizotwin.scenes.checks import check_scene
+from rhizotwin.scenes.dataset import Dataset, Frame, load_dataset, save_dataset
+from rhizotwin.scenes.errors import UserError
+from rhizotwin.scenes.files import load_scene
+from rhizotwin.scenes.model import Camera, CapturePlan, Ring, Scene
+from rhizotwin.scenes.shoots import Shoot
+
+WHITE, RED, NIR = Band(name="white"), Band(name="red", wavelength_nm=670.0, panel_level=0.0), Band(name="nir", wavelength_nm=850.0)
+SCENE = Scene(camera=Camera(bands=(WHITE, RED, NIR)), plan=CapturePlan(rings=(Ring(views=2), Ring(views=2, bands=("red", "white")))))
+
+WRONG: dict[str, tuple[Scene, str]] = {
+    "no word": (replace(SCENE, camera=Camera(bands=(Band(name="near infrared"),))), r"\[camera.bands 1\] name.*one lower-case word"),
+    "twice": (replace(SCENE, camera=Camera(bands=(WHITE, WHITE))), r"\[camera.bands 2\] name.*no two the same"),
+    "unknown in a ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"\[plan.rings 1\].*it has white, red, nir"),
+    "none in the camera": (Scene(plan=CapturePlan(rings=(Ring(bands=("blue",)),))), r"needs \[\[camera.bands\]\]"),
+    "dark ring": (replace(SCENE, plan=CapturePlan(rings=(Ring(bands=("red",)),))), "panel and front light are on"),
+    "spectrum": (replace(SCENE, shoot=Shoot(spectrum=((800.0, 0.5), (700.0, 0.1)))), r"\[shoot\] spectrum.*rise"),
+    "reflectance": (replace(SCENE, shoot=Shoot(spectrum=((700.0, 1.5),))), r"\[shoot\] spectrum.*from 0 to 1"),
+}
+
+
+@pytest.mark.parametrize(("scene", "says"), WRONG.values(), ids=WRONG)
+def test_bands_that_cannot_be_are_refused(scene: Scene, says: str) -> None:
+    check_scene(SCENE)
+    with pytest.raises(UserError, match=says):
+        check_scene(scene)
+
+
+def test_views_are_taken_in_the_bands_of_their_ring() -> None:
+    assert plan.bands_of(SCENE, 0) == ("white", "red", "nir")
+    assert plan.bands_of(SCENE, 1) == ("red", "white")
+    assert plan.main_band(SCENE, 1) == "white", "red has no panel"
+    assert plan.bands_of(Scene(), 0) == ("",)
+    assert (plan.picture_name(7, "red"), plan.picture_name(7, "")) == ("view_007_red", "view_007")
+
+
+def test_ranges_have_their_nearest_band_and_indices_their_formula() -> None:
+    near = Band(name="near", wavelength_nm=800.0)
+    assert by_range((WHITE, RED, NIR, near)) == {"green": "white", "red": "red", "nir": "nir"}
+    assert vegetation_indices({"red": 0.05, "nir": 0.45}) == {"ndvi": pytest.approx(0.8)}
+    assert vegetation_indices({"red": 0.05, "nir": 0.45, "red_edge": 0.25})["ndre"] == pytest.approx(0.2 / 0.7)
+    assert vegetation_indices({"red": 0.05}) == {}
+
+
+def frame(name: str, **changes: Any) -> Frame:
+    return Frame(file=f"images/{name}.png", sha256="", **changes)
+
+
+FRAMES: dict[str, tuple[tuple[Frame, ...], Scene, str]] = {
+    "no band": ((frame("a", view=0),), SCENE, r"\[frames 1\] band.*one of the camera's bands, white, red, nir"),
+    "no view": ((frame("a", band="red"),), SCENE, r"\[frames 1\] view.*is missing"),
+    "same band": (
+        (frame("a", band="red", view=0), frame("b", band="red", view=0)),
+        SCENE,
+        r"\[frames 2\] view.*differ from that of images/a",
+    ),
+    "camera without bands": ((frame("a", band="red", view=0),), Scene(), r"\[frames 1\] band.*has no bands"),
+}
+
+
+@pytest.mark.parametrize(("frames", "scene", "says"), FRAMES.values(), ids=FRAMES)
+def test_frames_that_contradict_the_bands_are_refused(frames: tuple[Frame, ...], scene: Scene, says: str, tmp_path: Path) -> None:
+    save_dataset(Dataset(folder=tmp_path, scene=scene, frames=frames))
+    with pytest.raises(UserError, match=says):
+        load_dataset(tmp_path)
+
+
+def test_the_library_has_a_scene_with_bands_and_its_frames_come_back(tmp_path: Path) -> None:
+    scene = replace(load_scene("radish_bands"), specimen=None, shoot=None)
+    made = save_dataset(Dataset(folder=tmp_path, scene=scene, frames=(frame("a", band="white", view=0), frame("b", band="nir", view=0))))
+    assert load_dataset(tmp_path) == made
