@@ -1,4 +1,4 @@
-"""What each part of the tubes explains of the pictures, and what it leaves: the evidence that a root is there."""
+"""Support of tube nodes: the part of the pictures that each node explains, and the residual that remains."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rhizotwin.recon.tubes.tube_profiles import Sections
 Array = NDArray[np.float64]
 
 _SAMPLES = 9
-"""Places across a tube."""
+"""Number of samples across a tube."""
 _FLANK_PX = 0.5
-"""Beyond a tube's half-width what the tube explains ends."""
+"""Margin beyond a tube's half-width up to which the tube explains coverage."""
 
 
 @dataclass(frozen=True)
@@ -25,32 +25,32 @@ class Proof:
     """Squared coverage, summed over the profiles across each node (N,) in all views, px."""
 
     explained: Array
-    """By how much the squared difference between pictures and tubes grows where the node is left out."""
+    """Increase of the squared difference between pictures and tubes if the node is removed."""
     left: Array
-    """The squared difference that is left with it, where it covers."""
+    """Squared difference that remains with the node, where it covers."""
     alone: Array
-    """Its own squared coverage: what it explains where nothing else does."""
+    """Squared coverage of the node: the amount it explains where no other tube does."""
 
     def of(self, nodes: NDArray[np.bool_]) -> Proof:
-        """Return that of some of the nodes (N,)."""
+        """Return the support of a subset of the nodes (N,)."""
         return Proof(self.explained[nodes], self.left[nodes], self.alone[nodes])
 
 
 def find(drawn: Rendering) -> Proof:
-    """Weigh what every node explains.
+    """Compute the support of every node.
 
-    With d the difference that is left, c the node's coverage and u the part that other tubes leave free of it, the
-    difference without the node is d + u c: it explains (d + u c)^2 - d^2.
+    With d the remaining difference, c the node's coverage and u the fraction that other tubes leave free, the
+    difference without the node is d + u c; the node explains (d + u c)^2 - d^2.
 
     Parameters
     ----------
     drawn : Rendering
-        The tree.
+        The rendered tree.
 
     Returns
     -------
     Proof
-        (N,) for each of its fields.
+        Each field has shape (N,).
     """
     evidence, at = drawn.evidence, drawn.at
     cut = Sections.of(evidence, drawn.tubes, at)
@@ -70,5 +70,5 @@ def find(drawn: Rendering) -> Proof:
         alone += dr.square(c) * told
     step = reach_px * (2.0 / (_SAMPLES - 1))
     totals = [cut.spread(total * step) for total in (explained, left, alone)]
-    dr.eval(totals)  # together: they look at the same profiles
+    dr.eval(totals)  # together, as they use the same profiles
     return Proof(*(np.array(total, np.float64).reshape(cut.shape).sum(axis=0) for total in totals))

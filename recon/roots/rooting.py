@@ -1,4 +1,4 @@
-"""The tube stage: from coverage to a tree of tubes, whatever their thickness, and the solids that no tube explains."""
+"""The tube stage: from coverage to a tree of tubes of any thickness, and the solids that no tube explains."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLANK_PX = 0.5
-"""About `CORE_PX` and this beyond a core point lies the flank of a taproot or hypocotyl."""
+"""Margin beyond `CORE_PX` about a core point that contains the flank of a taproot or hypocotyl."""
 _BEYOND_PX = 1.25
-"""Beyond `CORE_PX` about a core point, the rest of a taproot's flank: half a pixel of outline, and its swelling."""
+"""Margin beyond `CORE_PX` about a core point that contains the rest of a taproot's flank: half a pixel of outline and
+the dilation."""
 _LAST_STEPS, _TRANSLUCENT_STEPS = 3, 6
-"""Steps of the last fit of opaque roots, and of translucent ones, whose attenuation and hairs were found before all of
-them were."""
+"""Steps of the last fit: for opaque roots, and for translucent roots, whose attenuation and hairs were fitted before
+all roots were found."""
 
 
 def find(
@@ -44,16 +45,16 @@ def find(
     known: TubeAttenuation | None = None,
     monitor: Monitor,
 ) -> RootTree | None:
-    """Find the roots as a tree of tubes; None where there are none.
+    """Reconstruct the roots as a tree of tubes; return None if there are none.
 
     Parameters
     ----------
     seen, cameras : Evidence, Cameras
-        Measured coverage, and the cameras of its views in their order.
+        Measured coverage, and the cameras of its views in the same order.
     learned : Attenuation or None
-        With which opacity became coverage; None where the pictures were silhouettes already.
+        Attenuation used to convert opacity to coverage; None if the pictures are silhouettes.
     known : TubeAttenuation, optional
-        Of the same roots, found with other cameras.
+        Attenuation of the same roots, estimated with other cameras.
     """
     px_a_mm, learned_per_mm = search_space.px_a_mm(seen, water), None if learned is None else learned.mu_per_mm
     margin_mm = (CORE_PX + _BEYOND_PX) / px_a_mm
@@ -92,9 +93,9 @@ def find(
 
 
 def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, monitor: Monitor) -> tuple[Cells, Core, Tubes] | None:
-    """Find the first tubes.
+    """Find the initial tubes.
 
-    Return the cells that hold root, the cores of what is thick, and the tubes; None where there is no root.
+    Return the cells that contain roots, the cores of thick parts, and the tubes; None if there is no root.
     """
     with monitor.stage("search"):
         cells, deep = search_space.carve_cells(seen, water, px_a_mm, monitor=monitor)
@@ -112,9 +113,9 @@ def _traced(seen: Evidence, water: Water, px_a_mm: float, margin_mm: float, *, m
 
 
 def _beside(seen: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[Evidence, Cells, Tubes, Mask]:
-    """Put the traced tubes beside the solids.
+    """Separate the traced tubes from the solids.
 
-    Return what the pictures say beside these, their cores, the tubes, and the nodes (N,) that are thick.
+    Return the evidence outside the solids, the cores of the solids, the tubes, and the mask (N,) of thick nodes.
     """
     start = tubes.from_axes(organs.thicken(start, core, px_a_mm)[0])
     start, thick = organs.thicken(start, core, px_a_mm)
@@ -126,9 +127,9 @@ def _beside(seen: Evidence, start: Tubes, core: Core, px_a_mm: float) -> tuple[E
 def _with_light(
     seen: Evidence, fitted: Tubes, thick: Mask, learned_per_mm: float | None, known: TubeAttenuation | None
 ) -> tuple[TubeAttenuation, Evidence, Tubes]:
-    """Fit attenuation, blur and hairs, and return what goes on with them: opacity, or the coverage of opaque roots.
+    """Fit attenuation, blur and hairs, and return them with the opacity, or the coverage of opaque roots.
 
-    Coverage allows for the light that opaque roots reflect, unless it was raised for translucent ones.
+    Coverage includes the light that opaque roots reflect, unless it was corrected for translucent roots.
     """
     opacity = seen.by_light() if seen.has_opacity else seen
     if known is None:
@@ -140,30 +141,30 @@ def _with_light(
 
 
 def _weighed(seen: Evidence, cells: Cells, core: Cells, px_a_mm: float, margin_mm: float) -> tuple[Cells, Array]:
-    """Estimate how much root is in each cell.
+    """Estimate the density of roots in each cell.
 
-    Return the cells that hold any, those of taproot and hypocotyl last, and their depth (N,), mm.
+    Return the non-empty cells, those of taproot and hypocotyl last, and their depth (N,), mm.
     """
     depth = tracing.core_depth(cells, core.index, reach_mm=margin_mm)
     organ = depth > -(CORE_PX + _FLANK_PX) / px_a_mm
     hides = cells.chosen(organ)
-    rind = hides.chosen(Scattered.of(hides.index).faces()[0])  # one layer covers what is behind
+    rind = hides.chosen(Scattered.of(hides.index).faces()[0])  # one layer covers everything behind it
     thin, number = density.estimate(seen, cells.chosen(~organ), rind)
     return density.join(thin, hides), np.concatenate([depth[~organ][number], depth[organ]])
 
 
 def swayed(tree: RootTree, cameras: Cameras) -> bool:
-    """Tell whether roots sway so far from where they were found, with some cameras, that they must be found anew."""
+    """Return whether the roots move so far between views, for some cameras, that they must be reconstructed again."""
     return root_sway.is_far(tree.seen, cameras, tree.tubes, tree.px_a_mm)
 
 
 def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
-    """Ask the roots for the water's index and the cameras, and fit the tubes with what they told.
+    """Estimate the refractive index of the water and the cameras from the roots, and refit the tubes.
 
     Returns
     -------
     RootTree
-        With cameras to go on with; ``cameras.roots`` tells what came of it, None where there are too few roots to tell.
+        Tree with refined cameras. ``cameras.roots`` holds the estimate; None if there are too few roots.
     """
     with monitor.stage("calibration"):
         seen, fitted, cameras = root_calibration.calibrate(tree.seen, tree.cameras, tree.tubes, tree.thick)
@@ -171,7 +172,7 @@ def calibrate(tree: RootTree, *, monitor: Monitor) -> RootTree:
 
 
 def settle(tree: RootTree, *, monitor: Monitor) -> RootSystem:
-    """Bring the tubes to rest, and tell which ends are likely none."""
+    """Fit the tubes a last time, and mark the ends that probably have no tip."""
     with monitor.stage("last tubes"):
         light = Prior.of(tree.seen, tree.learned_per_mm)
         steps = _LAST_STEPS if tree.seen.mu_per_mm is None else _TRANSLUCENT_STEPS

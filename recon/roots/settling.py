@@ -1,4 +1,4 @@
-"""A tree of tubes is brought to rest: fitted, cut back to what explains pixels, linked, and searched beside."""
+"""Refinement of a tree of tubes: fit, prune, link, and search the residual for missing roots."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _SEARCHES = 2
-"""Searches for roots that the tubes leave unexplained; the second finds what hung on the first's."""
+"""Number of searches of the residual; the second finds roots attached to those of the first."""
 _STEPS = 4
-"""Steps of each fit: tubes that stay are fitted again and again, and what is new is judged on its way."""
+"""Steps of each fit: tubes that are kept are fitted repeatedly, and new ones are judged before convergence."""
 
 
 @dataclass(frozen=True)
 class Settling:
-    """How a tree of tubes is brought to rest: fitted, cut back to what explains pixels, and linked."""
+    """Refinement of a tree of tubes against given evidence."""
 
     seen: Evidence
-    """Beside solids."""
+    """Evidence outside the solids."""
     whole: Evidence
-    """With them."""
+    """Evidence including the solids."""
     px_a_mm: float
-    """Scale in the middle of the water."""
+    """Scale at the centre of the water."""
 
     def settled(self, tree: Tubes) -> Tubes:
-        """Return the tree at rest."""
+        """Fit, prune and link the tree."""
         tree = self.fitted(tree).tubes
         tree = tips.placed(self.whole, tree, self.px_a_mm)
         proved = proof.find(Rendering.of(self.seen, tree))
@@ -44,12 +44,12 @@ class Settling:
         return joined(tree.keep(tree.staying(gone)))
 
     def searched(self, tree: Tubes, outside: Cells) -> Tubes:
-        """Add the roots that the tree leaves unexplained, and bring it to rest.
+        """Add the roots that the tree leaves unexplained, and refine it.
 
         Parameters
         ----------
         outside : Cells
-            Where roots may be, beside solids.
+            Cells outside the solids that may contain roots.
         """
         for _ in range(_SEARCHES):
             fit = self.proven(tree)
@@ -58,7 +58,7 @@ class Settling:
         return self.ended(tips.placed(self.whole, self.proven(tree).tubes, self.px_a_mm))
 
     def proven(self, tree: Tubes) -> Fit:
-        """Fit a tree without what explains little by itself: second tubes of a root, or pieces of its flank."""
+        """Fit a tree and remove tubes that explain little alone: second tubes of a root, or pieces of its flank."""
         fit = self.fitted(tree)
         gone = ghosts.unproven(fit.tubes, proof.find(fit.drawn), self.thick(fit.tubes)) | self.inside_another(fit.tubes)
         tree = fit.tubes.without_detours(gone)
@@ -66,7 +66,7 @@ class Settling:
         return fit if stays.all() else self.fitted(tree.keep(stays))
 
     def ended(self, tree: Tubes) -> Tubes:
-        """Join the ends that are none where they can go on."""
+        """Link ends without a tip to the branches in which they continue."""
         drawn = Rendering.of(self.seen, tree)
         visible = tube_profiles.profiles(drawn).residual_gradient().visible
         tree, _ = linking.link(tree, ghosts.uncertain_ends(tree, visible, proof.find(drawn), self.thick(tree)))
@@ -77,14 +77,14 @@ class Settling:
         return tube_fit.fit(self.seen, tree, self.thick(tree), steps=_STEPS)
 
     def thick(self, tree: Tubes) -> Mask:
-        """Tell the nodes (N,) of thick roots."""
+        """Return the mask (N,) of nodes of thick roots."""
         return organs.is_thick(tree, self.px_a_mm)
 
     def inside_another(self, tree: Tubes) -> Mask:
-        """Tell the nodes (N,) inside other tubes."""
+        """Return the mask (N,) of nodes inside other tubes."""
         return ghosts.inside_another(tree, self.thick(tree), ghosts.FLANK_PX / self.px_a_mm)
 
 
 def joined(tree: Tubes) -> Tubes:
-    """Return a tree with its pieces connected."""
+    """Link the pieces of a tree."""
     return tubes.from_axes(tubes.without_gaps(tubes.without_stubs(linking.link(tree)[0])))

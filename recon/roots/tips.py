@@ -1,12 +1,12 @@
-"""Where roots end: the last edge of coverage along the axis of each tip.
+"""Root ends: locate the edge of coverage along the axis of each tip.
 
-Profiles across a tube say nothing of where it ends. Along the axis of a tip the measured coverage m and the explained
-coverage e fall from that of the root, c, to nothing. Blurred as it may be, the edge of one lies
+Profiles across a tube do not constrain its end. Along the axis of a tip, the measured coverage m and the explained
+coverage e fall from that of the root, c, to zero. Independently of the blur, the edge of m lies
 
     integral of (m - e) / c
 
-beyond that of the other: pixels, blur, taper, the round end and whatever else is drawn there are in both. The median
-over the views counts: others that are not drawn may hide a tip.
+beyond that of e: pixels, blur, taper, the rounded end and neighbouring roots affect both alike. The median over the
+views is used, as roots that are not modelled may hide a tip in some views.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from rhizotwin.scenes import polyline
 Array = NDArray[np.float64]
 
 _SAMPLES = 33
-"""Places along an axis: three a pixel for a root of two pixels' radius."""
+"""Number of samples along an axis: three per pixel for a root with a radius of two pixels."""
 _REACH_PX = 3.0
-"""So far beyond a radius before and behind the last node the axis is looked at: the edge's blur, and two cells of the
-search space."""
+"""Length of the sampled axis before and behind the last node, in addition to the radius: the blur of the edge, and two
+cells of the search space."""
 _LEAST_COVERAGE = 0.15
-"""A root that covers less of its own axis shows no edge there: a sixth of a pixel wide."""
+"""Minimum coverage of a root on its own axis, which corresponds to a width of a sixth of a pixel; thinner roots show no
+edge."""
 _OTHERS = 0.1
-"""Coverage of others before a tip from which a view does not tell where it ends."""
+"""Maximum coverage by other roots before a tip for a view to be used."""
 _LEAST_SINE = 0.5
-"""Steeper views see a tip's flank before its end."""
+"""Minimum sine between axis and ray: steeper views show a tip's flank before its end."""
 _LEAST_VIEWS = 4
-"""Fewer views than this may all be wrong by the same root."""
+"""Minimum number of views: fewer may all be affected by the same root."""
 _LEAST_LENGTH = 0.5
-"""Ends are shortened to this part of their length at most; what has less is judged as a whole."""
+"""Minimum remaining fraction of an end that is shortened; shorter ends are accepted or rejected as a whole."""
 
 
 def placed(seen: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
-    """Move the tips of a tree along their axes to where the pictures say that they end.
+    """Move the tips of a tree along their axes to their position in the pictures.
 
     Parameters
     ----------
     seen : Evidence
-        With taproot and hypocotyl in it.
+        Evidence including taproot and hypocotyl.
     px_a_mm : float
-        Scale in the middle of the water.
+        Scale at the centre of the water.
     """
     off_mm = _off(seen, tree, px_a_mm)
     centre = tree.centre_mm.copy()
@@ -58,7 +59,7 @@ def placed(seen: Evidence, tree: Tubes, px_a_mm: float) -> Tubes:
 
 
 def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
-    """Return how far (T,) each tip lies beyond where it was put, mm; 0 where too few views tell."""
+    """Return the distance (T,) by which each tip lies beyond its node, mm; 0 where too few views are usable."""
     tip = np.array([nodes[-1] for nodes in tree.branches])
     before = np.array([nodes[max(len(nodes) - 1 - TANGENT_NODES, 0)] for nodes in tree.branches])
     axis = tree.centre_mm[tip] - tree.centre_mm[before]
@@ -89,7 +90,7 @@ def _off(seen: Evidence, tree: Tubes, px_a_mm: float) -> Array:
 
 
 def _stretched(line: Array, more_mm: float) -> Array:
-    """Return nodes (n, 3) strung along the same line, its last one farther by some mm; the first one stays."""
+    """Return nodes (n, 3) along the same line with the last one displaced by some mm; the first one is fixed."""
     along = polyline.way_mm(line)
     if more_mm == 0.0 or along[-1] < SPACING_MM:
         return line

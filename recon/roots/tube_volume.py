@@ -1,4 +1,4 @@
-"""One shape from solids and tubes: the tubes' volume painted into the finest nodes of the hull's lattice."""
+"""One shape from solids and tubes: the tubes' volume is added to the finest nodes of the hull's lattice."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SAMPLES_A_NODE = 1.8
-"""Points along a node's edge: every node in a tube gets some."""
+"""Number of points per edge of a node, so that every node within a tube contains some."""
 _FINEST_SPACING_MM = 0.05
-"""Of the points, for memory."""
+"""Minimum spacing of points, to limit memory."""
 _WIDE_NODES = 4.0
-"""Tubes of so many nodes' radius are painted as spheres, which large leaves fill; points would fill memory."""
+"""Radius, in nodes, above which tubes are filled with spheres, made of large leaves; points would need too much
+memory."""
 _APART = 0.25
-"""Distance of these spheres, in their radii: dents of a 128th of one, of which the mean is made up for."""
+"""Distance between these spheres, in radii: dents have a depth of 1/128 radius, and their mean is compensated."""
 _DENT = 24.0
-"""Between spheres of radius r that stand s apart their union is s^2 / (24 r) too thin, on the mean."""
+"""The union of spheres of radius r at a distance s is s^2 / (24 r) too thin on average."""
 _SLACK_PX = 0.05
-"""Uncertainty of a tube's radius that the volume's bounds allow for."""
+"""Uncertainty of a tube's radius in the bounds of the volume."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,17 @@ class Painted:
 
     leaves: Leaves
     thick: Leaves
-    """Solids and thick roots alone."""
+    """Solids and thick roots only."""
     thinner_mm3: float
-    """What the tubes lose where all radii are smaller by `_SLACK_PX`."""
+    """Decrease of the tubes' volume if all radii are smaller by `_SLACK_PX`."""
     thicker_mm3: float
-    """What they gain where all are larger."""
+    """Increase of the tubes' volume if all radii are larger by `_SLACK_PX`."""
 
 
 def paint(solids: Leaves, system: RootSystem, hull: Leaves) -> Painted:
-    """Paint tubes beside solids.
+    """Combine solids and tubes into one shape.
 
-    Where both are, a node is as full as the fuller of the two; no thick tube reaches out of the hull.
+    Where both overlap, the larger fill fraction of a node is used; thick tubes are clipped to the hull.
     """
     tubes, grid = system.tubes, solids.grid
     wide = _is_wide(tubes, grid.size_mm) & ~system.solid
@@ -67,7 +68,7 @@ def paint(solids: Leaves, system: RootSystem, hull: Leaves) -> Painted:
 
 
 def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
-    """Tell the nodes (N,) that are painted as spheres: wide ones, but for the flat end of the first branch."""
+    """Return the mask (N,) of nodes filled with spheres: wide ones, except the flat end of the first branch."""
     wide = np.asarray(tubes.radius_mm > _WIDE_NODES * node_mm)
     first = tubes.branches[0]
     wide[first[polyline.way_mm(tubes.centre_mm[first]) < tubes.radius_mm[first]]] = False
@@ -75,7 +76,7 @@ def _is_wide(tubes: Tubes, node_mm: float) -> Mask:
 
 
 def _strung(tubes: Tubes, wide: Mask) -> Spheres:
-    """Return spheres close together along the segments between wide nodes (N,), as large as fit into their branches."""
+    """Return spheres along the segments between wide nodes (N,), as large as fit into their branches."""
     found = [_inscribed(tubes, branch, wide) for branch, nodes in enumerate(tubes.branches) if wide[nodes].any()]
     centre, radius = (np.concatenate(parts) for parts in zip(*found, strict=True)) if found else (np.zeros((0, 3)), np.zeros(0))
     return Spheres(centre, radius)
@@ -84,14 +85,14 @@ def _strung(tubes: Tubes, wide: Mask) -> Spheres:
 def _inscribed(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     """Return centres (M, 3) and radii (M,) of the spheres inside a branch that touch its surface.
 
-    Cross-sections are discs. Where their radius r changes along the way s, the sphere that touches the surface at one
-    of them has its centre at s + q and the radius sqrt(r^2 + q^2), q = (r^2)' / 2; as wide as the disc, and on it, a
-    sphere would stand out of a branch that grows thinner. None reaches beyond any other disc's rim.
+    Cross-sections are discs. Where their radius r changes along the path s, the sphere that touches the surface at one
+    of them has its centre at s + q and the radius sqrt(r^2 + q^2), q = (r^2)' / 2. A sphere centred on the disc with
+    the disc's radius would protrude from a tapering branch. No sphere reaches beyond the rim of another disc.
     """
     nodes = tubes.branches[branch]
     way, square = polyline.way_mm(tubes.centre_mm[nodes]), np.square(tubes.radius_mm[nodes])
     if branch > 0:
-        square[0] = square[1]  # a branch's first node has its parent's radius
+        square[0] = square[1]  # the first node of a branch has its parent's radius
     step, both = np.diff(way), wide[nodes[:-1]] & wide[nodes[1:]]
     count = np.maximum(np.ceil(step / (_APART * np.sqrt(np.minimum(square[:-1], square[1:])))), 1).astype(np.int64)
     segment = np.repeat(np.arange(len(step)), count)
@@ -101,12 +102,12 @@ def _inscribed(tubes: Tubes, branch: int, wide: Mask) -> tuple[Array, Array]:
     disc, shift = (np.interp(at, way, value) for value in (square, 0.5 * np.gradient(square, way)))
     middle = np.clip(at + shift, way[0], way[-1])[inside]
     radius = np.sqrt([(np.square(at - place) + disc).min() for place in middle])
-    radius += np.square(apart[inside]) / (_DENT * radius)  # the dents between spheres, on the mean
+    radius += np.square(apart[inside]) / (_DENT * radius)  # mean dent between spheres
     return np.stack([np.interp(middle, way, axis) for axis in tubes.centre_mm[nodes].T], axis=1), radius
 
 
 def _leaves(filled: Filled, grid: Grid) -> Leaves:
-    """Gather points that fill tubes in the finest nodes."""
+    """Bin points that fill tubes into the finest nodes."""
     at = np.floor((filled.point_mm - np.asarray(grid.origin_mm)) / grid.size_mm).astype(np.int64)
     box = Box.around(at)
     keys, inverse = np.unique(box.number(at), return_inverse=True)

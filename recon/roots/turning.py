@@ -1,6 +1,6 @@
-"""Turn round the branches of a tree that were traced from their tips.
+"""Orientation of branches: reverse those that were traced from their tips.
 
-The ways to the top and how roots leave each other tell them.
+The criteria are the distance to the top along the roots, and the direction in which roots leave each other.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ from rhizotwin.recon.tubes.tubes import TANGENT_NODES, Index, Tubes, above, chil
 Array = NDArray[np.float64]
 
 _TOUCH_MM = 1.0
-"""A tip this near the surface of another root may be where it leaves that root."""
+"""Maximum distance of a tip from the surface of another root for the tip to be that root's lateral's base."""
 _ROUNDS = 8
-"""Turning one branch may turn another; it ends before."""
+"""Maximum number of rounds; reversing one branch may reverse another. Usually fewer are needed."""
 
 
 def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | None]:
-    """Turn round branches that begin at their tips.
+    """Reverse branches that begin at their tips.
 
-    These are branches that end at a root nearer to the top, along the roots, than where they begin, and those that
-    leave their parent against its growth and end at a root that they would leave onward.
+    These are branches that end at a root nearer to the top, along the roots, than their beginning, and branches that
+    leave their parent against its direction of growth and end at a root that they would leave in its direction of
+    growth.
 
     Parameters
     ----------
     branches : list of Index or None
-        Node numbers (n,) of each, None where one is gone; changed in place, and returned.
+        Node indices (n,) of each, None for removed ones; modified in place, and returned.
     """
     centre = tubes.centre_mm
     owner, way = owners(branches, len(centre)), np.zeros(len(centre))  # the way (N,) along the roots to the top, mm
@@ -61,7 +62,7 @@ def rightly_turned(tubes: Tubes, branches: list[Index | None]) -> list[Index | N
 
 
 def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: Array, branch: int) -> None:
-    """Write the ways to the top of a branch, from its first node's, and of all that hang on it."""
+    """Set the path length to the top for the nodes of a branch, from its first node's, and of all its descendants."""
     children = children_of(branches, owner)
     waiting = [branch]
     while waiting:
@@ -73,9 +74,9 @@ def _find_ways(centre: Array, branches: list[Index | None], owner: Index, way: A
 
 
 def _leaves_onward_turned(tubes: Tubes, branches: list[Index | None], owner: Index, line: Index, root: int) -> bool:
-    """Tell whether a branch leaves its parent against growth, and would leave another root onward.
+    """Return whether a branch leaves its parent against its growth, but would leave another root along it.
 
-    The other root is left at a node near its tip.
+    The other root would be left at a node near the branch's tip.
     """
     centre, reach = tubes.centre_mm, min(TANGENT_NODES, len(line) - 1)
     away, back = centre[line[reach]] - centre[line[0]], centre[line[-1 - reach]] - centre[root]

@@ -1,10 +1,10 @@
-"""How the roots sway from picture to picture.
+"""Estimation of root sway: lateral displacement of the roots that changes from picture to picture.
 
-After a step of the table roots swing on, and the water turns on and takes them along. What hangs from the net pot goes
-the farther aside the deeper it is: by two numbers a view, and a third for the turn about the vertical
-(`recon.optics.cameras.Sway`). Fitted tubes say in each view how far off they lie sideways; their own places are
-eliminated, and what is left is the sway, as `root_calibration` finds the index. It is measured from the mean of all
-views, which no picture tells from the shape.
+After a step of the table the roots keep swinging, and the rotating water drags them along. The displacement of a root
+below the net pot increases with depth. It has two parameters per view, and a third for rotation about the vertical
+(`recon.optics.cameras.Sway`). Fitted tubes give the lateral displacement in each view; their own positions are
+eliminated, as `root_calibration` does for the index. The sway is relative to the mean of all views, which cannot be
+distinguished from the shape.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from rhizotwin.recon.tubes.tubes import Tubes
 Mask = NDArray[np.bool_]
 
 _LOOSE = 0.02
-"""Standard deviation of a sway before anything is known, mm per mm of depth, and rad per mm: 2 mm at 100 mm. More
-leaves no root to be found."""
+"""Prior standard deviation of the sway, mm per mm of depth, and rad per mm: 2 mm at 100 mm. With more, no roots can be
+reconstructed."""
 _LEAST_GAIN = 0.1
-"""Share of the roots' distance from their places that it must take off. Plants of the twin that stand still gain 0.004;
-a sway of 0.1 mm at the tips is 0.3."""
+"""Minimum relative reduction of the lateral distance of the roots. Static plants of the twin gain 0.004; a sway of 0.1
+mm at the tips gains 0.3."""
 _ROUNDS, _STEPS = 3, 3
-"""Times that the tubes are fitted anew, and steps of each fit."""
+"""Number of refits of the tubes, and steps of each."""
 _LEAST_MM = 0.06
-"""Root mean square distance from which roots are followed, and found anew where they are, as the check of motion has
-it: a plant that sways by it loses two hundredths of its volume (0.3 mm at the tips, of which the whole plant has 0.12,
-lost 8 %)."""
+"""Root mean square displacement above which the sway is corrected and the roots are reconstructed again, the same as in
+the motion check: a plant with this sway loses 2 % of its volume (with 0.3 mm at the tips, 0.12 mm over the whole plant,
+it lost 8 %)."""
 
 
 def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_mm: float) -> tuple[Evidence, Cameras, Tubes]:
-    """Ask fitted tubes how far aside they are in each picture, and fit them anew, until nothing changes.
+    """Estimate the sway in each picture from fitted tubes, and refit them, until convergence.
 
     Parameters
     ----------
     seen, cameras : Evidence, Cameras
-        With the same views, in the same order.
+        Evidence and cameras of the same views, in the same order.
     tubes : Tubes
-        Fitted to them.
+        Tubes fitted to them.
     thick : (N,) bool array
         As in `tube_fit.fit`.
     px_a_mm : float
-        Pixels a millimetre.
+        Pixels per millimetre.
 
     Returns
     -------
     seen, cameras, tubes : Evidence, Cameras, Tubes
-        With each view's sway; the same where roots stand still or nearly so, or are too few to tell.
+        Refined with each view's sway; unchanged if the sway is negligible or there are too few roots.
     """
     given, nearest_px = (seen, cameras, tubes), np.inf
     columns = root_calibration.Columns.own(len(cameras.views), len(SWAY), _LOOSE)
@@ -78,21 +78,21 @@ def follow(seen: Evidence, cameras: Cameras, tubes: Tubes, thick: Mask, *, px_a_
 
 
 def _sways(cameras: Cameras) -> bool:
-    """Tell whether a sway is known already."""
+    """Return whether the cameras already have a sway."""
     return any(view.sway != STILL for view in cameras.views)
 
 
 def is_far(seen: Evidence, cameras: Cameras, tubes: Tubes, px_a_mm: float) -> bool:
-    """Tell whether roots are so far from where they seemed to be with other cameras that they must be found anew.
+    """Return whether the roots, with other cameras, have moved so far that they must be reconstructed again.
 
     Parameters
     ----------
     seen, tubes : Evidence, Tubes
-        The views, and the roots as they are.
+        The views, and the current roots.
     cameras : Cameras
-        With which they were found.
+        Cameras with which the roots were reconstructed.
     px_a_mm : float
-        Pixels a millimetre.
+        Pixels per millimetre.
     """
     now, then = seen.project(tubes.centre_mm), seen.with_cameras(cameras).project(tubes.centre_mm)
     both = now.seen & then.seen

@@ -1,19 +1,19 @@
-"""How the picture of a point in the water moves when the rig is a little other than thought.
+"""Derivatives of the picture position of a point in the water by the parameters of the rig.
 
-Index, lens, camera, canister.
+The parameters are the refractive index, the lens, the camera and the canister.
 
-A camera ray is fixed by its pixel; followed into the water it passes a point at
+A camera ray is fixed by its pixel. Followed into the water, it meets a point if
 
-    F1 = P . nu - b_w,    F2 = z_line(P) - P_z          (`recon.optics.refraction`: both 0 where it meets the point)
+    F1 = P . nu - b_w,    F2 = z_line(P) - P_z          (`recon.optics.refraction`)
 
-and when a quantity q of the rig changes by dq, the same pixel's ray misses by dF. A shift of the point by D = nu dF1 -
-z dF2 makes the ray miss by just as much (D has no part along the ray's horizontal direction). So by the implicit
-function theorem the picture of the point moves as if the point itself had moved by D,
+are both zero. When a parameter q of the rig changes by dq, the ray of the same pixel misses the point by dF. A shift of
+the point by D = nu dF1 - z dF2 has the same effect (D has no component along the horizontal direction of the ray). By
+the implicit function theorem, the picture of the point therefore moves as if the point itself had moved by D,
 
     dpx / dq = (dpx / dP) . D / dq,
 
-with the gradients dpx / dP that every projection gives. F is closed form, so that its difference quotient is exact to
-rounding (float64).
+with the gradients dpx / dP that every projection provides. F has a closed form, so that its difference quotient is
+accurate to rounding (float64).
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ Sight = tuple[View, Optics]
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something of the rig that may be other than thought."""
+    """A parameter of the rig."""
 
     name: str
     unit: str
     step: float
     """Step of the difference quotient."""
     changed: Callable[[Sight, float], Sight]
-    """A view and its optics when the quantity is larger by some value."""
+    """Function that returns a view and its optics with the parameter increased by a value."""
 
 
 def _index(sight: Sight, value: float) -> Sight:
@@ -74,7 +74,7 @@ def _sway(axis: int) -> Callable[[Sight, float], Sight]:
 
 
 def with_canister_moved(view: View, step: Array) -> View:
-    """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not."""
+    """Return a view whose canister moved by a twist (6,) (rad, mm) in its own frame; a tank does not move."""
     return replace(view, cam_from_canister=view.cam_from_canister @ twist(step))
 
 
@@ -84,37 +84,37 @@ def displaced(view: View, step: Array) -> View:
 
 
 INDEX = Quantity("index of the water", "", 1e-4, _index)
-"""Of the water; the step is a tenth of what ten degrees change."""
+"""Refractive index of the water; the step is a tenth of the effect of ten degrees."""
 FOCUS = Quantity("focal length", "", 1e-4, _focus)
 """Relative; the step is a hundredth of a per cent, 0.04 px at a picture's edge."""
 CANISTER = tuple(
     Quantity(f"canister {what} {'xyz'[k % 3]}", unit, step, _canister(k))
     for k, what, unit, step in ((0, "tilt", "rad", 1e-5), (1, "tilt", "rad", 1e-5), (3, "offset", "mm", 1e-3), (4, "offset", "mm", 1e-3))
 )
-"""How the canister stands in the strip: tilt and offset."""
+"""Pose of the canister in the strip: tilt and offset."""
 TURN = Quantity("table angle", "rad", 1e-5, _canister(2))
-"""Angle of the table in one view."""
+"""Table angle of one view."""
 CAMERA = tuple(
     Quantity(f"camera {'turn' if k < 3 else 'shift'} {'xyz'[k % 3]}", "rad" if k < 3 else "mm", 1e-5 if k < 3 else 1e-3, _camera(k))
     for k in range(6)
 )
-"""How a station's camera stands."""
+"""Pose of a station's camera."""
 SWAY = tuple(Quantity(f"sway {what}", unit, 1e-5, _sway(k)) for k, (what, unit) in enumerate((("x", ""), ("y", ""), ("turn", "rad/mm"))))
-"""How far aside what hangs in the water is in one view, for each mm of depth."""
+"""Lateral displacement of the roots in one view, per mm of depth."""
 QUANTITIES = (INDEX, FOCUS, *CANISTER, TURN, *CAMERA)
 
 
 def missed(view: View, optics: Optics, directions: Array, points_mm: Array) -> Array:
-    """Return F1 and F2 (N, 2) in mm of rays of directions (N, 3), camera's frame, at points (N, 3), canister frame.
+    """Return the distances F1 and F2 (N, 2), mm, by which rays of directions (N, 3) miss points (N, 3).
 
     Parameters
     ----------
     view, optics : View, Optics
         Camera and canister.
     directions : (N, 3) array
-        Of the rays, camera's frame.
+        Directions of the rays, camera's frame.
     points_mm : (N, 3) array
-        Canister frame.
+        Points, canister frame.
 
     Returns
     -------
@@ -138,18 +138,18 @@ def normals(view: View, optics: Optics, directions: Array) -> Array:
 
 
 def moves(view: View, optics: Optics, quantities: tuple[Quantity, ...], px: Array, points_mm: Array, gradient: Array) -> Array:
-    """Return by how much positions in a picture change with quantities.
+    """Return the derivatives of positions in a picture by parameters of the rig.
 
-    (N, Q), gradient's unit times mm by the quantity's unit.
+    The shape is (N, Q); the unit is that of ``gradient`` times mm per unit of the parameter.
 
     Parameters
     ----------
     px : (N, 2) float64 array
-        Where the points lie in the picture.
+        Positions of the points in the picture.
     points_mm : (N, 3) float64 array
-        Canister frame.
+        Points, canister frame.
     gradient : (N, 3) float64 array
-        Of the position in the picture (column, row, or along a direction) by the point.
+        Gradient of the position in the picture (column, row, or along a direction) by the point.
     """
     directions = camera_directions(view.camera, px)
 
