@@ -1,4 +1,4 @@
-"""The stage from pictures to coverage: the empty backlight of every view, and what roots cover of it."""
+"""The stage from pictures to coverage: empty backlight and coverage of every view."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
@@ -21,42 +21,41 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 _RING_VIEWS = 8
-"""With fewer views of a still camera the turn does not show the empty backlight."""
+"""Minimum number of views of a static camera to estimate the empty backlight from the turn."""
 
 
 Outline = Callable[[Image, Image, Mask], Silhouette]
-"""From picture, empty backlight and seen pixels to a silhouette."""
+"""Function from picture, empty backlight and usable pixels to a silhouette."""
 
 
 _LEARN_VIEWS = 16
-"""Views from which the roots' attenuation is learnt."""
+"""Number of views from which the attenuation of the roots is estimated."""
 MOST_WRONG = 0.1
-"""Share of the views that may be wrong: with more, the scan is at fault and not a picture."""
+"""Maximum fraction of bad views: above it, the scan is at fault and not a picture."""
 _SAME = 0.2
-"""Logarithm of the ratio of two attenuations that agree: what the widest roots tell scatters as much."""
+"""Maximum logarithm of the ratio of two attenuations that agree: estimates from the widest roots vary by as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """How much of each pixel roots cover, in every view that is used."""
+    """Coverage of each pixel by roots, in every view used."""
 
     silhouettes: Mapping[int, Silhouette]
-    """By number of the frame."""
+    """Silhouettes by frame number."""
     attenuation: Attenuation | None = None
-    """How roots that are wide enough to tell look before the backlight; None: the pictures were silhouettes already."""
+    """Attenuation and brightness of the roots, from those that are wide enough; None if the pictures were masks."""
     exposures: Exposures | None = None
-    """How the pictures were exposed, in the order of the silhouettes; None: not asked."""
+    """Exposures of the pictures, in the order of the silhouettes; None if not estimated."""
     dirt: float | None = None
-    """Share of what is seen of the wall that films, bubbles and glare cover; None: too few views to tell, or no
-    wall."""
+    """Fraction of the visible wall that films, bubbles and glare cover; None with too few views, or without a wall."""
 
     def exposures_of(self, frames: Collection[int]) -> Exposures | None:
-        """Return how the pictures of some frames were exposed."""
+        """Return the exposures of the pictures of some frames."""
         places = [place for place, frame in enumerate(self.silhouettes) if frame in frames]
         return None if self.exposures is None else self.exposures.chosen(places)
 
     def fill(self, frame: int) -> float | None:
-        """Return the share of the seen water that roots cover in a frame; None where it is not used."""
+        """Return the fraction of the visible water that roots cover in a frame; None if the frame is not used."""
         silhouette = self.silhouettes.get(frame)
         return None if silhouette is None else float((silhouette.coverage[silhouette.seen] > 0.5).mean())
 
@@ -69,34 +68,34 @@ def measure_coverage(
     monitor: Monitor,
     outline: Outline | None = None,
 ) -> tuple[Cameras, Coverage]:
-    """Measure in every view how much of each pixel roots cover.
+    """Measure the coverage of each pixel in every view.
 
-    Views that show no water or no root are left out, and the others are measured without them.
+    Views that show no water or no root are removed, and the others are measured without them.
 
     Parameters
     ----------
     pictures : Pictures
-        Of the root.
+        Pictures of the root.
     cameras : Cameras
-        Of the same pictures.
+        Cameras of the same pictures.
     settings : CoverageSettings
-        What is noise, too dim, glare, a film or a bubble.
+        Thresholds for noise, dim pixels, glare, films and bubbles.
     monitor : Monitor
-        Hears how far the work is.
+        Receives the progress.
     outline : callable, optional
-        How a silhouette comes from a picture, if not by measuring coverage.
+        Function that draws a silhouette from a picture instead of measuring coverage.
 
     Returns
     -------
     Cameras
-        Without the views that are left out.
+        Cameras without the views that were removed.
     Coverage
-        Of the others.
+        Coverage of the remaining views.
 
     Raises
     ------
     UserError
-        Where more than a tenth of the pictures show nothing of the water, or no root.
+        If more than a tenth of the pictures show no water, or no root.
     """
     found = _every_view(pictures, cameras, settings, monitor, outline)
     drawn, names, most = found.silhouettes, pictures.frames, MOST_WRONG * len(cameras.order)
@@ -119,7 +118,7 @@ def measure_coverage(
 
 
 def _every_view(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor, outline: Outline | None) -> Coverage:
-    """Measure coverage in all views that are used."""
+    """Measure the coverage in all views that are used."""
     if pictures.dataset.masks:
         return _given(pictures, cameras, monitor)
     if outline is None:
@@ -128,7 +127,7 @@ def _every_view(pictures: Pictures, cameras: Cameras, settings: CoverageSettings
 
 
 def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
-    """Take pictures that are silhouettes already: white is root."""
+    """Convert masks, in which white is root, to silhouettes."""
     optics = cameras.optics
     drawn = {}
     with monitor.stage("silhouettes"):
@@ -141,19 +140,19 @@ def _given(pictures: Pictures, cameras: Cameras, monitor: Monitor) -> Coverage:
 
 @dataclass(frozen=True)
 class _Backlight:
-    """The empty backlight of each view, by number of the frame."""
+    """Empty backlight of each view, by frame number."""
 
     empty: dict[int, Image]
     seen: dict[int, Mask]
-    """Where it tells root from none."""
+    """Usable pixels: bright enough and without glare."""
     lit: dict[int, Mask]
-    """The same without regard to glare."""
+    """Pixels that are bright enough, including glare."""
     exposures: Exposures
     added: dict[int, Image | np.float32]
-    """Light from the wall, to be taken off the picture."""
+    """Light reflected by the wall, which is subtracted from the picture."""
 
     def without_added(self, pictures: Pictures, frame: int) -> Image:
-        """Return a picture without what the wall adds to it."""
+        """Return a picture without the light reflected by the wall."""
         return pictures.images[frame].astype(np.float32) - self.added[frame]
 
 
@@ -172,17 +171,17 @@ def _backlight(pictures: Pictures, cameras: Cameras, settings: CoverageSettings,
 
 
 def _outlined(pictures: Pictures, light: _Backlight, outline: Outline, monitor: Monitor) -> Coverage:
-    """Draw silhouettes in another way."""
+    """Draw silhouettes with a given function."""
     with monitor.stage("silhouettes"):
         return Coverage(silhouettes={k: outline(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in light.empty})
 
 
 def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, monitor: Monitor) -> Coverage:
-    """Measure coverage against the empty backlight."""
+    """Measure coverage relative to the empty backlight."""
     keys, light = cameras.order, _backlight(pictures, cameras, settings, monitor)
     opacity = {k: silhouettes.opacity(light.without_added(pictures, k), light.empty[k], light.seen[k]) for k in keys}
     lit, exposures, seen = light.lit, light.exposures, light.seen
-    del light  # as large as all pictures
+    del light  # it needs as much memory as all pictures
     with monitor.stage("wall"):
         opacity, seen, film = _without_wall(cameras, opacity, seen, settings, monitor)
     with monitor.stage("silhouettes"):
@@ -192,7 +191,7 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
 
         def one(k: int) -> Silhouette:
             dark = opacity.pop(k)
-            # noise and all, so that no faint root loses its flanks
+            # Noise is kept, so that faint roots do not lose their flanks.
             clear = dark / np.float32(1.0 - attenuation.own)
             return replace(_covered(dark, seen[k], attenuation, px_a_mm, settings), opacity=clear.astype(np.float16))
 
@@ -205,27 +204,28 @@ def _measured(pictures: Pictures, cameras: Cameras, settings: CoverageSettings, 
 def with_attenuation(
     coverage: Coverage, cameras: Cameras, mu_per_mm: float | None, *, settings: CoverageSettings = CoverageSettings(), monitor: Monitor
 ) -> Coverage:
-    """Measure coverage once more, by the attenuation that fitted roots told.
+    """Measure coverage again, with the attenuation estimated from fitted roots.
 
-    Wide, lone roots, which tell it first, may be too few; then thin translucent roots seem to be opaque and narrow.
+    Wide, lone roots, from which it is first estimated, may be too few; thin translucent roots then appear opaque and
+    narrow.
 
     Parameters
     ----------
     coverage : Coverage
-        As measured before.
+        The previous measurement.
     cameras : Cameras
-        Its views.
+        Cameras of its views.
     mu_per_mm : float or None
         Attenuation, 1/mm; None for opaque roots.
     settings : CoverageSettings
-        What is noise.
+        Thresholds for noise.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
     Coverage
-        The same where both agree (`_SAME`), or where the pictures were silhouettes already.
+        Unchanged if both attenuations agree (`_SAME`), or if the pictures were masks.
     """
     before = coverage.attenuation
     if before is None or _agree(before.mu_per_mm, mu_per_mm):
@@ -248,7 +248,7 @@ def with_attenuation(
 
 
 def _agree(one: float | None, other: float | None) -> bool:
-    """Tell whether two attenuations make the same coverage."""
+    """Return whether two attenuations give the same coverage."""
     if one is None or other is None:
         return one is other
     return bool(abs(np.log(one / other)) < _SAME)
@@ -265,9 +265,9 @@ def _covered(dark: Image, seen: Mask, attenuation: Attenuation, px_a_mm: float, 
 def _without_wall(
     cameras: Cameras, opacity: dict[int, Image], seen: dict[int, Mask], settings: CoverageSettings, monitor: Monitor
 ) -> tuple[dict[int, Image], dict[int, Mask], float | None]:
-    """Take off the fouling of the wall, and tell the share of it that films cover.
+    """Remove the fouling of the wall, and return the fraction of the wall that films cover.
 
-    In air nothing does, and few views do not tell. The opacities given are used up: all of them twice are much.
+    This is skipped in air and with few views. The given opacities are consumed, to save memory.
     """
     keys, views, optics = cameras.order, cameras.by_frame, cameras.optics
     if len(keys) < _RING_VIEWS or optics.n_water == 1.0:
@@ -286,13 +286,13 @@ def _without_wall(
 
 
 def _px_a_mm(cameras: Cameras) -> float:
-    """Return px/mm across the canister's axis, the median of some views."""
+    """Return the scale across the canister's axis, px/mm, as the median over some views."""
     some = cameras.order[:: max(1, len(cameras.order) // _RING_VIEWS)]
     return float(np.median([_scale(cameras.by_frame[k], cameras.optics) for k in some]))
 
 
 def _scale(view: View, optics: Optics) -> float:
-    """Return px/mm across the canister's axis at half the water's depth."""
+    """Return the scale across the canister's axis at half the water's depth, px/mm."""
     middle = np.array([0.0, 0.0, 0.5 * (optics.water_z_mm + optics.floor_z_mm)])
     x, y, _ = view.centre_mm / view.rho_mm
     px, _ = cameras.project(view, optics, middle + 0.5 * np.array([[-y, x, 0.0], [y, -x, 0.0]]))
@@ -307,11 +307,10 @@ def _backgrounds(
     settings: CoverageSettings,
     monitor: Monitor,
 ) -> tuple[dict[int, Image], dict[int, Mask | np.bool_], dict[int, Image | np.float32]]:
-    """Estimate the empty backlight of each view, where glare lies on it, and what the wall adds to it.
+    """Estimate the empty backlight of each view, its glare, and the light reflected by the wall.
 
-    Only a turn tells the last two.
-
-    Ring by ring where the camera stood still, exposures (``gain``) divided out; else picture by picture.
+    Rings with a static camera are processed together, with exposures (``gain``) divided out; otherwise each picture is
+    processed separately, without glare and reflections.
     """
     views, images, captured = cameras.by_frame, pictures.images, pictures.frames
     empty: dict[int, Image] = {}
@@ -340,9 +339,9 @@ def _backgrounds(
 
 
 def _still(views: list[View]) -> bool:
-    """Tell whether a ring's camera stood still.
+    """Return whether a ring's camera was static.
 
-    The canister, a few millimetres off the table's axis, hardly moves in the picture.
+    The canister, a few millimetres off the table's axis, then hardly moves in the picture.
     """
     focal, heights = views[0].camera.focal_px[0], [float(view.centre_mm[2]) for view in views]
     axis = np.array([frames.apply(view.cam_from_canister, np.array([0.0, 0.0, np.mean(heights)])) for view in views])

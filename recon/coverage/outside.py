@@ -1,9 +1,9 @@
-"""Dirt on the canister's outside, told from the roots inside by parallax.
+"""Dirt on the outside of the canister, separated from the roots inside by parallax.
 
-Dust, scratches and the seam of a rolled tube turn with the wall and look like roots that no other view confirms. Seen
-over the turn and unrolled, each face of the wall is in focus where its own dirt is: what is on the outside is dark in
-its place in all views, and from view to view somewhere else on the inside, by the way of light through the wall. So no
-shape has to be assumed, and roots that grow along the inside stay. What such dirt covers is not seen.
+Dust, scratches and the seam of a rolled tube rotate with the wall and look like roots, but no other view confirms them.
+When all views are unrolled onto one face of the wall, dirt on that face is at the same place in all of them, while on
+the other face it moves from view to view by the path of light through the wall. No assumption about the shape is
+needed, and roots along the inside remain. Pixels covered by such dirt are not usable.
 """
 
 from __future__ import annotations
@@ -24,54 +24,55 @@ from rhizotwin.recon.optics.refraction import Optics
 from rhizotwin.scenes.monitor import Monitor
 
 _DARK = 0.08
-"""Opacity of what is no noise: as what is asked of a faint root."""
+"""Minimum opacity of dirt, above the noise, as for a faint root."""
 _WIDEST_MM = 3.0
-"""Seams are 1 to 2 mm wide. What is wider is not looked at: a thick root is dark in many views of a place, too."""
+"""Maximum width of dirt; seams are 1 to 2 mm wide. Wider objects are ignored: a thick root is also dark in many
+views."""
 _ALWAYS = 0.85
-"""Share of the views of a place in which it is dark: one in seven may look past it by poses and rounding. Elsewhere on
-the wall of a scan of 1.6 m of roots the share was 0.1 to 0.4."""
+"""Minimum fraction of the views of a place in which it is dark: one in seven may miss it due to pose errors and
+rounding. Elsewhere on the wall of a scan of 1.6 m of roots, the fraction was 0.1 to 0.4."""
 _SHARPER = 0.15
-"""By how much larger that share is than on the inside: of dust 0.6 and more, of nearly level scratches 0.3; of what is
-on the inside it is less than 0."""
+"""Minimum difference of this fraction between outside and inside: dust has 0.6 and more, nearly level scratches 0.3,
+and objects on the inside have less than 0."""
 _STEEPEST = 0.2
-"""Slope in the water of lines of sight from a camera 16 degrees above or below."""
+"""Maximum slope, in the water, of lines of sight from a camera 16 degrees above or below."""
 _AT_ONCE = 8
-"""Views whose maps are kept at once."""
+"""Number of views whose maps are kept at once."""
 _ABOUT = 15
-"""Edge, in texels, of a place's surroundings: their median is not that of a scratch or a seam of 4 mm."""
+"""Edge, in texels, of a place's surroundings: their median is not affected by a scratch or a seam of 4 mm."""
 _LEAST_SHARE = 0.02
-"""Share of views in which anything darkens a place, at least: noise does."""
+"""Minimum fraction of views in which a place is dark, due to noise."""
 _NEVER = 10.0
-"""A tenth of a texel is dark by chance on the whole wall."""
+"""Expected number of texels on the whole wall that are dark by chance, as its inverse: 0.1 texels."""
 _LEAST_VIEWS = 5
-"""At top and bottom only views from near see a place, a sixth of a ring."""
+"""Minimum number of views: at top and bottom, only views from near show a place, a sixth of a ring."""
 
 
 def face_of(optics: Optics, px_a_mm: float) -> Face:
-    """Unroll the outside in texels of about a pixel, as far as lines of sight pass it."""
+    """Return the outside in texels of about one pixel, as far up and down as lines of sight cross it."""
     return Face(1.0 / px_a_mm, outside=True, beyond_mm=_STEEPEST * 2.0 * optics.outer_radius_mm)
 
 
 def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, monitor: Monitor) -> Mask:
-    """Find the dirt on the outside of the wall.
+    """Detect dirt on the outside of the wall.
 
     Parameters
     ----------
     opacity : dict of (H, W) float32 array
-        One less image over backlight, by number of the frame; without films.
+        1 - image / backlight, by frame number; without films.
     seen : dict of (H, W) bool array
-        Where it says something.
+        Masks of usable pixels.
     views, optics : dict of View, Optics
-        Cameras, and the canister.
+        Cameras and canister.
     face : Face
-        The outside, as `face_of` unrolls it.
+        The outside, as returned by `face_of`.
     monitor : Monitor
-        Hears of every view.
+        Receives the progress, per view.
 
     Returns
     -------
     (rows, columns) bool array
-        Texels of the outside that are dirty, with one about them.
+        Mask of dirty texels of the outside, dilated by one.
     """
     share, counted = {}, {}
     for outside in (False, True):
@@ -79,7 +80,7 @@ def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View
         size = unrolled.shape(optics)
         dark, number = np.zeros(size, np.float32), np.zeros(size, np.float32)
         keys = list(opacity)
-        for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # all together would fill the memory
+        for some in (keys[i : i + _AT_ONCE] for i in range(0, len(keys), _AT_ONCE)):  # in groups, to limit memory
             for part, of_view in monitor.each(partial(_marked, opacity, seen, views, optics, unrolled), "outside", some):
                 dark += part
                 number += of_view
@@ -90,17 +91,17 @@ def find(opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View
     likely = (share[True] > _ALWAYS) & (share[True] > inside + _SHARPER)
     label, _ = ndimage.label(likely, structure=np.ones((3, 3), bool))
     sure = np.unique(label[likely & ~_by_chance(share[True], counted[True])])
-    dirty = likely & np.isin(label, sure)  # a seam goes on before a crowd
+    dirty = likely & np.isin(label, sure)  # a seam continues in front of a cluster
     ringed = np.concatenate([dirty[:, -1:], dirty, dirty[:, :1]], axis=1)
     return np.asarray(ndimage.binary_dilation(ringed, np.ones((3, 3), bool))[:, 1:-1])
 
 
 def _by_chance(share: Image, number: Image) -> Mask:
-    """Tell the texels (rows, columns) that roots may have darkened in so many of the views that see them.
+    """Return the texels (rows, columns) that roots may have darkened in the observed number of views.
 
-    Roots darken a place as often as those about it, and at least as often as the mean place, with the share p. By
-    chance it is dark in the share q of n views with a probability of at most exp(-n (q log(q / p) + (1 - q) log((1 -
-    q) / (1 - p)))) (Chernoff's bound), and on the whole wall that must not happen.
+    Roots darken a place as often as its surroundings, and at least as often as the mean place, with probability p. The
+    probability that it is dark in a fraction q of n views is at most exp(-n (q log(q / p) + (1 - q) log((1 - q) / (1 -
+    p)))) (Chernoff bound); it must be small for the whole wall.
     """
     about = cv2.medianBlur(np.round(255.0 * share).astype(np.uint8), _ABOUT) / 255.0
     told = number >= _LEAST_VIEWS
@@ -113,13 +114,13 @@ def _by_chance(share: Image, number: Image) -> Mask:
 def _marked(
     opacity: dict[int, Image], seen: dict[int, Mask], views: dict[int, View], optics: Optics, face: Face, k: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return which texels (rows, columns) are dark in a view, as a share of its pixels there, and which it sees.
+    """Return the dark fraction of each texel's pixels (rows, columns) in a view, and whether the view shows it.
 
-    From near and from far are two views.
+    The near and the far wall count as two views.
     """
     rows, columns = face.shape(optics)
     wide = _wide(opacity[k], face)
-    # a pixel to each side: what is smaller than one moves between them
+    # Dilate by one pixel: smaller objects move between pixels.
     dark = cv2.dilate(opacity[k], np.ones((3, 3), np.uint8)) > _DARK
     at = wall.crossings(views[k], optics, face)
     share, sees = np.zeros(rows * columns, np.float32), np.zeros(rows * columns, np.float32)
@@ -134,23 +135,23 @@ def _marked(
 
 
 def hidden(opacity: Image, dirty: Mask, where: Crossings, face: Face) -> Mask:
-    """Return the pixels (H, W) that dirt on the outside hides, near or far.
+    """Return the pixels (H, W) that dirt on the outside hides, on the near or far wall.
 
-    Before a thick root it changes nothing.
+    Pixels in front of a thick root are not affected.
 
     Parameters
     ----------
     opacity : (H, W) float32 array
-        Of the picture.
+        Opacity of the picture.
     dirty : (rows, columns) bool array
-        Texels of the outside.
+        Mask of dirty texels of the outside.
     where, face : Crossings, Face
-        Where lines of sight pass it.
+        Crossings of the lines of sight with the outside.
     """
     return np.asarray((wall.passed(dirty.astype(np.float32), where) >= 0.5) & ~_wide(opacity, face))
 
 
 def _wide(opacity: Image, face: Face) -> Mask:
-    """Tell the pixels (H, W) of what is wider than dirt."""
+    """Return the pixels (H, W) of objects wider than dirt."""
     edge = 2 * round(0.5 * _WIDEST_MM / face.texel_mm) + 1
     return np.asarray(cv2.morphologyEx(opacity, cv2.MORPH_OPEN, np.ones((edge, edge), np.uint8)) > _DARK)

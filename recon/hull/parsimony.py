@@ -1,10 +1,11 @@
-"""What no picture needs is not root: from the hull to the roots inside it.
+"""Trim the hull to what the silhouettes require.
 
 A visual hull is too large: where a root hides behind another in the views that would bound its flanks, its
-cross-section grows tips and the crotches fill. But the largest sphere about a point of a root's centre line that no
-view contradicts has the root's own radius, for it is bounded by whichever view shows the root alone. So the roots are
-rebuilt as the union of these spheres along the hull's centre lines, and compared with the pictures: where a silhouette
-is not explained by the spheres (parts that are no tubes, roots thinner than the skeleton's voxels), the hull is kept.
+cross-section grows spikes and the crotches fill. However, the largest sphere about a point of a root's centre line that
+no view contradicts has the root's own radius, since it is bounded by every view that shows the root alone. The roots
+are therefore rebuilt as the union of these spheres along the hull's centre lines and compared with the pictures: where
+the spheres do not explain a silhouette (parts that are not tubes, roots thinner than the skeleton's voxels), the hull
+is kept.
 """
 
 from __future__ import annotations
@@ -29,28 +30,30 @@ from rhizotwin.recon.optics.projection import ViewBank
 Array = NDArray[np.float64]
 
 _FLAT = 0.01
-"""Squared slope of a distance map, 1 beside an outline, below which it has no direction: on a ridge."""
+"""Minimum squared slope of a distance map (1 beside an outline) for a direction to be defined; it is smaller on a
+ridge."""
 _REACH_PX = 0.75
-"""Distance at which an outline's slope is read on both sides: a sample and a half of the map."""
+"""Distance at which an outline's slope is read on both sides: one and a half samples of the map."""
 _MISSING = 0.02
-"""Nodes that the spheres fill but for this are left: how full they are, linear in the depth, is known no better."""
+"""Minimum difference between the fill fractions of hull and spheres: the fraction, linear in the depth, is not more
+accurate."""
 _STEPS_MM = (0.4, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.025)
-"""Centres are sought in falling steps: 1.4 mm together, half the skeleton's voxel and what it strays in wide roots; the
-last is a tenth of the thinnest roots."""
+"""Decreasing steps of the search for centres: 1.4 mm in total, half a skeleton voxel plus its deviation in wide roots;
+the last is a tenth of the thinnest roots."""
 _TIGHT_PX = 0.4
-"""A view bounds a sphere when its outline is no farther than this beyond it: outlines' noise, and the crease that
-sampling rounds off. Half of this bounds it in full, half as much again not at all."""
+"""Distance beyond a sphere within which an outline bounds it: the noise of outlines, and rounding of the crease by
+sampling. The weight is 1 at half this distance and 0 at one and a half times."""
 _TIGHT_SHARE = 0.05
-"""Of a sphere's radius, where that is more: a canister half a millimetre out of round, as bought, moves outlines by
-half a pixel and more, and with 0.4 px alone the upper half of a carrot of 18 mm was in no sphere."""
+"""The same as a fraction of the sphere's radius, if larger: a canister half a millimetre out of round, as bought, moves
+outlines by half a pixel and more, and with 0.4 px alone the upper half of a carrot of 18 mm was in no sphere."""
 _HELD = 0.25, 5.0 / 12.0
-"""A sphere that a smaller share of the seeing views bounds is none, one that a larger share bounds is whole; between
-them it shrinks.
+"""Fractions of the views that bound a sphere: below the first, it is removed; above the second, it is kept; between
+them, it shrinks.
 
-Every view that shows a root alone bounds its sphere. A sphere in a web between roots is bounded by the few views that
-graze the web."""
+Every view that shows a root alone bounds its sphere. A sphere in a web between roots is only bounded by the few views
+that graze the web."""
 _LEAST_CURVE = 12
-"""Fewer points than this are no curve (a sphere thins to one): they may move in every direction."""
+"""Minimum number of points of a curve; fewer (a sphere is thinned to one) may move in any direction."""
 _EVERYWHERE = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1.0
 """The 26 directions to neighbouring cells."""
 _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
@@ -58,26 +61,26 @@ _EVERYWHERE /= np.linalg.norm(_EVERYWHERE, axis=1, keepdims=True)
 
 @dataclass(frozen=True)
 class Trimmed:
-    """A hull trimmed to what its silhouettes need."""
+    """Hull trimmed to what its silhouettes require."""
 
     leaves: Leaves
     spheres: Spheres
     """Spheres along the centre lines."""
     doubtful: Spheres
-    """Those of them that few views bound, and those that too few do to be any: as large as the outlines allow."""
+    """Spheres that few views bound, and those removed because too few do, with the radius that the outlines allow."""
     kept: NDArray[np.float32]
-    """(N,) of the leaves' occupancies what is hull still, because the spheres leave a silhouette unexplained."""
+    """(N,) part of the leaves' occupancies that remains hull, since the spheres do not explain a silhouette."""
 
     @property
     def kept_mm3(self) -> float:
-        """Return the volume that is hull still."""
+        """Return the volume that remains hull."""
         return self.leaves.volume_mm3(self.kept)
 
 
 def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
-    """Trim a hull to what its silhouettes need.
+    """Trim a hull to what its silhouettes require.
 
-    The trimmed shape's occupancies are at most the hull's.
+    The occupancies of the trimmed shape are at most those of the hull.
     """
     points = centre_lines(leaves) if len(leaves.size) else np.zeros((0, 3))
     spheres, doubtful = grow_spheres(bank, maps, points)
@@ -95,10 +98,9 @@ def trim(bank: ViewBank, maps: DistanceMaps, leaves: Leaves) -> Trimmed:
 
 
 def _across(points: Array) -> Array:
-    """Return eight unit vectors (N, 8, 3) across the local direction of a cloud of points along curves.
+    """Return eight unit vectors (N, 8, 3) perpendicular to the local direction of points along curves.
 
-    They are turned from the axis that the direction is least along: a straight row of points has no directions across
-    of its own.
+    The reference is the axis least aligned with the direction, as a straight row of points defines no perpendicular.
     """
     near = cKDTree(points).query(points, k=_LEAST_CURVE)[1]
     cloud = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -111,16 +113,16 @@ def _across(points: Array) -> Array:
 
 
 def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Spheres, Spheres]:
-    """Move points (N, 3) across their curve to where the largest spheres fit into all silhouettes.
+    """Move points (N, 3) perpendicular to their curve to where the largest spheres fit into all silhouettes.
 
-    Return the spheres, shrunk where few views bound them, and those that few do as large as the outlines allow.
+    Return the spheres, shrunk where few views bound them, and those with few bounds at full size.
     """
     if not len(points):
         return Spheres(points, np.zeros(0)), Spheres(points, np.zeros(0))
     everywhere = np.broadcast_to(_EVERYWHERE, (len(points), *_EVERYWHERE.shape))
     points, radius = _moved(bank, maps, points, _across(points) if len(points) >= _LEAST_CURVE else everywhere)
-    # where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that none about them exceeds
-    # look for it
+    # Where a curve ends inside a solid, the largest sphere lies beyond its end: spheres that are local maxima move in
+    # all directions.
     largest = _largest(points, radius)
     if len(largest):
         freed = _moved(bank, maps, points[largest], everywhere[: len(largest)])
@@ -137,7 +139,7 @@ def grow_spheres(bank: ViewBank, maps: DistanceMaps, points: Array) -> tuple[Sph
 def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array) -> tuple[Array, Array]:
     """Move points (N, 3) along any of their directions (N, D, 3) to where the largest spheres fit.
 
-    Return them with the radii (N,).
+    Return the points and the radii (N,).
     """
     radius = _radius(bank, maps, points)
     for step_mm in _STEPS_MM:
@@ -150,7 +152,7 @@ def _moved(bank: ViewBank, maps: DistanceMaps, points: Array, directions: Array)
 
 
 def _largest(points: Array, radius: Array) -> NDArray[np.int64]:
-    """Return the numbers of the spheres that no sphere about a point inside them exceeds."""
+    """Return the indices of spheres that no sphere about a point inside them exceeds."""
     inside = cKDTree(points).query_ball_point(points, radius, workers=-1)
     return np.array([k for k, near in enumerate(inside) if radius[k] > 0 and radius[k] >= radius[near].max()], np.int64)
 
@@ -158,11 +160,11 @@ def _largest(points: Array, radius: Array) -> NDArray[np.int64]:
 def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool = False) -> Array:
     """Return the radius in mm of the largest sphere about each point that every view allows.
 
-    In a view the distance D to the outline is that along the outline's normal (a, b); the plane of sight through the
-    outline has the normal g = a du + b dv in space, so the sphere's radius is D / |g|. On a root's centre line D has a
-    crease: |a| and |b| are taken from the steeper of the two sides. The sampled map rounds the crease off; ``sharpen``
-    restores its height from the slopes on both sides, for points that lie on it. Points that fewer than
-    `distance_maps.least_votes` of the views see get the radius 0.
+    In a view, the distance D to the outline is along the outline's normal (a, b); the plane of sight through the
+    outline has the normal g = a du + b dv in space, so that the sphere's radius is D / |g|. On a root's centre line D
+    has a crease: |a| and |b| are those of the steeper side. The sampled map rounds the crease; ``sharpen`` restores its
+    height from the slopes on both sides, for points on it. Points visible in fewer than `distance_maps.least_votes`
+    views have the radius 0.
     """
 
     def body(view: UInt32, least: Float, votes: UInt32) -> tuple[UInt32, Float, UInt32]:
@@ -177,7 +179,7 @@ def _radius(bank: ViewBank, maps: DistanceMaps, points: Array, *, sharpen: bool 
 
 
 def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> Array:
-    """Return the share (N,) of the seeing views that bound spheres (N,), `_radius` without sharpening."""
+    """Return the fraction (N,) of the views that bound spheres (N,), of those that show them."""
 
     def body(view: UInt32, tight: UInt32, votes: UInt32) -> tuple[UInt32, UInt32, UInt32]:
         allowed, px_a_mm, seen = _allowed(bank, maps, view, point, sharpen=False)
@@ -194,12 +196,12 @@ def _held(bank: ViewBank, maps: DistanceMaps, points: Array, radius: Array) -> A
 def _allowed(bank: ViewBank, maps: DistanceMaps, view: UInt32, point: Point3f, *, sharpen: bool) -> tuple[Float, Float, Bool]:
     """Return the radius in mm of the largest sphere about a point that a view allows.
 
-    With it, px/mm there, and whether the view sees it.
+    Also return px/mm at the point, and whether the view shows it.
     """
     p, distance, seen = distance_maps.look(bank, maps, view, point, mi.Bool(True))
     slopes, peak = [], distance
     for unit in (mi.Vector2f(_REACH_PX, 0), mi.Vector2f(0, _REACH_PX)):
-        # beside what is not seen the map jumps; a distance cannot grow faster than the way walked
+        # Next to unusable pixels the map jumps; a distance cannot grow faster than the offset.
         near = [dr.minimum(maps.at(view, p.px + sign * unit, seen), distance + _REACH_PX) for sign in (1.0, -1.0)]
         slopes.append(dr.maximum(dr.abs(near[0] - distance), dr.abs(near[1] - distance)))
         if sharpen:

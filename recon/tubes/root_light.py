@@ -4,7 +4,7 @@ Tubes x (positions and radii of the nodes) and light parameters q (`tube_profile
 Gauss-Newton step solves
 
     (H + P) dx + B dq = g - P x        every node, from all of its profiles, P being the prior of smooth branches
-    C^T dx + D dq     = h              light, from lone profiles only: overlapping objects would bias the shared parameters
+    C^T dx + D dq     = h              light, from lone profiles only: others would bias the shared parameters
 
 Eliminating the nodes (Schur complement, one factorisation with as many more right-hand sides as there are columns),
 

@@ -75,8 +75,7 @@ class Tubes:
 
     @property
     def strung(self) -> tuple[Index, Index, Index]:
-        """Return the concatenated nodes (M,) of all branches, and the first and last position (M,) of their
-        branches."""
+        """Return the concatenated nodes (M,) of all branches, and the bounds (M,), (M,) of each node's branch."""
         count = np.array([len(branch) for branch in self.branches])
         end = np.cumsum(count)
         return np.concatenate(self.branches), np.repeat(end - count, count), np.repeat(end - 1, count)
