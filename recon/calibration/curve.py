@@ -1,8 +1,8 @@
-"""Whether the pictures' numbers are light, as the marker strip's edges tell.
+"""Test whether the pictures are linear in light, from the edges of the markers.
 
-A lens blurs light, and evenly: half-way through an edge between black and white is half-way between black and white. A
-camera's curve does so to numbers: where it was not undone, or undone when there was none, the greys of an edge are too
-bright or too dark. `MarkerFit.bend` measures that on all edges of all markers, whatever the blur is.
+A lens blurs light evenly: the middle of an edge between black and white is halfway between black and white. A camera's
+transfer curve violates this: if it was not inverted, or inverted although there was none, the greys of an edge are too
+bright or too dark. `MarkerFit.bend` measures this on all edges of all markers, independently of the blur.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,25 +19,24 @@ from rhizotwin.scenes.pictures import Grey
 from rhizotwin.scenes.transfer import Curve
 
 MOST_BEND = 0.02
-"""A larger bend is no accident: sRGB taken for light has 0.18, light taken for sRGB -0.25, the twin's right pictures
-0.000 to 0.003.
+"""Maximum bend of linear pictures. sRGB read as linear has 0.18, linear light read as sRGB has -0.25, and the twin's
+correct pictures have 0.000 to 0.003.
 
-A gamma that is off by 0.1 has 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
+A gamma error of 0.1 gives 0.02, and moves the outlines of roots (at half coverage) by less than 0.03 px."""
 LEAST_MARKERS = 10
-"""The median of ten is uncertain by 0.4 of their scatter."""
+"""Minimum number of markers: the median of ten has a standard error of 0.4 of their scatter."""
 _SOME = 8
-"""Pictures that are asked, evenly over the scan."""
+"""Number of pictures that are tested, evenly spaced over the scan."""
 _EXPONENTS = (1.0 / 3.0, 0.45, 1.0 / 1.8, 0.75, 1.0, 1.4, 1.8, 2.2, 3.0)
-"""Gammas that are tried where no known curve will do, upon the stated one."""
+"""Gammas that are tried, in addition to the stated curve, if no known curve fits."""
 
 
 def read_by_edges(pictures: Pictures, *, monitor: Monitor) -> Pictures:
-    """Ask the markers' edges whether the pictures were read by the right curve.
+    """Test with the marker edges whether the pictures were read with the correct curve.
 
-    Where they clearly were not, they are read anew.
+    If they clearly were not, they are read again with the estimated curve.
 
-    Silhouettes, and pictures with given cameras or of a rig without a strip, are left as they are: they show no
-    markers.
+    Masks, and pictures with given cameras or of a rig without a strip, are not changed, as they show no markers.
     """
     dataset, captured = pictures.dataset, pictures.frames
     if dataset.masks or dataset.scene.strip.rows == 0 or all(frame.cam_from_canister is not None for frame in captured):
@@ -66,16 +65,16 @@ def bend_of(detected: Sequence[Markers]) -> tuple[float | None, int]:
 
 
 def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Sequence[Markers]]) -> CurveFound:
-    """Find the curve that the markers' edges bear out.
+    """Estimate the transfer curve from the edges of the markers.
 
     Parameters
     ----------
     detected : sequence of Markers
-        Markers of the pictures, read by the stated curve.
+        Markers of the pictures, read with the stated curve.
     stated : Curve
-        The files' own word, or the scene's.
+        Curve stated in the files, or in the scene.
     again : callable
-        Reads some of the pictures by another curve, and returns their markers.
+        Function that reads some of the pictures with another curve and returns their markers.
     """
     bend, count = bend_of(detected)
     if bend is None or abs(bend) <= MOST_BEND:
@@ -92,7 +91,7 @@ def find(detected: Sequence[Markers], stated: Curve, again: Callable[[Curve], Se
 
 
 def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Sequence[Markers]]) -> tuple[Curve, float]:
-    """Return the gamma upon the stated curve without a bend, or what was best before."""
+    """Return the gamma, applied after the stated curve, without a bend; otherwise the best curve so far."""
     tried = [(exponent, bend) for exponent in _EXPONENTS if (bend := bend_of(again(_upon(stated, exponent)))[0]) is not None]
     exponents, bends = np.array(tried).reshape(-1, 2).T
     signs = np.flatnonzero(np.diff(np.sign(bends)))
@@ -106,6 +105,6 @@ def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Se
 
 
 def _upon(stated: Curve, exponent: float) -> Curve:
-    """Return a gamma after the stated curve."""
+    """Return the stated curve followed by a gamma."""
     light = stated.of(np.linspace(0.0, 1.0, 4097)) ** exponent
     return Curve(f"a gamma of {exponent:.2f} upon {stated.name}", tuple(light.tolist()))

@@ -1,4 +1,4 @@
-"""The stage that gives every picture its camera: taken as given, or found from the markers and the canister's edges."""
+"""The camera stage: use the given cameras, or estimate them from the markers and the canister's edges."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rhizotwin.scenes.errors import UserError
 from rhizotwin.scenes.monitor import Monitor
 
 LEAST_VIEWS = 3
-"""Two silhouettes bound no shape."""
+"""Minimum number of views: two silhouettes do not bound a shape."""
 FOCUS_GIVEN = 1e-4
-"""How far a calibrated lens may be off (`docs/calibration.md`: 0.009 %)."""
+"""Relative standard deviation of a calibrated focal length (`docs/calibration.md`: 0.009 %)."""
 
 _LEAST_BLURS = 3
-"""Markers of a picture that tell its blur: one alone may have a highlight on it."""
+"""Minimum number of markers for the blur of a picture: a single one may contain a highlight."""
 
 
 def find_cameras(
@@ -37,14 +37,14 @@ def find_cameras(
     measure: bool = True,
     single_view: bool = False,
 ) -> Cameras:
-    """Take the given cameras, or find every camera from the markers.
+    """Use the given cameras, or estimate every camera from the markers.
 
     Parameters
     ----------
     settings : CalibrationSettings
-        Which views are left out, and what is known of the rig beforehand.
+        Thresholds for leaving out views, and priors of the rig.
     measure, single_view : bool
-        As in `markers.detect_markers` and `poses.find_poses`; ``single_view`` also trusts the strip.
+        See `markers.detect_markers` and `poses.find_poses`; ``single_view`` also assumes an aligned strip.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def find_cameras(
     Raises
     ------
     UserError
-        Where too few pictures have a camera.
+        If too few pictures have a camera.
     """
     scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
@@ -92,7 +92,7 @@ def find_cameras(
 
 
 def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
-    """Turn a view's tank as the canister's edges tell; leave the view out where nobody knows how its tank stands."""
+    """Rotate a view's tank by the estimate from the canister's edges; leave the view out if its tank is unknown."""
     if camera.cam_from_tank is None:
         return replace(camera, used=False, reason=camera.reason or "its table angle is not known, and so not how the tank stands to it")
     turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
@@ -100,7 +100,7 @@ def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
 
 
 def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[markers.Markers]:
-    """Find every picture's markers, but for those that were measured already."""
+    """Detect the markers of every picture, except those already measured."""
     known: Mapping[int, markers.Markers] = pictures.measured if measure else {}
 
     def find(k: int) -> markers.Markers:
@@ -112,7 +112,7 @@ def _markers(pictures: Pictures, measure: bool, monitor: Monitor) -> list[marker
 
 
 def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]) -> Cameras:
-    """Return cameras of one lens at poses (F, 4, 4), which count as exact."""
+    """Return cameras of one lens with exact poses (F, 4, 4)."""
     every = tuple(
         Camera(file=frame.file, ring=frame.ring, used=True, cam_from_canister=lens.pinhole_pose(pose), table_deg=frame.table_deg)
         for frame, pose in zip(pictures.frames, poses, strict=True)
@@ -124,9 +124,9 @@ def _exact(pictures: Pictures, lens: model.Camera, poses: Sequence[frames.Array]
 
 
 def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
-    """Return straight optics without rim and floor, which silhouettes made in air do not have.
+    """Return straight optics without rim and floor, which masks rendered in air do not have.
 
-    A line of sight enters the wall between the camera's height and that of what it sees.
+    A line of sight enters the wall between the height of the camera and that of the point.
     """
     heights = [float(frames.invert(pose)[2, 3]) for pose in poses]
     low, high = min(heights), max(heights)
@@ -139,7 +139,7 @@ def _nothing_hidden(optics: Optics, poses: Sequence[frames.Array]) -> Optics:
 
 
 def _table_deg(pictures: Pictures) -> list[float]:
-    """Return the angles that the table was told, which cameras without markers start from."""
+    """Return the commanded table angles, the initial values for cameras without markers."""
     told = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(told) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
@@ -154,7 +154,7 @@ def _used(found: Sequence[Camera]) -> tuple[int, ...]:
 
 
 def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
-    """Return cameras that are enough to go on with."""
+    """Return the cameras if there are enough of them."""
     if len(cameras.order) < LEAST_VIEWS:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
@@ -165,7 +165,7 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
 
 
 def _canister(pictures: Pictures, solved: poses.Poses, lens: model.Camera, settings: CalibrationSettings) -> CanisterPose | None:
-    """Find how the canister stands in the strip, from the views that are used; None where its edges are not seen."""
+    """Estimate the pose of the canister in the strip from the used views; None if its edges are not visible."""
     keys = [k for k, view in enumerate(solved.views) if view.used and (view.cam_from_tank is not None or not pictures.dataset.scene.tank)]
     if not keys:
         return None
@@ -182,7 +182,7 @@ def _calibration(
     canister: CanisterPose | None,
     chain: Chain,
 ) -> MarkerCalibration:
-    """Gather what all views together gave."""
+    """Collect the results of all views together."""
     turned = [
         view.table_deg - frame.table_deg
         for frame, view in zip(captured, solved.views, strict=True)
@@ -201,6 +201,6 @@ def _calibration(
 
 
 def _refocus_px(blurs: Sequence[NDArray[np.float64]]) -> float | None:
-    """Return how much more the least sharp picture is blurred than the sharpest, by the blurs of each one's markers."""
+    """Return the additional blur of the least sharp picture, relative to the sharpest, from each one's markers."""
     medians = [float(np.median(one)) for one in blurs if len(one) >= _LEAST_BLURS]
     return float(np.sqrt(max(medians) ** 2 - min(medians) ** 2)) if medians else None

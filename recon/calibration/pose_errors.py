@@ -1,4 +1,4 @@
-"""How far the cameras may be off, and how the errors of all of them belong together."""
+"""Errors of camera poses, with the correlations between views."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PoseErrors:
     carry: Array
     """(V, 6, S)."""
     own: Array
-    """(V, 6, 6) covariances of e, which no view shares with another."""
+    """(V, 6, 6) covariances of e, independent between views."""
 
     def covariance(self) -> Array:
         """Return the covariance (V, 6, 6) of each pose."""
@@ -32,7 +32,7 @@ class PoseErrors:
     def of(self, views: Sequence[int | None], alone: Sequence[Array | None]) -> PoseErrors:
         """Return the errors of views in another order.
 
-        None is a view that shares nothing, with a covariance (6, 6) of its own.
+        None denotes a view without shared errors, with its own covariance (6, 6) in ``alone``.
         """
         count = self.shared.shape[0]
         carry, own = np.zeros((len(views), 6, count)), np.zeros((len(views), 6, 6))

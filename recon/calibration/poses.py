@@ -1,4 +1,4 @@
-"""Where the camera stood for every picture, found from the markers of all pictures together."""
+"""Camera poses of all pictures, estimated from their markers together."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,29 +22,28 @@ from rhizotwin.scenes.model import Scene
 from rhizotwin.scenes.plan import LEAST_MARKERS
 
 STILL_PX = 2.0
-"""A camera that moves more than this between the views was not meant to stand still: none of its views is left out for
-moving."""
+"""Maximum movement between views of a camera that counts as static; views are only left out for movement if the camera
+is static otherwise."""
 LOOSE = np.array([np.deg2rad(3.0), 10.0])
-"""A ring whose views scatter more than this (rad, mm) was no turn before a camera at rest: each view stands for
-itself."""
+"""Maximum scatter (rad, mm) of a ring's views; above it, the ring is no turn in front of a static camera, and each view
+is independent."""
 LEAST_RING = 5
-"""Views of a ring among which a moved one can be told."""
+"""Minimum number of views of a ring to detect a moved one."""
 OUTLIER_WEIGHT = 0.1
 """Cauchy weight of a marker that is nine standard deviations off."""
 AS_CALIBRATED = 1e-7
-"""Prior of the relative change of focus that holds the lens as it is."""
+"""Prior standard deviation of the relative focal change that keeps the calibrated lens."""
 STRANGERS = 3
-"""So many different markers that the strip does not have, each in at least two pictures, are no chance: the scene's
-strip is another."""
+"""Minimum number of foreign markers, each in at least two pictures, for which the scene's strip is considered wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Poses(StripCalibration):
-    """Cameras of all views, in the order of the frames, and what they say about the rig."""
+    """Cameras of all views, in the order of the frames, with the calibration of the rig."""
 
     views: tuple[Camera, ...]
     errors: PoseErrors | None = None
-    """Of all views' poses together; None where each view stands for itself."""
+    """Errors of all views' poses; None if the views are independent."""
     turn_sigma_rad: Array | None = None
     """(F,) standard deviations of the table angles; 0 for views that are not of the rig."""
     warnings: tuple[str, ...] = ()
@@ -58,29 +57,29 @@ def find_poses(
     settings: CalibrationSettings = CalibrationSettings(),
     single_view: bool = False,
 ) -> Poses:
-    """Find the camera of every picture from its markers.
+    """Estimate the camera of every picture from its markers.
 
-    Each picture alone gives a first pose (PnP); then one least-squares problem over all pictures finds, together, the
-    camera of each ring, every table angle, the canister's pose on the table and what the camera moved between views
-    (`recon.calibration.rig_fit`). Views that do not fit are left out with the reason.
+    Each picture alone gives an initial pose (PnP). One least-squares problem over all pictures then estimates the
+    camera of each ring, every table angle, the pose of the canister on the table, and the movement of the camera
+    between views (`recon.calibration.rig_fit`). Views with large residuals are left out, with the reason.
 
     Parameters
     ----------
     detected : sequence of Markers
-        Of each picture.
+        Markers of each picture.
     scene : Scene
-        Camera with lens distortion, strip and net pot as given.
+        Camera with lens distortion, strip and net pot.
     captured : sequence of Frame
-        The pictures' rings and commanded table angles (None: free).
+        Rings and commanded table angles of the pictures (None: free).
     settings : CalibrationSettings
-        Which views are left out, and what is known of the rig beforehand.
+        Thresholds for leaving out views, and priors of the rig.
     single_view : bool
-        Stop at each picture's own pose, corners unweighted (the thesis's way).
+        Whether to stop at each picture's own pose, with unweighted corners (method of the thesis).
 
     Raises
     ------
     UserError
-        When no picture gives a camera, or the pictures show another strip.
+        If no picture gives a camera, or the pictures show another strip.
     """
     if len(detected) != len(captured):
         raise ValueError(f"{len(detected)=} but {len(captured)=}")
@@ -111,7 +110,7 @@ def find_poses(
 
 
 def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Sequence[Frame]) -> None:
-    """Refuse pictures that show the strip's markers among others of their size.
+    """Reject pictures that show the strip's markers among others of similar size.
 
     Poses from a part of another strip would be wrong.
     """
@@ -128,7 +127,7 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
 
 
 def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tuple[Camera, Sightings | None]:
-    """Find a view's pose from its own markers."""
+    """Estimate a view's pose from its own markers."""
     count = len(markers.ids)
     nothing = Camera(file=frame.file, ring=frame.ring, used=False, markers=count)
     if count < LEAST_MARKERS:
@@ -145,7 +144,7 @@ def _alone(markers: Markers, scene: Scene, frame: Frame, *, polish: bool) -> tup
 
 
 def _refocused(view: Camera, seen: Sightings, focal_scale: float) -> Camera:
-    """Find the pose of a view that is not part of the rig with the lens as the rig's views found it."""
+    """Estimate the pose of a view outside the rig with the refined focal length."""
     pose = view_fit.single_view(replace(seen, camera=seen.camera.focused(focal_scale))) if view.used else None
     return view if pose is None else replace(view, cam_from_canister=pose)
 
@@ -156,7 +155,7 @@ def _placed(view: Camera, pose: Array, local: view_fit.Linearised, covariance: A
 
 
 def _misfit(error_px: float | None, median_px: float, settings: CalibrationSettings) -> str | None:
-    """Return why a view is left out, or None."""
+    """Return the reason for leaving out a view, or None."""
     if error_px is None or error_px <= min(max(settings.worst_px, settings.worst_factor * median_px), settings.hopeless_px):
         return None
     return f"reprojection {error_px:.2g} px against a median of {median_px:.2g} px: the strip or camera moved, or the picture is blurred"
@@ -172,9 +171,9 @@ def _need_one(views: Sequence[Camera], captured: Sequence[Frame]) -> None:
 def _together(
     views: list[Camera], seen: dict[int, Sightings], scene: Scene, captured: Sequence[Frame], settings: CalibrationSettings
 ) -> Poses:
-    """Fit the rig to the views, leave out those that moved, fit again.
+    """Fit the rig to the views, leave out those that moved, and fit again.
 
-    Views of cameras that went about freely keep their own pose.
+    Views of cameras that were moved freely keep their own pose.
     """
     keys = _rig_keys(views, sorted(seen), scene, captured)
     if not keys:
@@ -191,7 +190,7 @@ def _together(
         keys = [k for k in keys if k not in worst]
     refocused = fit_rig(sights, fit.rig, first.command_rad, first.known, settings)
     focal_scale = 1.0
-    # else the calibration knows better: focus looks much like distance
+    # Otherwise the calibration is more accurate: focus is hard to separate from distance.
     if abs(refocused.rig.focal_scale - 1.0) > settings.focus_sure * refocused.focal_sigma:
         fit, focal_scale = refocused, refocused.rig.focal_scale
         for k in set(seen) - set(keys):
@@ -208,7 +207,7 @@ def _together(
             reason=reason,
             single_view_px=views[k].single_view_px,
             table_deg=float(turn) if first.known[i] else None,
-            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # else nobody knows the rig's azimuth
+            cam_from_tank=_tank(scene, cam_from_rig) if first.known[i] else None,  # otherwise the rig's azimuth is unknown
         )
     _need_one(views, captured)
     place = {k: i for i, k in enumerate(keys)}
@@ -231,12 +230,12 @@ def _together(
 
 
 def _tank(scene: Scene, cam_from_rig: Array) -> Array | None:
-    """Return how the tank, which stands still in the rig, stands to a camera."""
+    """Return the pose of the tank, which is fixed in the rig, relative to a camera."""
     return None if scene.tank is None else cam_from_rig @ frames.rotation_z(np.deg2rad(scene.tank.turn_deg))
 
 
 def _rings(fit: RigFit, stations: Sequence[tuple[int, int]]) -> tuple[Ring, ...]:
-    """Return the camera of each station (ring and placement), and how much its views moved about it."""
+    """Return the camera of each station (ring and placement), and the movement of its views."""
     return tuple(
         Ring(
             ring=ring,
@@ -255,14 +254,14 @@ def _found(views: Sequence[Camera], keys: Sequence[int]) -> list[Array]:
 
 
 def _rig_keys(views: Sequence[Camera], keys: list[int], scene: Scene, captured: Sequence[Frame]) -> list[int]:
-    """Return the views of those rings whose camera stood still, but for small movements."""
+    """Return the views of the rings with a static camera, apart from small movements."""
     first = first_rig(_found(views, keys), [captured[k] for k in keys], direction=scene.turntable.direction)
     loose = np.any(first.rig.spread > LOOSE, axis=1)
     return [k for k, ring in zip(keys, first.rig.ring, strict=True) if not loose[ring]]
 
 
 def _moved(fit: RigFit, keys: Sequence[int], settings: CalibrationSettings) -> dict[int, str]:
-    """Return the views of each ring whose camera did not stand where the ring's other views say, with the reason."""
+    """Return, with the reason, the views whose camera pose deviates from that of the other views of the ring."""
     found: dict[int, str] = {}
     for ring in range(len(fit.rig.cam_from_rig)):
         members = np.flatnonzero(fit.rig.ring == ring).tolist()

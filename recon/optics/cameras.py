@@ -1,6 +1,6 @@
-"""Views of the canister: a camera with its pose, pixels to rays and points to pixels through the water.
+"""Views of the canister: a camera with its pose, back-projection of pixels, and projection of points through the water.
 
-Float64 reference.
+This is the float64 reference.
 """
 
 from dataclasses import dataclass, replace
@@ -16,25 +16,25 @@ from rhizotwin.scenes import frames
 from rhizotwin.scenes.model import Camera
 
 Sway = tuple[float, float, float]
-"""How far what hangs in the water is aside, for each mm of depth below the net pot: x and y, mm, and turned about z,
-rad, all in the canister's frame."""
+"""Displacement of the roots per mm of depth below the net pot: shift in x and y, mm, and rotation about z, rad, all in
+the canister's frame."""
 STILL: Sway = (0.0, 0.0, 0.0)
-"""Of what does not sway."""
+"""No sway."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A camera where it stood when it took a picture."""
+    """A camera with its pose at the time of a picture."""
 
     camera: Camera
     cam_from_canister: Array
     cam_from_tank: Array | None = None
-    """(4, 4), the tank's frame being the rig's, turned as the tank is; None: there is no tank."""
+    """(4, 4) pose of the tank, whose frame is the rig's, rotated with the tank; None: there is no tank."""
     sway: Sway = STILL
-    """How far what hangs in the water is aside in this picture."""
+    """Displacement of the roots in this picture."""
 
     def moved(self, motion: Array) -> "View":
-        """Return the view of a camera that moved by a rigid motion (4, 4) in its own frame, alone."""
+        """Return the view of a camera moved by a rigid motion (4, 4) in its own frame; the canister is fixed."""
         tank = None if self.cam_from_tank is None else motion @ self.cam_from_tank
         return replace(self, cam_from_canister=motion @ self.cam_from_canister, cam_from_tank=tank)
 
@@ -50,13 +50,13 @@ class View:
 
     @property
     def azimuth_from_canister(self) -> Array:
-        """4x4 rotation about z that brings the camera's centre to (rho, 0, z)."""
+        """4x4 rotation about z that moves the camera's centre to (rho, 0, z)."""
         x, y, _ = self.centre_mm
         return frames.rotation_z(-float(np.arctan2(y, x)))
 
 
 def swayed(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Return where points (N, 3) that hang in the water, canister frame, mm, are in a view's picture."""
+    """Return the positions of points (N, 3) of the roots, canister frame, mm, in a view, with its sway."""
     x, y, z = points_mm.T
     aside, along, turned = view.sway
     return points_mm + ((optics.water_z_mm - z) * np.stack([aside - turned * y, along + turned * x, np.zeros_like(z)])).T
@@ -79,7 +79,7 @@ def matrix(camera: Camera) -> Array:
 
 
 def camera_directions(camera: Camera, px: Array) -> Array:
-    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion undone to 1e-10."""
+    """Return unit directions (N, 3) in the camera's frame of pixels (N, 2), lens distortion inverted to 1e-10."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
     flat = np.ascontiguousarray(px, np.float64).reshape(-1, 1, 2)
     undone = cv2.undistortPoints(flat, matrix(camera), np.array(camera.distortion), criteria=criteria).reshape(-1, 2)
@@ -88,19 +88,19 @@ def camera_directions(camera: Camera, px: Array) -> Array:
 
 
 def in_azimuth(view: View, directions: Array) -> Array:
-    """Turn directions (N, 3) from the camera's frame into the azimuth frame."""
+    """Rotate directions (N, 3) from the camera's frame into the azimuth frame."""
     azimuth_from_cam = view.azimuth_from_canister @ frames.invert(view.cam_from_canister)
     return np.asarray(directions @ azimuth_from_cam[:3, :3].T)
 
 
 def direction_pixels(view: View, directions: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN for what is behind the camera."""
+    """Return the pixels (..., 2) of directions (..., 3) in the azimuth frame; NaN behind the camera."""
     cam_from_azimuth = view.cam_from_canister @ frames.invert(view.azimuth_from_canister)
     return cam_pixels(view.camera, directions @ cam_from_azimuth[:3, :3].T)
 
 
 def cam_pixels(camera: Camera, cam: Array) -> Array:
-    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN for what is behind the camera."""
+    """Return the pixels (..., 2) of directions (..., 3) in the camera's frame; NaN behind the camera."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.where(cam[..., 2] > 0, cam[..., 0] / cam[..., 2], np.nan), cam[..., 1] / cam[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
@@ -113,12 +113,12 @@ def cam_pixels(camera: Camera, cam: Array) -> Array:
 
 
 def known_tank(view: View) -> Array:
-    """Return how the tank stands to a view's camera (4, 4).
+    """Return the pose of the tank relative to a view's camera (4, 4).
 
     Raises
     ------
     ValueError
-        For a view of which nobody said it.
+        If it is unknown.
     """
     if view.cam_from_tank is None:
         raise ValueError(f"{view.cam_from_tank=} but expected a pose: the scene has a tank")
@@ -126,7 +126,7 @@ def known_tank(view: View) -> Array:
 
 
 def through_tank(view: View, optics: Optics) -> TankView:
-    """Return how a view looks through the tank that its optics have."""
+    """Return the geometry of a view through the tank of the given optics."""
     if optics.tank is None:
         raise ValueError(f"{optics.tank=} but expected a tank")
     cam_from_tank = known_tank(view)
@@ -139,14 +139,14 @@ def through_tank(view: View, optics: Optics) -> TankView:
 
 
 def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, NDArray[np.bool_]]:
-    """Follow rays (N, 3), camera's frame, to the canister.
+    """Compute rays (N, 3), camera's frame, up to the canister.
 
     Returns
     -------
     line : Approach
-        In the azimuth frame.
+        Lines in the azimuth frame.
     through : (N,) bool array
-        Whether they come through a tank's front below the liquid's surface; in the open all do.
+        Whether they pass through a tank's front below the liquid's surface; without a tank, always true.
     """
     if optics.tank is not None:
         at = through_tank(view, optics)
@@ -159,12 +159,12 @@ def approach(view: View, optics: Optics, directions: Array) -> tuple[Approach, N
 
 
 def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction.WaterLine) -> Array:
-    """Return how far (...) lines run, horizontally, from the canister's outer wall to the inside of a tank's back.
+    """Return the horizontal length (...) of lines from the canister's outer wall to the inside of a tank's back.
 
     Parameters
     ----------
     view, optics : View, Optics
-        Camera, and the tank that is looked through.
+        Camera, and the tank.
     near, line : Approach, refraction.WaterLine
         Lines of sight before the canister and in the water.
 
@@ -175,7 +175,7 @@ def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction
     """
     at = through_tank(view, optics)
     tank_from_azimuth = frames.invert(at.azimuth_from_tank)
-    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out is the way in, mirrored
+    heading = 2.0 * line.heading_rad - near.heading_rad  # the way out mirrors the way in
     t = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     nu = np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
     leave = near.b_mm[..., None] * nu + np.sqrt(optics.outer_radius_mm**2 - near.b_mm**2)[..., None] * t
@@ -184,12 +184,12 @@ def beyond_canister(view: View, optics: Optics, near: Approach, line: refraction
 
 
 def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.WaterLine, NDArray[np.bool_]]:
-    """Follow pixels (N, 2) into the water.
+    """Compute the lines of sight of pixels (N, 2) in the water.
 
     Returns
     -------
     line : WaterLine
-        Lines of sight in the azimuth frame, NaN where the ray misses.
+        Lines of sight in the azimuth frame, NaN for rays that miss.
     enters : (N,) bool array
         Whether the ray enters the water through the wall.
     """
@@ -200,12 +200,12 @@ def water_lines(view: View, optics: Optics, px: Array) -> tuple[refraction.Water
 
 
 def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Project water points into a view, every image of each; through a tank the one of `project_through_tank`.
+    """Project points in the water into a view, with all images; through a tank, that of `project_through_tank`.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        In the canister frame, inside the water's radius.
+        Points in the canister frame, inside the water's radius.
 
     Returns
     -------
@@ -223,9 +223,9 @@ def project(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArra
 
 
 def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
-    """Project water points (N, 3) that a view sees once, fast.
+    """Project points (N, 3) in the water that a view shows once, fast.
 
-    Their pixels (N, 2), NaN for those far out and those it cannot see.
+    Return pixels (N, 2), NaN for points far from the axis and for invisible ones.
     """
     if optics.tank is not None:
         return project_through_tank(view, optics, points_mm)[0]
@@ -235,21 +235,21 @@ def project_inner(view: View, optics: Optics, points_mm: Array) -> Array:
 
 
 def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Project water points through a tank's front and the canister's wall, with the Jacobian.
+    """Project points in the water through a tank's front and the canister's wall, with the Jacobian.
 
     Parameters
     ----------
     points_mm : (N, 3) float64 array
-        In the canister's frame, inside the water's radius.
+        Points in the canister's frame, inside the water's radius.
 
     Returns
     -------
     px : (N, 2) float64 array
-        Pixels; NaN where the view does not see the point.
+        Pixels; NaN for invisible points.
     seen : (N,) bool array
-        Whether it does.
+        Whether the point is visible.
     jacobian : (N, 2, 3) float64 array
-        Of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
+        Derivatives of the pixel by the point, px/mm, by the implicit function theorem: ``dq = -(df/dq)^-1 df/dP``.
     """
     at = through_tank(view, optics)
     points = frames.apply(view.azimuth_from_canister, swayed(view, optics, points_mm))
@@ -268,7 +268,7 @@ def project_through_tank(view: View, optics: Optics, points_mm: Array) -> tuple[
 
 
 def _pixels(view: View, q: Array) -> Array:
-    """Return the pixels (N, 2) of rays by their components along the tank's front."""
+    """Return the pixels (N, 2) of rays given by their components along the tank's front."""
     with np.errstate(invalid="ignore"):
         direction = np.column_stack([-np.sqrt(1.0 - np.sum(q**2, axis=1)), q])
     return cam_pixels(view.camera, direction @ known_tank(view)[:3, :3].T)

@@ -1,7 +1,7 @@
-"""Where Newton's method starts that projects points into a view, and how far from there a view sees nothing twice.
+"""Tables of initial values for Newton's method, and of the distance to points shown twice or not at all.
 
-A fan of lines of sight of one climb sweeps over the canister's cross-section: each point is seen as often as lines pass
-it, and the lines before and after tell the ray to begin with.
+A fan of lines of sight of one climb sweeps over the canister's cross-section. The number of lines through a point is
+the number of its images, and the adjacent lines give the initial ray.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from rhizotwin.recon.optics.refraction import Array, Optics, WaterLine
 from rhizotwin.recon.optics.tank import TankView
 
 CELL_MM = 1.0
-"""Cells of the tables; Newton's steps do the rest."""
+"""Cell size of the tables; Newton's steps refine."""
 _SINES = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 193))
-"""Impact parameters of a fan, of the largest: half a cell apart and less, and closest where lines turn most."""
+"""Impact parameters of a fan, relative to the largest: at most half a cell apart, and densest where refraction is
+strongest."""
 _NAMES = np.linspace(-0.9, 0.9, 4001)
-"""Values of q_y, beyond what comes through a tank's front (64 degrees to either side), from which a fan is chosen."""
+"""Values of q_y from which a fan is selected, beyond the range of a tank's front (64 degrees to either side)."""
 
 
 def view_table(view: View, optics: Optics) -> Array:
@@ -28,8 +29,9 @@ def view_table(view: View, optics: Optics) -> Array:
     Returns
     -------
     (ny, nx, 2) float64 array
-        The start: impact parameter in air in mm, or q_y through a tank. And how far it is, horizontally, to where the
-        view is blind or sees double, in mm. In the open the rows are |y| from -1 mm on, since y < 0 mirrors y > 0.
+        The initial value (impact parameter in air in mm, or q_y through a tank), and the horizontal distance to the
+        nearest point where the view is blind or shows two images, mm. Without a tank, rows are |y| from -1 mm, since y
+        < 0 mirrors y > 0.
     """
     return _in_open(view, optics) if optics.tank is None else _through_tank(view, optics)
 
@@ -58,13 +60,13 @@ def _through_tank(view: View, optics: Optics) -> Array:
     single = count == 1
     for q_z in climbs:
         single &= _tank_fan(at, q_z)[1] == 1
-    single |= np.hypot(*np.moveaxis(_positions(optics), -1, 0)) >= optics.inner_radius_mm  # where no root is
+    single |= np.hypot(*np.moveaxis(_positions(optics), -1, 0)) >= optics.inner_radius_mm  # there are no roots
     clear_mm = np.full(single.shape, 1e3) if single.all() else ndimage.distance_transform_edt(single) * CELL_MM
     return np.stack([q_y, clear_mm], axis=-1)
 
 
 def _positions(optics: Optics, *, low_mm: float | None = None) -> Array:
-    """Return positions (ny, nx, 2) over the cross-section, from y = ``low_mm`` on."""
+    """Return positions (ny, nx, 2) over the cross-section, from y = ``low_mm``."""
     most = np.ceil(optics.inner_radius_mm) + 1.0
     y = np.arange(-most if low_mm is None else low_mm, most + 1.0, CELL_MM)
     return np.stack(np.meshgrid(np.arange(-most, most + 1.0, CELL_MM), y), axis=-1)
@@ -91,7 +93,7 @@ def _swept(at: Array, line: WaterLine, name: Array) -> tuple[Array, Array]:
     Returns
     -------
     found : (ny, nx) float64 array
-        What names the line that passes there, interpolated; the last one where there are more.
+        Parameter of the line through the position, interpolated; the last one if there are several.
     count : (ny, nx) float64 array
         Number of lines.
     """
