@@ -1,4 +1,4 @@
-"""From silhouettes to a shape: outlines, hull, what the silhouettes need of it, surface and size."""
+"""From silhouettes to a shape: outlines, hull, trimming, surface and extents."""
 
 import math
 from collections.abc import Sequence
@@ -41,19 +41,19 @@ from rhizotwin.scenes.monitor import Monitor
 from rhizotwin.scenes.rsml import Root
 
 _MISSED_VIEWS = 8
-"""Views that are looked at; they come in an order that spreads neighbours over the turn."""
+"""Number of views that are used; their order spreads neighbours over the turn."""
 _MISSED_LEAVES = 100_000
-"""Of more leaves, only every so-many-th is looked at: a solid's stand closer in a picture than a pixel, one before the
-other."""
+"""Number of leaves above which only a subset is used: those of a solid are closer in a picture than a pixel, and hide
+each other."""
 _SURFACE_LEAVES = 1_000_000
-"""More finest leaves than this are gathered before the surface is drawn."""
+"""Number of finest leaves above which they are merged before the surface is computed."""
 _MUCH_KEPT = 0.2
-"""Share of the volume that is untrimmed hull, beyond which a warning is given."""
+"""Fraction of untrimmed hull in the volume above which a warning is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Carved:
-    """A hull with what it was carved from."""
+    """A hull with its input."""
 
     hull: Hull
     bank: projection.ViewBank
@@ -75,19 +75,19 @@ def carve_hull(
     monitor: Monitor,
     ignore_blindness: bool = False,
 ) -> Carved:
-    """Carve the silhouettes' hull out of the water between the floor and the net pot.
+    """Carve the visual hull of the silhouettes out of the water between the floor and the net pot.
 
     Parameters
     ----------
     finest_mm : float
         Edge of the finest nodes.
     slack_px, ignore_blindness : float, bool
-        As in `carve.carve`.
+        See `carve.carve`.
 
     Raises
     ------
     UserError
-        Where the silhouettes have no volume in common.
+        If the silhouettes have no volume in common.
     """
     numbers = sorted(cameras.order)
     order = [numbers[place] for place in carve.spread(len(numbers))]
@@ -104,7 +104,7 @@ def carve_hull(
     if hull.leaves.volume_mm3() == 0.0:
         raise UserError(
             f"{dataset.folder}: the silhouettes have no volume in common, so nothing is left after carving; "
-            "the poses or the scene file do not fit the pictures."
+            "the poses or the scene file do not match the pictures."
         )
     return Carved(hull=hull, bank=bank, maps=maps, silhouettes=drawn, cameras=cameras, water=water)
 
@@ -115,15 +115,15 @@ def find_wrong_views(dataset: Dataset, cameras: Cameras, coverage: Coverage, *, 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, lines of sight and silhouettes.
+        Scene, cameras and silhouettes.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     with monitor.stage("wrong views"):
         bank = projection.ViewBank.of(cameras.views, cameras.optics)
         silhouettes = [coverage.silhouettes[k] for k in cameras.order]
         found = agreement.find_wrong_views(bank, silhouettes, water_of(dataset.scene, cameras))
-    return {cameras.order[view]: "it contradicts all other pictures, as one that is mirrored or half-written does" for view in found}
+    return {cameras.order[view]: "it contradicts all other pictures, for example because it is mirrored or truncated" for view in found}
 
 
 def water_of(scene: Scene, cameras: Cameras) -> Water:
@@ -132,16 +132,16 @@ def water_of(scene: Scene, cameras: Cameras) -> Water:
 
 
 def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Carved:
-    """Carve the silhouettes' hull.
+    """Carve the visual hull of the silhouettes.
 
     Parameters
     ----------
     dataset, cameras, coverage : Dataset, Cameras, Coverage
-        Scene, lines of sight and silhouettes.
+        Scene, cameras and silhouettes.
     settings : Settings
-        Voxels and slack.
+        Voxel size and slack.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     halvings = max(0, math.ceil(math.log2(settings.voxel_mm / settings.hull.finest_mm)))
     finest_mm = settings.voxel_mm / 2**halvings
@@ -149,7 +149,7 @@ def find_hull(dataset: Dataset, cameras: Cameras, coverage: Coverage, settings: 
 
 
 def missed_share(carved: Carved) -> float:
-    """Return the share of what some views show before which no part of the hull stands."""
+    """Return the fraction of the coverage that no part of the hull explains."""
     leaves = carved.hull.leaves
     leaves = leaves.some(np.s_[:: 1 + len(leaves.size) // _MISSED_LEAVES])
     views = list(range(min(_MISSED_VIEWS, carved.bank.count)))
@@ -160,20 +160,20 @@ def missed_share(carved: Carved) -> float:
 def find_roots(
     carved: Carved, coverage: Coverage, scene: Scene, *, known: TubeAttenuation | None = None, monitor: Monitor
 ) -> RootTree | None:
-    """Find the roots as a tree of tubes; None where there are none.
+    """Reconstruct the roots as a tree of tubes; return None if there are none.
 
     Parameters
     ----------
     carved : Carved
         Views and silhouettes.
     coverage : Coverage
-        How much light roots let through.
+        Attenuation of the roots.
     scene : Scene
-        Where plants begin.
+        Positions of the plants.
     known : TubeAttenuation, optional
-        As in `rooting.find`.
+        See `rooting.find`.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
@@ -185,20 +185,20 @@ def find_roots(
 
 
 def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, settings: Settings, *, monitor: Monitor) -> Solid:
-    """Unite the tubes and the hull of what no tube explains, and measure the whole.
+    """Unite the tubes with the trimmed hull of solids, and measure the result.
 
     Parameters
     ----------
     carved : Carved
         The hull.
     system : RootSystem or None
-        The roots; None where there are none.
+        The roots; None if there are none.
     coverage : Coverage
-        How far the silhouettes may be trusted.
+        Coverage, with the attenuation of the roots.
     settings : Settings
-        Voxels and limits of trust.
+        Voxel size and limits of trust.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
 
     Returns
     -------
@@ -215,7 +215,8 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
             tubes = tube_volume.paint(solids.leaves, system, hull.widest)
         leaves = tubes.leaves
     volume = leaves.volume_mm3()
-    # at most the hull with its outlines moved out; at least the shape, less what moving them in costs about solids
+    # Upper bound: the hull with outlines moved out. Lower bound: the shape, minus the effect on solids of moving them
+    # in.
     moved_in_mm3 = part.volume_mm3() / hull.leaves.volume_mm3() * (hull.leaves.volume_mm3() - hull.moved_in_mm3)
     thinner, thicker = (0.0, 0.0) if tubes is None else (tubes.thinner_mm3, tubes.thicker_mm3)
     bounds = max(0.0, volume - moved_in_mm3 - thinner), max(hull.moved_out_mm3, volume + thicker)
@@ -243,7 +244,7 @@ def make_solid(carved: Carved, system: RootSystem | None, coverage: Coverage, se
 
 
 def _hidden_top(roots: Sequence[Root], carved: Carved) -> hidden_top.HiddenTop | None:
-    """Return what the net pot may hide of the roots that have no parent."""
+    """Estimate the parts of roots without a parent that the net pot hides."""
     main = [root for root in roots if root.parent < 0]
     if not main:
         return None
@@ -262,14 +263,14 @@ def _budget(
     missed: float,
     settings: Settings,
 ) -> Budget:
-    """Gather what every part of the shape leaves open.
+    """Collect the terms of every part of the shape.
 
     Parameters
     ----------
     leaves, wide, part : Leaves
-        Of the shape, of thick roots and solids alone, and of the hull about solids.
+        Leaves of the shape, of thick roots and solids only, and of the hull about solids.
     missed : float
-        As `missed_share` has it.
+        See `missed_share`.
     """
     volume_mm3 = leaves.volume_mm3()
     half = solid_uncertainty.half_excess(carved.bank, carved.cameras.order, carved.maps, carved.hull, solids, carved.water)
@@ -303,7 +304,7 @@ def _budget(
 
 
 def _checks(system: RootSystem | None, budget: Budget, missed: float) -> tuple[Check, ...]:
-    """Check what views and shape say of each other."""
+    """Check the agreement of views and shape."""
     asked = None if system is None else system.cameras.roots
     sway_mm = None if system is None or asked is None else asked.after_px / system.px_a_mm
     agreed = shape_checks.of_sight(
@@ -325,24 +326,24 @@ def measure(
     untrimmed_mm3: float,
     monitor: Monitor,
 ) -> Solid:
-    """Gather leaves into voxels, draw the surface, and find the extents.
+    """Merge leaves into voxels, compute the surface, and determine the extents.
 
     Parameters
     ----------
     hull : Hull
-        As carved, with its lattice.
+        The carved hull with its lattice.
     leaves : Leaves
-        Of the solid.
+        Leaves of the solid.
     voxel_mm : float
-        Edge of the voxels that are given out.
+        Edge of the output voxels.
     budget : Budget
-        What the volume may be off by.
+        Error budget of the volume.
     bounds_mm3 : tuple of float
-        Least and greatest volume that the silhouettes allow.
+        Smallest and largest volume that the silhouettes allow.
     untrimmed_mm3 : float
-        What of the solid was not trimmed.
+        Volume of the solid that was not trimmed.
     monitor : Monitor
-        Hears how far it is.
+        Receives the progress.
     """
     warnings: tuple[str, ...] = ()
     with monitor.stage("surface"):
@@ -375,18 +376,18 @@ def measure(
 
 
 def _voxels(leaves: Leaves, voxel_mm: float) -> parts.Leaves:
-    """Gather leaves into voxels."""
+    """Merge leaves into voxels."""
     low, size, occupancy = surface.to_voxels(leaves, round(voxel_mm / leaves.grid.size_mm))
     origin_mm = np.asarray(leaves.grid.origin_mm, np.float64)
     return parts.Leaves(low=low, size=size, occupancy=occupancy, origin_mm=origin_mm, voxel_mm=voxel_mm)
 
 
 def _warnings(budget: Budget, untrimmed_mm3: float) -> list[str]:
-    """Say what the shape holds that no silhouette asks for."""
+    """Return warnings about parts of the shape that are untrimmed hull."""
     kept, found = untrimmed_mm3 / max(budget.volume_mm3, 1e-9), []
     if kept > _MUCH_KEPT:
         found.append(
-            f"{100.0 * kept:.0f} % of the volume is hull that could not be trimmed: parts that are no roots, or "
-            "roots too thin or too crowded for this resolution, whose volume is mostly too large; take more pixels or a second ring"
+            f"{100.0 * kept:.0f} % of the volume is untrimmed hull: parts other than roots, or roots too thin or too "
+            "dense for this resolution, whose volume is mostly overestimated; use a higher resolution or a second ring"
         )
     return found

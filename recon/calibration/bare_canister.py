@@ -72,13 +72,13 @@ class BareCanister:
         """
         can, step = scene.canister, np.abs(np.diff(np.unwrap(self.azimuth_deg, period=360.0)))
         said = [
-            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm a pixel by its diameter of "
+            f"cameras from the canister's edges and the roots: {self.mm_per_px:.5g} mm per pixel from its diameter of "
             f"{2.0 * can.outer_radius_mm:g} mm, steps of {step.mean():.2f} +- {step.std():.2f} degrees, elevation "
-            f"{self.elevation_deg:.2f} degrees; under parallel rays a table that turns the other way shows the mirror image, so check "
+            f"{self.elevation_deg:.2f} degrees; under parallel rays, the opposite direction of the table gives the mirror image; check "
             "turntable.direction"
         ]
         if self.floor_z_mm is not None and abs(self.floor_z_mm - can.floor_z_mm) > HEIGHTS_AGREE_MM:
-            said.append(f"the pictures show the floor at z = {self.floor_z_mm:.1f} mm, the scene says {can.floor_z_mm:.1f}; correct it")
+            said.append(f"the floor is at z = {self.floor_z_mm:.1f} mm in the pictures, but at {can.floor_z_mm:.1f} mm in the scene")
         return tuple(said)
 
 
@@ -101,9 +101,9 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
         visible, or the views are inconsistent.
     """
     if scene.camera.kind != "telecentric":
-        raise UserError('cameras without markers are found for a telecentric camera only; give camera.kind = "telecentric" in the scene')
+        raise UserError('calibration without markers requires a telecentric camera; set camera.kind = "telecentric" in the scene')
     if len(pictures) < LEAST_VIEWS:
-        raise UserError(f"{len(pictures)} pictures are too few to find cameras without markers; at least {LEAST_VIEWS} are needed")
+        raise UserError(f"{len(pictures)} pictures are too few for a calibration without markers; at least {LEAST_VIEWS} are required")
     stack = np.stack(pictures)
     bare = bare_edges.empty_panel(stack)
     edges, width_sigma_px = bare_edges.find_edges(stack, bare)
@@ -113,8 +113,8 @@ def find_cameras(pictures: Sequence[Grey], scene: Scene, table_deg: Sequence[flo
     azimuth, azimuth_sigma, place, agreement = bare_turn.find_turn(moments, mass, start)
     if agreement > MOST_AGREEMENT_PX:
         raise UserError(
-            f"the pictures' rows do not turn as one body does under parallel straight rays (off by {agreement:.1f} px, at most "
-            f"{MOST_AGREEMENT_PX:g}): the liquid about the canister may not match, the steps may be uneven or the plan wrong"
+            f"the rows of the pictures contradict a rigid rotation under parallel straight rays (by {agreement:.1f} px, limit "
+            f"{MOST_AGREEMENT_PX:g} px): the liquid around the canister may not match, the steps may be uneven, or the plan may be wrong"
         )
     lean = np.cos(azimuth)[:, None] * [0.0, 1.0] - np.sin(azimuth)[:, None] * [1.0, 0.0]  # horizontal axis of each view in (X, Y)
     slope = np.column_stack([np.ones(len(azimuth)), -lean])

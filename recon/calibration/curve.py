@@ -107,4 +107,4 @@ def _gamma(stated: Curve, least: float, best: Curve, again: Callable[[Curve], Se
 def _upon(stated: Curve, exponent: float) -> Curve:
     """Return the stated curve followed by a gamma."""
     light = stated.of(np.linspace(0.0, 1.0, 4097)) ** exponent
-    return Curve(f"a gamma of {exponent:.2f} upon {stated.name}", tuple(light.tolist()))
+    return Curve(f"a gamma of {exponent:.2f} after {stated.name}", tuple(light.tolist()))

@@ -59,8 +59,8 @@ def find_cameras(
     scene, optics = pictures.dataset.scene, Optics.of(pictures.dataset.scene)
     if scene.tank is not None and (scene.strip.rows == 0 or single_view or pictures.frames[0].cam_from_canister is not None):
         raise UserError(
-            f"{pictures.dataset.folder}: how the tank stands is found from the markers of all views together: "
-            "it needs the strip, and neither given cameras nor single views"
+            f"{pictures.dataset.folder}: the pose of the tank is estimated from the markers of all views together: "
+            "this requires the strip, and neither given cameras nor single views"
         )
     if all(frame.cam_from_canister is not None for frame in pictures.frames):
         poses_given = [np.array(frame.cam_from_canister) for frame in pictures.frames]
@@ -94,7 +94,7 @@ def find_cameras(
 def _in_tank(camera: Camera, canister: CanisterPose | None) -> Camera:
     """Rotate a view's tank by the estimate from the canister's edges; leave the view out if its tank is unknown."""
     if camera.cam_from_tank is None:
-        return replace(camera, used=False, reason=camera.reason or "its table angle is not known, and so not how the tank stands to it")
+        return replace(camera, used=False, reason=camera.reason or "its table angle is unknown, and therefore the pose of its tank")
     turn = 0.0 if canister is None else float(np.deg2rad(canister.tank_turn_deg))
     return replace(camera, cam_from_tank=camera.cam_from_tank @ frames.rotation_z(turn))
 
@@ -143,8 +143,8 @@ def _table_deg(pictures: Pictures) -> list[float]:
     told = [frame.table_deg for frame in pictures.frames if frame.table_deg is not None]
     if len(told) < len(pictures.frames) or len({frame.ring for frame in pictures.frames}) != 1:
         raise UserError(
-            f"{pictures.dataset.folder}: without markers, pictures of one ring with their table angles are needed; "
-            "give the scene a plan of as many views as there are pictures"
+            f"{pictures.dataset.folder}: without markers, pictures of one ring with table angles are required; "
+            "the plan of the scene must have as many views as there are pictures"
         )
     return told
 
@@ -159,7 +159,7 @@ def _usable(pictures: Pictures, cameras: Cameras) -> Cameras:
         reasons = "; ".join(sorted({f"{view.file}: {view.reason}" for view in cameras.all if view.reason})[:3])
         raise UserError(
             f"{pictures.dataset.folder}: only {len(cameras.order)} of {len(cameras.all)} pictures of roots have a camera pose and at least "
-            f"{LEAST_VIEWS} are needed ({reasons or 'take more of the turn'})."
+            f"{LEAST_VIEWS} are required ({reasons or 'take more pictures of the turn'})."
         )
     return cameras
 

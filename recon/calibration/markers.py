@@ -186,7 +186,7 @@ def _why_none(image: Picture, strip: MarkerStrip, *, blurred: int, foreign: list
     """Return the reason why no markers were found in a picture."""
     last = strip.first_id + strip.rows * strip.columns - 1
     if blurred:
-        return f"{blurred} markers were named, but are too blurred or noisy to be measured"
+        return f"{blurred} markers were identified, but are too blurred or noisy to be measured"
     names = ", ".join(str(k) for k in foreign[:5])
     others = f"markers of another strip: {strip.dictionary} ids {names}, the scene's strip has {strip.first_id} to {last}"
     if len(foreign) >= 3:

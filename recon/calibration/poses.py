@@ -93,7 +93,7 @@ def find_poses(
             seen[k] = sight
     if not seen:
         raise UserError(
-            f"{captured[0].file}: {views[0].reason}; no camera can be found in any of the {len(captured)} pictures: "
+            f"{captured[0].file}: {views[0].reason}; no camera could be calibrated in any of the {len(captured)} pictures: "
             "check focus, light and the strip in the scene file, or give the cameras"
         )
     median_px = float(np.median([views[k].reprojection_px for k in seen]))
@@ -120,7 +120,7 @@ def _refuse_strangers(detected: Sequence[Markers], scene: Scene, captured: Seque
         first = next(frame.file for frame, markers in zip(captured, detected, strict=True) if strange[0] in markers.foreign)
         strip = scene.strip
         raise UserError(
-            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} stand beside the scene's "
+            f"{first}: markers of another strip: {strip.dictionary} ids {', '.join(str(k) for k in strange[:5])} appear beside the scene's "
             f"{strip.first_id} to {strip.first_id + strip.rows * strip.columns - 1}; correct first_id, columns and rows of the strip in "
             "the scene file, or cover the other markers"
         )

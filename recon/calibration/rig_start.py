@@ -63,8 +63,8 @@ def first_rig(cam_from_canister: Sequence[Array], captured: Sequence[Frame], *, 
         if _scatter(angle[of] - asked) < AGREE_RAD:
             command[of], known[of] = asked, True
         else:
-            other = " (they fit the other turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
-            warnings.append(f"ring {number}: the pictures do not show the commanded table angles{other}; their own angles are used")
+            other = " (they match the opposite turntable.direction)" if _scatter(angle[of] + asked) < AGREE_RAD else ""
+            warnings.append(f"ring {number}: the pictures contradict the commanded table angles{other}; angles from the pictures are used")
     turned = np.array([pose @ frames.rotation_z(-turn) for pose, turn in zip(poses, command, strict=True)])
     cam_from_rig = np.array([_middle(turned[ring == r]) for r in range(len(stations))])
     own = np.array([pose @ frames.invert(cam_from_rig[r]) for pose, r in zip(turned, ring, strict=True)])

@@ -226,7 +226,7 @@ def _check_memory(count: int) -> None:
     """Raise a MemoryError if this number of nodes does not fit in memory."""
     fitting = int(total_mib() * MIB) // _BYTES_A_NODE
     if count > fitting:
-        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit")
+        raise MemoryError(f"{count} nodes to be carved, but only {fitting} fit in memory")
 
 
 def _children(nodes: list[Int32]) -> list[Int32]:

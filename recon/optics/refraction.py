@@ -76,7 +76,7 @@ class Optics:
 
     @staticmethod
     def of(scene: Scene) -> "Optics":
-        """Return the optics of a scene as it is described."""
+        """Return the optics of a scene."""
         can, around = scene.canister, scene.surroundings.n
         return Optics(
             outer_radius_mm=can.outer_radius_mm,

@@ -233,7 +233,7 @@ def _scatter(profiles: Profiles, back: Array, lone: Mask, tubes: Tubes) -> Array
     """
     parts, of = profiles.host(), profiles.light
     if of is None:
-        raise ValueError("these profiles were made without changes by the light")
+        raise ValueError("these profiles have no derivatives by the light parameters")
     radius, *light = (np.array(part, np.float64).reshape(profiles.shape) for part in (of.radius, *of.light))
     (views, count), roots, many = profiles.shape, len(tubes.branches), back.shape[2]
     of_root = sparse.csr_matrix((np.ones(count), (tubes.owner, np.arange(count))), shape=(roots, count))

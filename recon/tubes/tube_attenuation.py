@@ -77,13 +77,13 @@ class TubeAttenuation:
         hairs = []
         if self.hairs == "there":
             long_mm = translucent_tube.HAIRS.length_mm
-            hairs = [f"hairs of about {long_mm:g} mm seem to stand about the roots; their light is not counted as root"]
+            hairs = [f"the roots appear to have hairs of about {long_mm:g} mm; light absorbed by the hairs is not attributed to the roots"]
         if self.rival_per_mm is None:
             return hairs
         return [
             *hairs,
-            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): opaque ones leave {self.against_opaque:.2f} times as much of lone "
-            "roots unexplained, which may be chance; they are taken to be opaque",
+            f"roots may be translucent ({self.rival_per_mm:.2g} per mm): with opaque roots the residual of lone roots is "
+            f"{self.against_opaque:.2f} times as large, which may be due to chance; roots are assumed opaque",
         ]
 
 

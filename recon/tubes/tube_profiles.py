@@ -281,7 +281,7 @@ class Profiles:
         """Return the normal equations of nodes and light parameters, from lone profiles."""
         of, many = self.light, len(LIGHT)
         if of is None:
-            raise ValueError("these profiles were made without changes by the light")
+            raise ValueError("these profiles have no derivatives by the light parameters")
 
         def terms(at: UInt32) -> Iterator[Float]:
             """Yield the sums of a view: products of x, y, z, radius and `LIGHT` by rows, gradient, then `by_light`."""

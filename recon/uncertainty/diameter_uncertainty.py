@@ -1,4 +1,4 @@
-"""How far each root's diameter may be wrong, point by point: what a person wants to see of it in colours."""
+"""Uncertainty of each root's diameter, point by point, for coloured views."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def told(roots: Sequence[Root], system: RootSystem) -> tuple[Root, ...]:
     Parameters
     ----------
     roots : sequence of Root
-        Whose points lie along branches of the system: each has the value of the nearest node.
+        Roots whose points lie along branches of the system; each point gets the value of the nearest node.
     system : RootSystem
-        As it was fitted.
+        The fitted root system.
     """
     sigma_mm, place = 2.0 * of_radii(system), cKDTree(system.tubes.centre_mm)
     found = []
     for root in roots:
         own = sigma_mm[place.query(root.points_mm)[1]]
         if root.parent >= 0:
-            own[0] = own[1]  # it begins in or on its parent, whose nodes are nearer
+            own[0] = own[1]  # the base lies in or on the parent, whose nodes are nearer
         found.append(replace(root, diameter_sigma_mm=own))
     return tuple(found)
 
@@ -53,17 +53,17 @@ def of_radii(system: RootSystem) -> Array:
 
 
 def combined(tubes: Tubes, profiles: HostProfiles, variance: float) -> Array:
-    """Return the standard deviation (N,) of each radius: how far views disagree, and what none of them tells.
+    """Return the standard deviation (N,) of each radius, from the scatter of the views and the lack of data.
 
-    With the fit's equations H dr = g, g a sum over views, the views' parts H^-1 g_v of a step scatter as the radii
-    would with other views (the jackknife of `tube_uncertainty`, node by node). Where a node is hidden in most views
-    their parts are small for want of anything seen; there the curvature H over the pictures' own variance says how
-    little is told, and roots of one order how little it can be.
+    With the fit's equations H dr = g, where g is a sum over views, the contributions H^-1 g_v of single views scatter
+    as the radii would with other views (the jackknife of `tube_uncertainty`, node by node). If a node is hidden in most
+    views, these contributions are small for lack of data. The curvature H relative to the pictures' variance then gives
+    the standard deviation, limited by the scatter of radii within one order.
 
     Parameters
     ----------
     variance : float
-        Of what tubes leave unexplained in a pixel that they cover.
+        Variance of the residual per pixel that the tubes cover.
     """
     told = (profiles.width_2 * profiles.scale**2).sum(axis=0)
     smooth = tube_fit.prior(tubes)[3::4, 3::4]

@@ -1,10 +1,10 @@
-"""Whether roots take light from where they are not: milky water, a lens that flares, a camera that evens tones out.
+"""Detection of scattered light about roots, from turbid water, lens flare or tone mapping of the camera.
 
-Each spreads a part of what a pixel should have over those about it. Beside roots it is then a little too dark (or too
-bright, where a camera sharpens), by as much as there are roots about: by a share of the coverage, blurred.
+Each of these distributes part of a pixel's signal over its surroundings. Beside roots, the picture is then slightly too
+dark (or too bright, if the camera sharpens), in proportion to the blurred coverage.
 
 Pixels are compared with themselves in other views of the same camera: where roots often pass, the empty backlight is
-known worse, and half a percent that it lacks there would look the same.
+less accurate, and an error of half a percent would look the same.
 """
 
 from __future__ import annotations
@@ -17,40 +17,41 @@ import numpy as np
 from rhizotwin.recon.coverage.silhouettes import Image, Mask, Silhouette
 
 _WIDE_PX = 12.0
-"""Standard deviation over which roots are blurred: far wider than a lens's blur and a root's own flanks. What is spread
-over 20 px and over 5 px alike is told by it, the one a little too small and the other too large."""
+"""Standard deviation of the blur of roots: far wider than a lens's blur and a root's own flanks. Scattering over 5 px
+to 20 px is detected, with a small error of its amount."""
 _BESIDE_PX = 4.0
-"""Nearer to a silhouette it is the root's own flank and its hairs (1.5 mm at 0.4 mm a pixel)."""
+"""Minimum distance from a silhouette: nearer pixels belong to the root's flank and its hairs (1.5 mm at 0.4 mm per
+pixel)."""
 _ROOT = 0.5
-"""Coverage of a silhouette."""
+"""Minimum coverage of a silhouette."""
 _BINS = 12
-"""Classes of how many roots are about."""
+"""Number of classes of blurred coverage."""
 _LEAST = 300
-"""Pixels of a class whose median is asked; noise of 5 % a pixel then leaves 0.4 %."""
+"""Minimum number of pixels in a class; the median of noise of 5 % per pixel is then accurate to 0.4 %."""
 _ENOUGH = 0.05
-"""Classes must reach this far: where roots never cover so much more of what is about, they tell nothing."""
+"""Minimum range of the blurred coverage over the classes."""
 _VIEWS = 10
-"""Of a camera's turn, evenly chosen."""
+"""Number of views of a camera's turn, evenly spaced."""
 _OTHERS = 3
-"""Of a camera with more views than these, pixels count that are beside roots in so many others; their means then take
-up a fourth of each one's own. Cameras with fewer are taken as they are."""
+"""Minimum number of other views in which a pixel is beside roots, for cameras with more views than this; a mean then
+contains a fourth of each view's own value. Cameras with fewer views are used without this comparison."""
 
 
 def spread(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]]) -> float | None:
-    """Return the share of the light that is spread about roots; None where too little is seen beside them.
+    """Return the fraction of light scattered about roots; None if too few pixels beside roots are visible.
 
     Parameters
     ----------
     silhouettes : sequence of Silhouette
-        With the opacity of all that they see, noise and all.
+        Silhouettes with opacity, including noise.
     stations : sequence of tuple of int
-        Of each: where its camera stood, views of which show the same backlight.
+        Station of each view; views of one station share the backlight.
 
     Returns
     -------
     float or None
-        Slope of the opacity beside roots over their coverage, blurred, both against the same pixel's in other views:
-        medians of classes, so that thin roots that nobody found, which are in few pixels, tell nothing.
+        Slope of the opacity beside roots over the blurred coverage, both relative to the same pixel in other views.
+        Medians of classes are used, so that undetected thin roots, which affect few pixels, have no influence.
     """
     about, dark = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
     for station in sorted(set(stations)):
@@ -73,13 +74,13 @@ def spread(silhouettes: Sequence[Silhouette], stations: Sequence[tuple[int, int]
 
 
 def _against_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]]:
-    """Yield, of each view, what `_beside` returns less the same pixel's mean over all views of one camera."""
+    """Yield, for each view, the results of `_beside` minus the same pixel's mean over all views of one camera."""
     if len(views) <= _OTHERS:
         yield from (_beside(view)[1:] for view in views)
         return
     shape = views[0].coverage.shape
     total, darkness, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32)
-    for view in views:  # twice through the views: what they tell of every pixel would be large
+    for view in views:  # two passes over the views, to limit memory
         beside, about, dark = _beside(view)
         total[beside] += about
         darkness[beside] += dark
@@ -91,7 +92,7 @@ def _against_others(views: Sequence[Silhouette]) -> Iterator[tuple[Image, Image]
 
 
 def _beside(silhouette: Silhouette) -> tuple[Mask, Image, Image]:
-    """Return the pixels beside roots (H, W), and there how much of what is about is root (N,), and the opacity (N,)."""
+    """Return the pixels beside roots (H, W), and the blurred coverage (N,) and the opacity (N,) there."""
     root = (silhouette.coverage > _ROOT) & silhouette.seen
     away = cv2.distanceTransform((~root).astype(np.uint8), cv2.DIST_L2, 5)
     inner = cv2.erode(silhouette.seen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0

@@ -1,4 +1,4 @@
-"""What the pictures leave open about tubes: how far their volume can be wrong, cause by cause."""
+"""Uncertainty of the tubes' volume, cause by cause."""
 
 from __future__ import annotations
 
@@ -24,35 +24,32 @@ from rhizotwin.recon.uncertainty.budget import NINETY, Term
 Array = NDArray[np.float64]
 
 UNTOLD = 0.25
-"""Standard deviation of a radius, as a share of it, that no picture tells: roots of one order differ by about as
-much."""
+"""Prior relative standard deviation of a radius without data: the scatter of roots of one order."""
 EXPLAINED = 0.03
-"""Coverage by the tubes above this, and two pixels about it, is theirs to explain."""
+"""Minimum coverage by the tubes of pixels that they explain, together with a margin of two pixels."""
 _INSIDE = 0.3
-"""Coverage above this is taken for the inside of a root when its width is measured to a pixel or two."""
+"""Minimum coverage inside a root when its width is measured to a pixel or two."""
 _FLAT, _FLAT_PX = 0.1, 0.1
-"""A section is flat where its half-width changes from view to view by more than this share, and more than this."""
+"""Minimum variation of a flat section's half-width from view to view, relative and in pixels."""
 _FLATTEST = 0.26
-"""Two equal roots that touch: their half-width is r + r |cos|, on average r (1 + 2 / pi), with the second harmonic 4 r
-/ (3 pi)."""
+"""Maximum flatness, that of two equal touching roots: their half-width is r + r |cos|, on average r (1 + 2 / pi), with
+the second harmonic 4 r / (3 pi)."""
 _HAIRS_KNOWN = 0.5
-"""Hairs of radish are a tenth to half a millimetre long: what they take is known to half of what those of the middle
-do."""
+"""Relative uncertainty of absorption by hairs, due to their length of 0.1 to 0.5 mm."""
 _OVAL = 0.01
-"""Share of a thick root's volume that a circle of its mean width has too much, at most: of an ellipse whose axes are as
-6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
+"""Maximum relative excess of a thick root's volume computed from a circle of its mean width: that of an ellipse with
+axes 6 to 7, and of a regular polygon with 18 sides (a section has less area than the circle of its perimeter)."""
 _FLAT_NODES = 5
-"""Nodes along which a section is taken to be alike: 3 mm."""
+"""Number of nodes over which a section is assumed constant: 3 mm."""
 _LEAST_FREE = 0.1
-"""Share of the root zone beside the tubes that is taken to be free at least, where what they hide is estimated from
-what they leave."""
+"""Minimum free fraction of the root zone outside the tubes, for the estimate of roots that the tubes hide."""
 _ZONE = (0.02, 0.98)
 """Quantiles of the covered pixels' rows and columns that bound the root zone."""
 
 
 @dataclass(frozen=True)
 class TubeUncertainty:
-    """Terms of the budget, and what the verdict looks at."""
+    """Terms of the budget, and quantities of the verdict."""
 
     terms: tuple[Term, ...]
     unexplained: float
@@ -60,12 +57,12 @@ class TubeUncertainty:
 
 
 def estimate(system: RootSystem) -> TubeUncertainty:
-    """Compare the pictures with the fitted tubes once more, and turn what is left into volume."""
+    """Compare the pictures with the fitted tubes, and convert the residuals to volumes."""
     tubes, drawn = system.tubes, system.drawn
     found = tube_profiles.profiles(drawn, root_light.changes(drawn, np.diag(system.attenuation.covariance) > 0.0))
     profiles, equations = found.host(), found.light_equations()
     by_light = tube_fit.followed(tubes, found.residual_gradient().hessian, equations.by_light)[:, 3]
-    gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # of volume by radius
+    gain = np.where(system.solid, 0.0, 2.0 * np.pi * tubes.radius_mm * _lengths(tubes))  # derivative of the volume by the radius
     wish = _wishes(tubes, profiles, gain)
     total = float(wish.sum())
     rest = _Rest.of(system.seen, drawn.passing, drawn.difference, system.px_a_mm)
@@ -78,29 +75,27 @@ def estimate(system: RootSystem) -> TubeUncertainty:
     ends = float(0.5 * gain @ (tubes.radius_mm * system.uncertain))
     oval = _OVAL * float(0.5 * gain @ (tubes.radius_mm * system.thick))
     terms = (
-        Term.even("radii, view against view", views, "the views disagree about the tubes' radii (noise, poses, backlight)"),
-        Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly told"),
+        Term.even("radii, view against view", views, "the views disagree on the radii of the tubes (noise, poses, backlight)"),
+        Term.even("radii, hidden", untold, "some roots are hidden by others in most views, so that their radii are hardly constrained"),
         _signed(
             "radii, residual gradient",
             total,
-            "the fit stops where the pictures still ask for other radii, against the smoothness of branches",
+            "the smoothness of branches keeps the radii from fully matching the pictures",
         ),
-        _signed("area", balance, "the tubes cover not quite the area that the pictures show beside them"),
+        _signed("area", balance, "the area covered by the tubes differs from that in the pictures"),
         *_light(system, gain @ by_light),
-        Term.even("uncertain ends", ends, "ends whose tips others hide may be no roots"),
-        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots look flat, and may be two that run side by side"),
-        Term(
-            name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are taken to be round, and have less volume where they are not"
-        ),
+        Term.even("uncertain ends", ends, "ends whose tips are hidden by others may not be roots"),
+        Term(name="flat roots", less_mm3=flat, more_mm3=0.0, why="some roots appear flat, and may be two roots side by side"),
+        Term(name="sections", less_mm3=oval, more_mm3=0.0, why="thick roots are assumed round, and have less volume where they are not"),
         Term(name="missing roots", less_mm3=0.0, more_mm3=float(missing), why="the pictures show coverage far from all tubes"),
     )
     return TubeUncertainty(terms, rest.unexplained, rest.fill)
 
 
 def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
-    """Return what attenuation, blur and hairs leave open, of which the volume changes by ``by_light`` (L,).
+    """Return the terms of attenuation, blur and hairs, by which the volume changes by ``by_light`` (L,).
 
-    Roots follow them along the valley in which they absorb as much light.
+    Radii follow these parameters along the valley of equal absorption.
     """
     attenuation, seen = system.attenuation, system.seen
     half = NINETY * float(np.sqrt(by_light @ attenuation.covariance @ by_light))
@@ -108,22 +103,22 @@ def _light(system: RootSystem, by_light: Array) -> tuple[Term, ...]:
         terms = [Term.even("radii, blur", half, "radii depend on the pictures' blur")]
         if attenuation.rival_per_mm is not None:
             more = _volume_change(system, replace(seen, mu_per_mm=attenuation.rival_per_mm))
-            why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque ones explain the pictures hardly worse"
+            why = f"roots may be translucent ({attenuation.rival_per_mm:.2g} per mm): opaque roots explain the pictures almost as well"
             terms.append(Term(name="translucency", less_mm3=0.0, more_mm3=more, why=why))
         if attenuation.hairs == "maybe":
             change = _volume_change(system, replace(seen, hairs=1.0))
-            terms.append(_signed("hairs", change, "the pictures do not tell whether hairs stand about the roots"))
+            terms.append(_signed("hairs", change, "the pictures do not show whether the roots have hairs"))
         return tuple(terms)
-    why = f"roots are translucent, and the pictures tell their attenuation to {100.0 * attenuation.sigma:.0f} % only"
+    why = f"the roots are translucent, and their attenuation is only known to {100.0 * attenuation.sigma:.0f} %"
     terms = [Term.even("translucency", half, why)]
     if attenuation.hairs != "none":
-        why = "hairs stand about the roots, and what they take of the light depends on their length, which is known to a half"
+        why = "the roots have hairs, whose absorption depends on their length, which is only known to 50 %"
         terms.append(Term.even("hairs", _HAIRS_KNOWN * abs(float(by_light[HAIRS]) * seen.hairs), why))
     return tuple(terms)
 
 
 def _volume_change(system: RootSystem, other: Evidence) -> float:
-    """Return by how much the volume would change with other light that is kept back alike."""
+    """Return the change of the volume with other light parameters at equal absorption."""
     tubes = root_light.with_light_kept(system.tubes, system.solid, system.seen, other)
     return float(np.pi * (np.square(tubes.radius_mm) - np.square(system.tubes.radius_mm)) @ _lengths(tubes))
 
@@ -133,9 +128,9 @@ def _signed(name: str, change_mm3: float, why: str) -> Term:
 
 
 def _lengths(tubes: Tubes) -> Array:
-    """Return the length of tube (N,) that each node stands for.
+    """Return the length of tube (N,) that belongs to each node.
 
-    Half of every segment at it, a branch's first segment its second node's.
+    It is half of every segment at the node; the first segment of a branch belongs to the second node.
     """
     half = np.zeros(len(tubes.radius_mm))
     for k, nodes in enumerate(tubes.branches):
@@ -146,14 +141,14 @@ def _lengths(tubes: Tubes) -> Array:
 
 
 def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
-    """Return by how much (N,) of its size the half-width of each node's section changes from view to view.
+    """Return the relative variation (N,) of the half-width of each node's section from view to view.
 
-    0 where it is round.
+    It is 0 for round sections.
 
-    The half-widths that the views want, w + u S u across the direction u, are fitted with a symmetric tensor S, alike
-    along a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of
-    radius r, drawn as a round one, have the flatness `_FLATTEST` and 0.75 of that one's volume: what is lost if a root
-    is two is its flatness.
+    The half-widths in the views, w + u S u across the direction u, are fitted with a symmetric tensor S, constant over
+    a few nodes. Its eigenvalues across the tube differ by twice the second harmonic. Two equal touching roots of radius
+    r, modelled as a round one, have the flatness `_FLATTEST` and 0.75 of that one's volume: the relative volume error
+    of a double root is its flatness.
     """
     unit = profiles.across / np.maximum(profiles.scale, 1e-9)[..., None]
     x, y, z = np.moveaxis(unit, -1, 0)
@@ -175,13 +170,13 @@ def _flatness(tubes: Tubes, profiles: HostProfiles, px_a_mm: float) -> Array:
 
 
 def _wishes(tubes: Tubes, profiles: HostProfiles, gain: Array) -> Array:
-    """Return by how much each view (V,) alone would change the volume.
+    """Return the change of the volume that each view (V,) alone would cause.
 
-    Its part of one more Gauss-Newton step of all radii.
+    It is the view's contribution to one more Gauss-Newton step of all radii.
 
-    With the fit's equations H dr = g, g a sum over views, a view's part is gain . H^-1 g_v. The views' scatter is the
-    sandwich (jackknife) estimate of the volume's standard deviation, which holds for errors that a view has in common,
-    such as its pose.
+    With the fit's equations H dr = g, where g is a sum over views, a view's contribution is gain . H^-1 g_v. The
+    scatter of the views is the sandwich (jackknife) estimate of the volume's standard deviation, valid also for errors
+    common to a view, such as its pose.
     """
     smooth = tube_fit.prior(tubes)[3::4, 3::4]
     weight: Array = spsolve((sparse.diags(_told(profiles) + tube_fit.LEAST) + smooth).tocsc(), gain)
@@ -194,9 +189,9 @@ def _told(profiles: HostProfiles) -> Array:
 
 
 def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) -> float:
-    """Return the volume's 90 % half-width where pictures hardly tell the radii.
+    """Return the 90 % half-width of the volume where pictures hardly constrain the radii.
 
-    Alike along a branch, independent between branches.
+    Errors are equal along a branch, and independent between branches.
     """
     told = _told(profiles) / max(variance, 1e-9)
     sigma = 1.0 / np.sqrt(told + 1.0 / (UNTOLD * tubes.radius_mm) ** 2)
@@ -206,24 +201,23 @@ def _untold(tubes: Tubes, profiles: HostProfiles, gain: Array, variance: float) 
 
 @dataclass(frozen=True)
 class _Rest:
-    """What is left of the pictures when the tubes are taken away."""
+    """Residuals of the pictures after subtraction of the tubes."""
 
     variance: float
-    """Of the difference beside the tubes, a pixel."""
+    """Variance of the difference at the tubes, per pixel."""
     balance: float
-    """Difference beside the tubes over the area they cover."""
+    """Difference at the tubes relative to the area they cover."""
     missing_px3: float
-    """Volume of what covers the pictures far from tubes, as large as it would be if tubes hid none of it, in cubes of a
-    pixel's edge.
+    """Volume of coverage far from tubes, corrected for the part that tubes hide, in cubic pixels.
 
     A root's volume is its covered area times a quarter of pi times its width."""
     unexplained: float
-    """Covered area far from tubes over all covered area."""
+    """Covered area far from tubes relative to all covered area."""
     fill: float
 
     @staticmethod
     def of(seen: Evidence, passing: Float, difference: Kernel, px_a_mm: float) -> _Rest:
-        """Look at all views, one after the other: together they would fill the memory."""
+        """Evaluate all views, one after the other, to limit memory."""
         (width, height), count = seen.image_wh, seen.bank.count
         pictures = [picture.numpy().reshape(count, height, width) for picture in (seen.seen, passing, difference)]
         views = [
@@ -244,39 +238,39 @@ class _Rest:
 
 @dataclass(frozen=True)
 class _RestOfView:
-    """What one view has of it, areas in pixels."""
+    """Residuals of one view, areas in pixels."""
 
     area: float
-    """Covered by the tubes."""
+    """Area covered by the tubes."""
     hidden: float
-    """Covered where nothing is known beside taproot and hypocotyl."""
+    """Area covered by taproot, hypocotyl and solids, where tubes are masked."""
     pixels: int
-    """On the tubes and two pixels about them."""
+    """Number of pixels on the tubes and within two pixels of them."""
     square: float
-    """Squared difference there, and ..."""
+    """Sum of the squared difference there."""
     balance: float
-    """... the difference itself."""
+    """Sum of the difference there."""
     beyond: float
-    """Difference elsewhere."""
+    """Sum of the difference elsewhere."""
     has_roots: bool
     fill: float = 0.0
     missing_px3: float = 0.0
 
     @staticmethod
     def of(seen: Evidence, picture: Silhouette, known: Mask, drawn: Image, left: Image, px_a_mm: float) -> _RestOfView:
-        """Compare a picture with tubes.
+        """Compare a picture with the tubes.
 
         Parameters
         ----------
         known : (H, W) bool array
-            Where the picture tells of them.
+            Mask of usable pixels.
         drawn, left : (H, W) float32 array
-            Coverage by the tubes, and what they leave.
+            Coverage by the tubes, and the residual.
         """
         drawn = drawn * known
         near = cv2.dilate((drawn > EXPLAINED).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         far = left * ~near
-        if seen.has_opacity:  # what does not stand out from the noise is none
+        if seen.has_opacity:  # ignore values at the noise level
             far *= picture.coverage > 0.0
         rest = _RestOfView(
             area=float(drawn.sum(dtype=np.float64)),
@@ -296,7 +290,7 @@ class _RestOfView:
         width_px = np.maximum(2.0 * cv2.dilate(inside, np.ones((7, 7), np.uint8)) - 1.0, 1.0)
         if seen.mu_per_mm is None:
             volume = 0.25 * np.pi * float((far * width_px).sum(dtype=np.float64))
-        else:  # faint roots absorb light by their volume
+        else:  # absorption of faint roots is proportional to their volume
             volume = rest.beyond * px_a_mm / seen.mu_per_mm
         missing = volume / max(1.0 - float(near[zone].mean()), _LEAST_FREE)
         return replace(rest, has_roots=True, fill=float(np.where(known, picture.coverage, 0.0)[zone].mean()), missing_px3=missing)
